@@ -150,17 +150,16 @@ class MotionFit:
         sample = _Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m, off_level)
         samples, jumped, now_s = self._samples, self._jumped, position.time_s
         self._jumped = None
+        self._flagged = self._flagged or gimbal.frame
         jump_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0
-        if gimbal.frame != self._flagged:
-            self._flagged = gimbal.frame
-            if jump_m > _JUMP_M:
-                self._change(now_s, jump_m)
-            samples.clear()
-        elif jump_m > _JUMP_M and abs(now_s - self.changed_s) > WINDOW_S:  # a wrong frame lets it jump on and on
-            if jumped is None:
-                self._jumped = sample  # an outlier, unless the next one is far away, too
+        jumps = jump_m > _JUMP_M and abs(now_s - self.changed_s) > WINDOW_S  # a wrong frame lets it jump on and on
+        if jumps or gimbal.frame != self._flagged:
+            if jumped is None or jumped.gimbal.frame != gimbal.frame:
+                self._jumped = sample  # an outlier, unless the next one is like it
                 return
-            self._change(jumped.time_s, jump_m)
+            if jump_m > _JUMP_M:
+                self._change(jumped.time_s, jump_m)
+            self._flagged = gimbal.frame
             samples.clear()  # what was before would hide the change
             samples.append(jumped)
         samples.append(sample)
@@ -172,9 +171,9 @@ class MotionFit:
         if jump_m > _JUMP_M + _DRIVES_M_S * since_s:
             self.jumped_s = now_s
         lately = [one for one in self._samples if now_s - one.time_s < _LATELY_S]
-        self._before = None
-        if len(lately) >= _LATELY_MIN:
-            self._before = _motion(lately)
+        if len(lately) < _LATELY_MIN:  # after dropouts: fewer but older ones
+            lately = [one for one in self._samples if now_s - one.time_s < WINDOW_S][-_LATELY_MIN:]
+        self._before = _motion(lately) if len(lately) >= _LATELY_MIN else None
 
     @property
     def level_direction(self) -> tuple[float, float] | None:

@@ -50,53 +50,46 @@ _OFF_GROUND = (
 
 
 class _Repeats:
-    """Notices a value that stays the same while the aircraft turns."""
+    """Notices a value that stays the same although the aircraft's motion has to change it.
 
-    def __init__(self) -> None:
+    Args:
+        same: By how much the value may differ.
+
+    """
+
+    def __init__(self, same: float) -> None:
+        self._same = same
         self._anchor: tuple[float, ...] = (math.inf,)
-        self.since_s = self._turned_rad = self._moved_by = self._swept_rad = self._off = 0.0
+        self._travelled: tuple[float, ...] = ()
+        self.since_s = 0.0
         self._count = self._moved = 0
         self.found = False
 
-    def note(
-        self,
-        values: tuple[float, ...],
-        same: float,
-        time_s: float,
-        turned_rad: float,
-        moved: float,
-        swept_rad: float = 0.0,
-    ) -> None:
-        """Take a value.
+    def note(self, values: tuple[float, ...], time_s: float, travelled: tuple[float, ...]) -> bool:
+        """Take a value; return whether the finding has changed.
 
         Args:
             values: the value, a tuple of numbers.
-            same: by how much each number may differ.
             time_s: of the reading.
-            turned_rad: how far the aircraft has turned since the flight began, either way.
-            moved: how much the aircraft's own motion has changed the value since then, 1 for what is unmistakable.
-            swept_rad: how far the line of sight has turned, positive clockwise.
+            travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
 
         """
-        off = 0.0
-        for before, now in zip(self._anchor, values, strict=False):
-            off = max(off, abs(before - now))
-        if off <= same:
+        before, off = self.found, 0.0
+        for anchor, now in zip(self._anchor, values, strict=False):
+            off = max(off, abs(anchor - now))
+        if off <= self._same:
             self._count += 1
             self._moved = 0
-            self._off = max(self._off, off)
             lasts = self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S
-            self.found |= lasts and (
-                turned_rad - self._turned_rad >= _TURNED_RAD
-                or abs(moved - self._moved_by) >= 1.0
-                or (self._off <= _EXACT_M and abs(swept_rad - self._swept_rad) >= _SWEPT_RAD)
+            self.found |= lasts and any(
+                abs(now - then) >= 1.0 for now, then in zip(travelled, self._travelled, strict=True)
             )
-            return
+            return self.found is not before
         self._moved += 1
-        if not self.found or self._moved >= _MOVES_AGAIN:
+        if not before or self._moved >= _MOVES_AGAIN:
             self.found = False
-            self._anchor, self.since_s, self._turned_rad, self._count = values, time_s, turned_rad, 0
-            self._moved_by, self._swept_rad, self._off = moved, swept_rad, 0.0
+            self._anchor, self.since_s, self._travelled, self._count = values, time_s, travelled, 0
+        return self.found is not before
 
 
 class PayloadCheck:
@@ -118,7 +111,8 @@ class PayloadCheck:
         self.wrong_since_s = math.inf
         self.is_news = False
         self._fit = MotionFit(parent_from_mount)
-        self._range_repeats, self._sight_repeats = _Repeats(), _Repeats()
+        self._expect_another_laser()
+        self._sight_repeats = _Repeats(_SAME_SIGHT)
         self._position: PositionReading | None = None
         self._attitude: AttitudeReading | None = None
         self._range: RangeReading | None = None
@@ -205,14 +199,12 @@ class PayloadCheck:
 
         """
         if self._range is not None and reading.source != self._range.source:
-            self._range_repeats = _Repeats()
+            self._expect_another_laser()
             self._begin_fit()
         self._range = reading
-        repeats = self._range_repeats
-        found = repeats.found
-        travelled = self._turned_rad, self._closed, self._swept_rad
-        repeats.note((reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, *travelled)
-        if repeats.found is not found:
+        values = (reading.slant_range_m,)
+        news = self._range_repeats.note(values, reading.time_s, (self._turned_rad / _TURNED_RAD, self._closed))
+        if self._range_stays.note(values, reading.time_s, (self._swept_rad / _SWEPT_RAD,)) or news:
             self._settle()
 
     def gimbal(self, reading: GimbalReading) -> None:
@@ -224,12 +216,10 @@ class PayloadCheck:
         """
         if reading.source != self._gimbal_source:
             self._gimbal_source = reading.source
-            self._sight_repeats = _Repeats()
+            self._sight_repeats = _Repeats(_SAME_SIGHT)
             self._begin_fit()
-        repeats = self._sight_repeats
-        found = repeats.found
-        repeats.note(reading.quaternion_wxyz, _SAME_SIGHT, reading.time_s, self._turned_rad, self._passed)
-        if repeats.found is not found:
+        travelled = self._turned_rad / _TURNED_RAD, self._passed
+        if self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, travelled):
             self._settle()
         position, attitude, slant = self._position, self._attitude, self._range
         if (
@@ -244,7 +234,7 @@ class PayloadCheck:
         if max(abs(reading.time_s - one.time_s) for one in (position, attitude, slant)) > _FRESH_S:
             return
         self._sampled_s = reading.time_s
-        if self._range_repeats.found or self._sight_repeats.found:
+        if self._is_stuck or self._sight_repeats.found:
             self._fit.clear()
         else:
             self._fit.add(position, attitude, reading, slant.slant_range_m, self._turned_rad)
@@ -281,6 +271,13 @@ class PayloadCheck:
             )
         elif share < _ACCEPTED_AGAIN:
             self.sightings_fault = ""
+
+    @property
+    def _is_stuck(self) -> bool:
+        return self._range_repeats.found or self._range_stays.found
+
+    def _expect_another_laser(self) -> None:
+        self._range_repeats, self._range_stays = _Repeats(_SAME_RANGE_M), _Repeats(_EXACT_M)
 
     def _begin_fit(self) -> None:
         """Judge another device afresh."""
@@ -320,11 +317,12 @@ class PayloadCheck:
 
     def _settle(self) -> None:
         before = self.laser_fault, self.gimbal_fault
-        self.laser_fault = _STUCK if self._range_repeats.found else self._unit_fault
+        self.laser_fault = _STUCK if self._is_stuck else self._unit_fault
         self.gimbal_fault = _FROZEN if self._sight_repeats.found else self._frame_fault
         self.is_news |= before != (self.laser_fault, self.gimbal_fault)
         if not any(before) and (self.laser_fault or self.gimbal_fault):
-            since_s = [one.since_s for one in (self._range_repeats, self._sight_repeats) if one.found]
+            repeats = self._range_repeats, self._range_stays, self._sight_repeats
+            since_s = [one.since_s for one in repeats if one.found]
             if self._frame_fault or self._unit_fault:
                 since_s.append(self._judged_s - WINDOW_S)
                 if self._judged_s - self._fit.changed_s < _CHANGED_S:

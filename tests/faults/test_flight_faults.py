@@ -109,6 +109,13 @@ def test_wrong_flags_and_units_are_found_before_the_aircraft_follows_them(seed, 
     assert not verdict.broken, verdict.what
 
 
+def test_single_wrong_flags_do_not_stop_the_decisions():
+    # Each of them looked like a jump of the target, by which nothing is decided for 15 s.
+    verdict = flight(50040, "arduplane", targets=96)
+    assert "payload extremes" in verdict.names
+    assert not verdict.broken, verdict.what
+
+
 def test_the_same_flight_again_is_the_same_to_the_last_bit():
     scenario = Scenario(7, "px4", 60.0)
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]
