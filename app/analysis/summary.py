@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from rich.table import Table
 
+from sidelong.app.analysis.input_times import InputTime, InputTimes
 from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score
 from sidelong.app.analysis.truth import Truth
 from sidelong.estimators.filters.biases import Calibration, Delays
@@ -48,6 +49,8 @@ class Summary:
     """Moves within 10 s of the last one; None in summaries of earlier versions."""
     time_unknown: float | None = None
     """Share of the time in which missing or contradicting inputs made the judgement unknown."""
+    inputs: tuple[InputTime, ...] = ()
+    """How long each input was not ok."""
     gimbal_delay_s: float | None = None
     range_delay_s: float | None = None
     """How late the payload stamped its readings, as estimated; None while it was not known."""
@@ -61,6 +64,13 @@ class Summary:
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
 
+    @property
+    def attention(self) -> str:
+        """A warning for the first line; '' if most of the time is known."""
+        if self.time_unknown is None or self.time_unknown <= _UNKNOWN_MAX:
+            return ""
+        return f"{_percent(self.time_unknown)} of the time is unknown: inputs were missing or contradictory"
+
     def table(self) -> Table:
         """Return the summary as a table for the terminal."""
         table = Table(show_header=False, box=None, pad_edge=False)
@@ -70,9 +80,8 @@ class Summary:
 
     def rows(self) -> Iterator[tuple[str, str]]:
         """Yield names and values as a person reads them."""
-        if self.time_unknown is not None and self.time_unknown > _UNKNOWN_MAX:
-            share = _percent(self.time_unknown)
-            yield "attention", f"{share} of the time is unknown: inputs were missing or contradictory"
+        if self.attention:
+            yield "attention", self.attention
         yield "outcome", self.outcome
         yield "watched", f"{self.duration_s:.0f} s"
         yield "time in band", _percent(self.time_in_band)
@@ -92,6 +101,9 @@ class Summary:
         yield "sightings", f"{self.sightings}, rejected {self.rejected}"
         error_m = self.estimate_rmse_m
         yield "error of the estimate (RMS)", "-" if error_m is None else f"{error_m:.2f} m"
+        for one in self.inputs:
+            times = "" if one.times == 1 else f", {one.times} times"
+            yield f"input {one.input}", f"{one.state} for {one.seconds:.0f} s{times}"
         if self.gimbal_delay_s is not None and self.range_delay_s is not None:
             yield "delay of the payload", f"gimbal {self.gimbal_delay_s:.2f} s, laser {self.range_delay_s:.2f} s"
         if self.battery_percent is not None:
@@ -125,13 +137,15 @@ class SummaryCollector:
         self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
         self.judged_s = -math.inf  # time of the latest estimate that was taken
         self._departures_s: list[float] = []
-        self._silent_s = 0.0  # how long the vehicle's clock has stood still at the end
+        self._position_age_s = 0.0  # at the end
+        self._input_times = InputTimes()
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Snapshot) -> None:
         """Take a snapshot; only departures are taken from those without a new estimate."""
-        self._silent_s = snapshot.silent_s
+        self._position_age_s = snapshot.position_age_s
+        self._input_times.note(snapshot.health)
         self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
         if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
@@ -187,6 +201,10 @@ class SummaryCollector:
         ]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 
+    def input_times(self, start_s: float, end_s: float) -> tuple[InputTime, ...]:
+        """Return how long each input was not ok between two times."""
+        return self._input_times.between(start_s, end_s)
+
     def moments(
         self, truth: Truth | None, plane: LocalPlane | None, start_s: float
     ) -> tuple[Sequence[Moment], Literal["truth", "estimate"]]:
@@ -203,7 +221,7 @@ class SummaryCollector:
         if source == "truth" or not moments:
             return score(judged, source, self._departures_s)
         known = np.array([one.known for one in moments])
-        return score(judged, source, self._departures_s, moments[-1].time_s + self._silent_s, known)
+        return score(judged, source, self._departures_s, moments[-1].time_s + self._position_age_s, known)
 
 
 def summarise(
@@ -232,6 +250,7 @@ def summarise(
         outcome=outcome,
         time_in_sight=in_sight,
         min_clearance_m=clearance_m,
+        inputs=gatherer.input_times(start_s, snapshot.time_s + snapshot.position_age_s),
         gimbal_delay_s=None if delays is None else round(delays.gimbal_s, 3),
         range_delay_s=None if delays is None else round(delays.range_s, 3),
     )

@@ -114,12 +114,15 @@ class FleetSummary:
         """Return the summary as a table for the terminal, a column for each aircraft."""
         table = Table("", "all", *(one.name for one in self.aircraft), box=None, pad_edge=False)
         each = [one.summary for one in self.aircraft]
+        if any(one.attention for one in each):
+            table.add_row("attention", "", *(one.attention for one in each))
         table.add_row("outcome", self.outcome, *(one.outcome for one in each))
         table.add_row("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
         table.add_row("time in band", _percent(self.time_in_band_any), *(_percent(one.time_in_band) for one in each))
         wanted = (_percent(one.time_on_wanted_side) for one in self.aircraft)
         table.add_row("time on the required side", _percent(self.time_on_side_any), *wanted)
         table.add_row("time on the side it was to hold", "", *(_percent(one.time_on_side) for one in each))
+        table.add_row("time unknown", "", *(_percent(one.time_unknown) for one in each))
         for target in self.targets if len(self.targets) > 1 else ():
             table.add_row(f"  {target.name}", _percent(target.time_on_side_any))
         table.add_row("longest time off the side", _seconds(self.longest_off_side_any_s))

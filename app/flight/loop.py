@@ -173,7 +173,7 @@ class ControlLoop:
                 self._display.say(Announce(output.time_s, "yield", text))
             case HealthChanged():
                 self._health_changed(output)
-                self._display.say(Announce(output.time_s, "health", output.text))
+                self._display.say(output.announcement)
             case End():
                 self._executor.drop()
                 self.outcome = f"ended: {output.reason}"

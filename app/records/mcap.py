@@ -107,7 +107,9 @@ class McapLog:
                 logged = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
                 self._write("/announcements", "foxglove.Log", command.time_s, logged)
             case HealthChanged():
-                self._write("/health", "sidelong.Health", command.time_s, _fields(command, "input", "state", "text"))
+                health = _fields(command, "input", "state", "text")
+                health["previous_state_lasted_s"] = command.lasted_s
+                self._write("/health", "sidelong.Health", command.time_s, health)
 
     def _position(self, p: PositionReading) -> None:
         attitude = self._sensing.attitude

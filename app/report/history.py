@@ -30,6 +30,7 @@ from sidelong.mission.core.events import (
     ControlAcquired,
     End,
     Event,
+    HealthChanged,
     MissionChange,
     OperatorRequest,
     PlanStatus,
@@ -184,6 +185,8 @@ class HistoryBuilder:
                 )
             case Announce():
                 self._announced.append(command)
+            case HealthChanged():
+                self._announced.append(command.announcement)
             case Yield() | End():
                 what = Announce(command.time_s, "yield", f"yielded: {command.reason}")
                 if isinstance(command, End):

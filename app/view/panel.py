@@ -148,6 +148,7 @@ class PanelDisplay:
             parts.append(f"moves {shown.moves}")
         if shown.upload_failures:
             parts.append(f"failed uploads {shown.upload_failures}")
+        parts += shown.impaired_inputs
         return "  ".join(parts)
 
     def _time(self, shown: Snapshot) -> str:
@@ -194,6 +195,8 @@ class PanelDisplay:
         )
         sensors.append(f"   bank {math.degrees(sensor_status.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
         yield "sensors", sensors
+        if shown.impaired_inputs:
+            yield "inputs", Text(", ".join(shown.impaired_inputs), style="yellow")
         if self._status is not None:
             yield "vehicle", _vehicle(self._status())
         if shown.decision is not None:

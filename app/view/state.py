@@ -180,6 +180,7 @@ class StateEncoder:
             "alarms": [] if vehicle is None else alarms_of("", vehicle),
             "over": snapshot.over,
             "unknown": snapshot.unknown,
+            "inputs": list(snapshot.impaired_inputs),
             "route": None if snapshot.route is None else _route(snapshot.route),
             "share_in_band": self._in_band.share(time_s, watch.in_band),
             "share_on_side": self._on_side.share(time_s, watch.on_side),

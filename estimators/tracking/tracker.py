@@ -40,6 +40,7 @@ _AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
 
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD = math.radians(0.1)
+_YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Delays are corrected
 # once they are sure, or where they are evidently wrong.
 _SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 4.0, 0.015
@@ -312,3 +313,12 @@ class Tracker:
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
         return self._track.calibration
+
+    @property
+    def unexpected_yaw_rad(self) -> float:
+        """The gimbal's yaw error, if it is far beyond what the settings expect; else 0."""
+        known = self.calibration
+        limit_rad = max(
+            _YAW_UNEXPECTED_RAD, _YAW_SIGMAS * max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad)
+        )
+        return known.yaw_bias_rad if abs(known.yaw_bias_rad) > limit_rad else 0.0

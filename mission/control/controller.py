@@ -53,7 +53,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.control.surroundings import Surroundings
-from sidelong.mission.control.target_news import DelayNews, TargetNews
+from sidelong.mission.control.target_news import DelayNews, MountNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
@@ -95,6 +95,7 @@ _WIND_MAX_SHARE = 0.9
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
+_GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: it is no mere gap of the laser
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 _FLYING = (Phase.WATCHING, Phase.HOLDING)
 _LOW_BATTERY_REPORTS = 2  # in a row
@@ -140,7 +141,7 @@ class StandoffController:
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
-        self._news, self._delay_news = TargetNews(), DelayNews(tracker.latency_s)
+        self._news, self._delay_news, self._mount_news = TargetNews(), DelayNews(tracker.latency_s), MountNews()
         self._sensor_status = SensorStatus()
         self._wind = Wind()
         self._mode = self._own_mode = ""
@@ -273,13 +274,19 @@ class StandoffController:
             self.planning.too_near(self.time_s),
             self.health.reports,
             self._unknown(),
-            self.health.silent_s,
+            self._position_age_s,
             self.planning.route_progress,
         )
 
+    @property
+    def _position_age_s(self) -> float:
+        known = self.time_s > -math.inf
+        return max(self.door.clock.now_s - self.time_s, self.health.silent_s) if known else 0.0
+
     def _unknown(self) -> str:
         unseen_s = math.inf if self.estimate is None else self.time_s - self.estimate.last_sighting_s
-        unseen = f"the target has not been seen for {unseen_s:.0f} s" if _UNSEEN_S < unseen_s < math.inf else ""
+        limit_s = _UNSEEN_S if self.health.is_usable(Input.GIMBAL) else _GIMBAL_SILENT_S
+        unseen = f"the target has not been seen for {unseen_s:.0f} s" if limit_s < unseen_s < math.inf else ""
         return self.health.unknown or self.door.doubt or unseen
 
     def _sense(self, reading: Reading) -> None:
@@ -328,6 +335,7 @@ class StandoffController:
             if self.estimate is not None:
                 announced = self._news.announce(self.time_s, self.estimate)
             announced += self._delay_news.announce(self.time_s, self.tracker.delays)
+            announced += self._mount_news.announce(self.time_s, self.tracker.unexpected_yaw_rad)
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:
@@ -539,8 +547,7 @@ class StandoffController:
             self.latency.note_round_trip(event.round_trip_s)
             return ()
         self._sensor_status.connected = event.connected
-        text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
-        return (Announce(event.time_s, "link", text),)
+        return (self.health.link_changed(event, event.time_s),)
 
     def _battery_reported(self, event: BatteryReported) -> tuple[Command, ...]:
         low = event.left_s <= LOW_BATTERY * event.home_s

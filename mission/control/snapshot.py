@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.control.sensor_status import SensorStatus
-from sidelong.mission.core.inputs import InputReport
+from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
 from sidelong.mission.route.progress import RouteProgress
@@ -52,7 +52,17 @@ class Snapshot:
     health: tuple[InputReport, ...] = ()
     unknown: str = ""
     """Why it is not known how well the target is watched; empty while it is known."""
-    silent_s: float = 0.0
-    """For how long the vehicle's clock has stood still, seconds of this computer."""
+    position_age_s: float = 0.0
+    """Time since the latest position; by this computer's clock while the vehicle's stands still."""
     route: RouteProgress | None = None
     """The target's progress along its route; None without a route."""
+
+    @property
+    def impaired_inputs(self) -> tuple[str, ...]:
+        """Each input that is not ok, in words: its state and for how long. The link has indicators of its own."""
+        now_s = self.time_s + self.position_age_s
+        return tuple(
+            f"{one.input} {one.state} for {max(now_s - one.since_s, 0.0):.0f} s"
+            for one in self.health
+            if one.state is not InputState.OK and one.input is not Input.LINK
+        )

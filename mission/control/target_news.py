@@ -1,7 +1,8 @@
-"""Announcements about the target (in view, not seen for some time, lost) and about delays of the payload."""
+"""Announcements about the target (in view, not seen for some time, lost) and about errors of the payload."""
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -11,6 +12,7 @@ from sidelong.mission.core.events import Announce
 # A shorter gap is not announced: lasers often miss for some seconds.
 _AFTER_S = 8.0
 _DELAY_STEP_S = 0.1  # a smaller change of a delay is not announced
+_YAW_STEP_RAD = math.radians(5.0)  # nor of the gimbal's mounting
 
 
 class DelayNews:
@@ -34,6 +36,28 @@ class DelayNews:
             return ()
         self._announced_s = now_s
         return (Announce(time_s, "sensor", f"delays of the payload found and corrected: {delays}"),)
+
+
+class MountNews:
+    """Announces a yaw error of the gimbal that no setting expects: until it is found, the target is elsewhere."""
+
+    def __init__(self) -> None:
+        self._announced_rad = 0.0
+
+    def announce(self, time_s: float, yaw_rad: float) -> tuple[Announce, ...]:
+        """Return an announcement if the error differs clearly from the one that was announced last.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            yaw_rad: The error beyond what is expected; 0: none.
+
+        """
+        limit_rad = _YAW_STEP_RAD if self._announced_rad else 0.0
+        if yaw_rad == 0.0 or abs(yaw_rad - self._announced_rad) <= limit_rad:
+            return ()
+        self._announced_rad = yaw_rad
+        text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees: check its mounting, "
+        return (Announce(time_s, "sensor", text + "or correct sensors.mount_deg; a part of it is not corrected yet"),)
 
 
 class _Sight(StrEnum):

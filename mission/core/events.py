@@ -313,6 +313,7 @@ class HealthChanged:
         input: which input.
         state: its new state.
         text: what has happened and what to do, in one sentence.
+        lasted_s: how long the previous state lasted; 0 if there was none.
 
     """
 
@@ -320,6 +321,12 @@ class HealthChanged:
     input: Input
     state: InputState
     text: str
+    lasted_s: float = 0.0
+
+    @property
+    def announcement(self) -> Announce:
+        """The same for a display."""
+        return Announce(self.time_s, "link" if self.input is Input.LINK else "health", self.text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ _STALE = {
     Input.GIMBAL: "no orientation from the gimbal for {age:.0f} s: check its power and its connection",
     Input.NEIGHBOURS: "no report of the fleet for {age:.0f} s: the other aircraft are assumed where they were",
 }
-_LINK_LOST = "nothing is received from the aircraft: it keeps circling"
+_LINK_LOST = "link lost: the aircraft goes on circling"
 _OF_PAYLOAD = (Input.LASER, Input.GIMBAL)
 _WORDS = {
     Input.POSITION: "the aircraft's position",
@@ -61,11 +61,22 @@ _WORDS = {
 class _Received:
     """One input: when it was last received, how often, and its present state."""
 
-    __slots__ = ("count", "last_s", "rate_hz", "rated_count", "rated_s", "since_s", "state", "text", "tick")
+    __slots__ = (
+        "count",
+        "last_s",
+        "rate_hz",
+        "rated_count",
+        "rated_s",
+        "since_s",
+        "since_tick",
+        "state",
+        "text",
+        "tick",
+    )
 
     def __init__(self) -> None:
         self.last_s = self.rated_s = -math.inf
-        self.count = self.rated_count = self.tick = 0
+        self.count = self.rated_count = self.tick = self.since_tick = 0
         self.rate_hz = math.nan
         self.state, self.since_s, self.text = InputState.MISSING, -math.inf, ""
 
@@ -104,24 +115,38 @@ class Health:
         """
         one = self._by_kind.get(type(event))
         if one is not None and now_s > -math.inf:
-            one.last_s, one.tick = now_s, self._ticks
-            one.count += 1
+            if not isinstance(event, RangeReading | GimbalReading) or self._is_in_use(event):
+                one.last_s, one.tick = now_s, self._ticks
+                one.count += 1
         elif isinstance(event, ClockTick):
             self._ticks += 1
             if now_s == self._now_s:
                 return True
             self._moved_tick, self._now_s = self._ticks, now_s
-        elif isinstance(event, LinkReported):
-            self._connected = event.connected
-            state = InputState.OK if event.connected else InputState.STALE
-            self._set(Input.LINK, state, now_s, "" if event.connected else _LINK_LOST)  # announced by its own event
-            self.reports = self._made_reports()
-            if event.connected:  # ages begin again
-                for each in self._inputs.values():
-                    if each.count:
-                        each.last_s, each.tick = now_s, self._ticks
-            return False
         return now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
+
+    def _is_in_use(self, reading: RangeReading | GimbalReading) -> bool:
+        """Return whether a reading comes from the device in use: another one does not make that one fresh."""
+        source = self._sources[_KINDS[type(reading)]]
+        return source is None or reading.source is source or reading.source == source
+
+    def link_changed(self, event: LinkReported, now_s: float) -> HealthChanged:
+        """Note that the link is lost or back; return its change of state.
+
+        Args:
+            event: the report.
+            now_s: the vehicle's clock.
+
+        """
+        self._connected = event.connected
+        if event.connected:
+            change = self._good_again(Input.LINK, now_s, "the link is back")
+            for each in self._inputs.values():  # ages begin again
+                each.last_s, each.tick = now_s, self._ticks
+        else:
+            change = self._set(Input.LINK, InputState.STALE, now_s, _LINK_LOST)
+        self.reports = self._made_reports()
+        return change
 
     @property
     def silent_s(self) -> float:
@@ -194,7 +219,7 @@ class Health:
             if fault and one.state is not InputState.INCONSISTENT:
                 changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
             elif not fault and one.state is InputState.INCONSISTENT:
-                changed.append(self._set(kind, InputState.OK, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
+                changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
         return tuple(changed)
 
     def _source_changes(
@@ -246,7 +271,7 @@ class Health:
         elif one.state is InputState.MISSING:
             self._set(kind, InputState.OK, now_s, "")  # the first reading is no news
         elif one.state is InputState.STALE:
-            changed.append(self._set(kind, InputState.OK, now_s, f"{_WORDS[kind]} is received again"))
+            changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} is received again"))
 
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
         before, self._sources[kind] = self._sources[kind], source
@@ -256,14 +281,24 @@ class Health:
         self._refused.discard(source)
         one = self._inputs[kind]
         text = f"{_WORDS[kind]} in use is now {_device(source)}, before it was {_device(before)}"
-        state = InputState.SWITCHED if one.state in (InputState.OK, InputState.SWITCHED) else one.state
+        one.last_s, one.tick = now_s, self._ticks
+        state = one.state if one.state is InputState.INCONSISTENT else InputState.SWITCHED
         changed.append(self._set(kind, state, now_s, text))
 
     def _set(self, kind: Input, state: InputState, now_s: float, text: str) -> HealthChanged:
         one = self._inputs[kind]
-        one.state, one.since_s, one.text = state, now_s, text
+        lasted_s = self._lasted_s(one, now_s)
+        one.state, one.since_s, one.since_tick, one.text = state, now_s, self._ticks, text
         self._is_news = True
-        return HealthChanged(now_s, kind, state, text)
+        return HealthChanged(now_s, kind, state, text, lasted_s)
+
+    def _good_again(self, kind: Input, now_s: float, text: str) -> HealthChanged:
+        lasted_s = self._lasted_s(self._inputs[kind], now_s)
+        return self._set(kind, InputState.OK, now_s, f"{text}, after {lasted_s:.0f} s")
+
+    def _lasted_s(self, one: _Received, now_s: float) -> float:
+        """Return how long an input has been in its state; the vehicle's clock may have stood still since."""
+        return max(now_s - one.since_s, float(self._ticks - one.since_tick)) if one.since_s > -math.inf else 0.0
 
 
 def _s(kind: Input) -> str:

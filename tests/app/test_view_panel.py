@@ -11,6 +11,7 @@ from rich.console import Console
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import Announce
+from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement, Side
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
@@ -66,6 +67,20 @@ def test_a_lost_link_is_reported(snapshots):
     )
     assert "link lost" in text
     assert "holding" in text
+
+
+def test_inputs_that_are_not_ok_are_shown_with_their_time(snapshots):
+    last = snapshots[-1]
+    reports = [
+        InputReport(one, InputState.STALE, last.time_s - 12.0, "", 1.0, "")
+        for one in (Input.NEIGHBOURS, Input.CLOCK, Input.TERRAIN)
+    ]
+    shown = replace(last, health=tuple(reports))
+    for terminal in (True, False):
+        text = drawn(shown, terminal=terminal)
+        assert "neighbours stale for 12 s" in text
+        assert "clock stale for 12 s" in text
+        assert "terrain stale for 12 s" in text
 
 
 def test_quiet_reports_nothing(snapshots):

@@ -14,6 +14,7 @@ from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement, Sector, Side
 from sidelong.mission.route.progress import RouteProgress
 from sidelong.mission.route.route import route_of
@@ -44,6 +45,14 @@ def test_every_state_is_strict_json(snapshots):
     encoder = StateEncoder(15.0, 100.0)
     for snapshot in snapshots:
         json.dumps(encoder.state(snapshot, 0.0), allow_nan=False)
+
+
+def test_inputs_that_are_not_ok_are_sent_in_words(watching):
+    reports = [
+        InputReport(one, state, watching.time_s - 7.0, "", 1.0, "")
+        for one, state in ((Input.LASER, InputState.OK), (Input.GIMBAL, InputState.SWITCHED))
+    ]
+    assert state_of(replace(watching, health=tuple(reports)))["inputs"] == ["gimbal switched for 7 s"]
 
 
 def test_anything_not_known_is_null(snapshots):

@@ -90,6 +90,23 @@ def test_stuck_laser_is_found_while_the_aircraft_flies_straight_past_the_target(
     assert found_s[0] <= 9.0
 
 
+def test_single_readings_with_other_flags_are_outliers():
+    payload, laser, gimbal = Health().payload, Source("DISTANCE_SENSOR", 154), Source("GIMBAL", 154)
+    odd = 0
+    for k in range(200):
+        time_s = 0.1 * k
+        north_m = 15.0 * time_s - 150.0
+        half_rad = 0.5 * math.atan2(300.0, -north_m)
+        frame = "vehicle" if k % 60 >= 56 else "earth"  # long enough to be sampled once
+        payload.attitude(AttitudeReading(time_s, 0.0, 0.0, 1.0))
+        payload.position(PositionReading(time_s, 0.0, north_m, 0.0, 0.0, 15.0, 0.0))
+        payload.range(RangeReading(time_s, math.hypot(300.0, north_m), laser))
+        payload.gimbal(GimbalReading(time_s, (math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)), frame, gimbal))
+        odd += frame == "vehicle"
+        assert not payload.is_suspect(time_s)
+    assert odd == 12
+
+
 def test_reading_before_the_clock_is_known_is_not_silent_indefinitely():
     health = Health()
     health.received(RangeReading(1.0, 200.0, Source("DISTANCE_SENSOR", 154)), -math.inf)
@@ -102,31 +119,39 @@ def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track
     texts = [one.text for _, one in flown.health]
     assert any("component 171" in text and "contradicts the track" in text for text in texts)
     assert not any("in use is now" in text for text in texts)
+    # The second one does not make the silent one fresh.
+    (gone_s, gone) = next((at_s, one) for at_s, one in flown.health if one.input is Input.GIMBAL)
+    assert gone.text.startswith("no orientation from the gimbal")
+    assert gone_s <= BEGIN_S + 7.0
+    assert flown.unknown_s >= 100.0 - BEGIN_S - 8.0
 
 
 def test_second_gimbal_that_agrees_is_used_and_the_change_reported():
     change = other_device(GIMBAL)
     flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
-    (switched,) = [one for _, one in flown.health if one.state is InputState.SWITCHED]
+    gone, switched = (one for _, one in flown.health)
+    assert (gone.state, switched.state) == (InputState.STALE, InputState.SWITCHED)
     assert "component 171" in switched.text
     assert "component 154" in switched.text
 
 
 @pytest.mark.parametrize(
-    ("names", "input_"),
+    ("names", "input_", "within_s"),
     [
-        (("GLOBAL_POSITION_INT",), Input.POSITION),
-        (("GLOBAL_POSITION_INT", "ATTITUDE"), Input.POSITION),
-        (("HEARTBEAT",), Input.HEARTBEAT),
+        (("GLOBAL_POSITION_INT",), Input.POSITION, 5.0),
+        (("GLOBAL_POSITION_INT", "ATTITUDE"), Input.POSITION, 5.0),
+        (("HEARTBEAT",), Input.HEARTBEAT, 7.0),
     ],
 )
-def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
+def test_silent_input_is_reported_once_and_its_return_as_well(names, input_, within_s):
     fault = Fault("silent", BEGIN_S, BEGIN_S + 30.0, silent(names))
     flown = FaultedFlight(Scenario(1, "px4", 140.0), [fault]).fly()
     (gone_s, gone), (back_s, back) = [(at_s, one) for at_s, one in flown.health if one.input is input_]
     assert gone.state is InputState.STALE
-    assert gone_s <= BEGIN_S + 7.0
+    assert gone_s <= BEGIN_S + within_s
     assert back.state is InputState.OK
+    assert back_s - gone_s - 0.5 <= back.lasted_s <= 31.0
+    assert back.text.endswith(f"again, after {back.lasted_s:.0f} s")
     assert BEGIN_S + 30.0 <= back_s <= BEGIN_S + 32.0
     assert not any("clock is" in text for at_s, text in flown.announced if at_s > BEGIN_S)  # no one else is blamed
     assert flown.yielded is None
@@ -161,19 +186,21 @@ def test_age_counts_by_this_computer_while_the_vehicle_clock_stands_still():
 def test_lost_link_is_not_reported_as_silent_inputs():
     health = Health()
     health.received(ModeReported(10.0, "AUTO", armed=True), 10.0)
-    health.received(LinkReported(10.0, connected=False), 10.0)
+    health.link_changed(LinkReported(10.0, connected=False), 10.0)
     for second in range(20):
         health.received(ClockTick(10.0, float(second)), 10.0)
         assert health.changes(10.0, None, None) == ()
-    health.received(LinkReported(30.0, connected=True), 30.0)
+    health.link_changed(LinkReported(30.0, connected=True), 30.0)
     assert health.changes(30.0, None, None) == ()
 
 
 def test_lost_link_is_a_state_and_ends_with_the_link():
     health = Health()
-    health.received(LinkReported(10.0, connected=False), 10.0)
+    lost = health.link_changed(LinkReported(10.0, connected=False), 10.0)
+    assert lost.text == "link lost: the aircraft goes on circling"
     assert [(one.input, one.state) for one in health.reports] == [(Input.LINK, InputState.STALE)]
-    health.received(LinkReported(30.0, connected=True), 30.0)
+    back = health.link_changed(LinkReported(30.0, connected=True), 30.0)
+    assert (back.text, back.lasted_s) == ("the link is back, after 20 s", 20.0)
     assert [(one.input, one.state) for one in health.reports] == [(Input.LINK, InputState.OK)]
 
 
@@ -238,3 +265,21 @@ def test_target_that_turns_does_not_look_like_a_wrong_frame():
         payload.range(RangeReading(time_s, math.sqrt(dx * dx + dy * dy + 6400.0), laser))
         payload.gimbal(GimbalReading(time_s, (cy * cp, -sy * sp, cy * sp, sy * cp), "earth", source))
         assert not any(payload.faults().values()), time_s
+
+
+def turned(degrees):
+    """Turn the gimbal's orientation about the vertical."""
+    cos, sin = math.cos(math.radians(degrees) / 2.0), math.sin(math.radians(degrees) / 2.0)
+
+    def by(message, _since_s, _rng):
+        w, x, y, z = message.fields["q"]
+        q = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
+        return message._replace(fields=message.fields | {"q": q})
+
+    return only(GIMBAL, by)
+
+
+def test_wrong_mounting_of_the_gimbal_is_reported():
+    flown = FaultedFlight(Scenario(1, "px4", 80.0), [Fault("mount", 0.0, math.inf, turned(20.0))]).fly()
+    (text,) = [text for _, text in flown.announced if text.startswith("the gimbal's yaw is off by about")]
+    assert "check its mounting, or correct sensors.mount_deg" in text

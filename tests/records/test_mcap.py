@@ -60,7 +60,7 @@ def flight(log: McapLog) -> None:
         )
     )
     log.command(Announce(15.0, "decision", "moving the circle"))
-    log.command(HealthChanged(15.5, Input.LASER, InputState.STALE, "no range from the laser for 20 s"))
+    log.command(HealthChanged(15.5, Input.LASER, InputState.STALE, "no range from the laser for 20 s", 5.5))
     log.event(PlanStatus(16.0, 1, "departed"))
 
 
@@ -102,6 +102,7 @@ def test_change_of_an_input_is_written_with_its_state(messages):
     _, _, content = messages["/health"][0]
     assert (content["input"], content["state"]) == ("laser", "stale")
     assert content["text"] == "no range from the laser for 20 s"
+    assert content["previous_state_lasted_s"] == 5.5
 
 
 def test_times_are_those_of_day(messages):

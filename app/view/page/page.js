@@ -274,6 +274,7 @@ function draw() {
   chip("phase", state.phase, lost ? "bad" : PHASE_LOOKS[state.phase] ?? "");
   chip("quality", state.target ? `track ${state.target.quality}` : "no target yet", QUALITY_LOOKS[state.target?.quality] ?? "");
   chip("link", state.connected ? "" : "link lost", "bad");
+  chip("inputs", (state.inputs ?? []).join(", "), "warn");
   byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s);
   byId("quality").title = state.target?.why ?? "";
   byId("phase").title = state.reason;
