@@ -98,12 +98,19 @@ class _Rule:
 
 
 class Alarms:
-    """The alarms of one aircraft. ``active`` are those that are raised, in the order of their rules."""
+    """The alarms of one aircraft.
+
+    Attributes:
+        active: Those that are raised, in the order of their rules.
+        was_in_band: Whether the target was in the range band since the beginning.
+        was_on_side: Whether the aircraft was on the required side since the beginning.
+
+    """
 
     def __init__(self) -> None:
         self.active: tuple[Alarm, ...] = ()
         self._begun_s: float | None = None
-        self._was_in_band = self._was_on_side = False
+        self.was_in_band = self.was_on_side = False
         self._wrong_since_s: dict[str, float] = {}
         self._right_since_s: dict[str, float] = {}
 
@@ -141,8 +148,8 @@ class Alarms:
     def _remember(self, now: Situation) -> None:
         if now.in_hand and self._begun_s is None:
             self._begun_s = now.time_s
-        self._was_in_band |= now.in_band is True
-        self._was_on_side |= now.on_side is True
+        self.was_in_band |= now.in_band is True
+        self.was_on_side |= now.on_side is True
 
     def _judged(self, rule: _Rule, before: Alarm | None, now: Situation) -> Alarm | None:
         if not now.connected and rule.key not in ("link", "yield"):
@@ -170,16 +177,6 @@ class Alarms:
 
         """
         return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
-
-    @property
-    def was_in_band(self) -> bool:
-        """Whether the target was in the range band since the beginning."""
-        return self._was_in_band
-
-    @property
-    def was_on_side(self) -> bool:
-        """Whether the aircraft was on the required side since the beginning."""
-        return self._was_on_side
 
 
 def _link(_alarms: Alarms, now: Situation) -> str:
