@@ -11,7 +11,7 @@ from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
-from sidelong.app.commands.payload_status import payload_lines, payload_values
+from sidelong.app.commands.payload_status import degrees_of, pan_words, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.event_loop import run
@@ -25,7 +25,7 @@ from sidelong.app.flight.source_use import describe_use
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
-from sidelong.app.link.queries import home_of, mode_of
+from sidelong.app.link.queries import home_of, mode_of, pan_limits_rad
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.url import checked_url
 from sidelong.app.payload.address import read_payload
@@ -123,7 +123,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         inputs.close()
         sources.close()
         vehicle.listeners.remove(estimate_delays)
-        home = await home_of(vehicle)
+        home, pan_rad = await home_of(vehicle), await pan_limits_rad(vehicle)
         parameters = await read_table(vehicle, autopilot, session.release)
         values, notes = parameters.values, parameters.notes()
         required_parameters = parameters.as_on_board(
@@ -156,6 +156,8 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         status = None if payload is None else payload.status()
         for line in () if status is None else payload_lines(config.payload.kind, status):
             console.print(line, soft_wrap=True)
+        for words in pan_words(pan_rad):
+            console.print(words, soft_wrap=True)
         delays, taken = tracker.delays, f"taken as {tracker.latency_s:g} s (sensors.latency_s)"
         unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
         console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)
@@ -170,6 +172,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             "parameters": {note.name: note.value for note in notes},
             "limits": asdict(autopilot.limits(values)),
             "payload": None if status is None else payload_values(status),
+            "pan_limits_deg": degrees_of(pan_rad),
             "delays": None if delays is None else asdict(delays),
             "sources": [{**asdict(rate), "use": uses[str(rate)]} for rate in rates],
         }

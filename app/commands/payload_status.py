@@ -8,6 +8,8 @@ from typing import Any
 from sidelong.app.payload.session import PayloadStatus
 from sidelong.estimators.rotations import sight_direction
 
+_CLOSED_RAD = math.radians(1.0)
+
 
 def payload_values(status: PayloadStatus) -> dict[str, Any]:
     """Return the status as plain values, angles in degrees; None where something is not known."""
@@ -16,6 +18,7 @@ def payload_values(status: PayloadStatus) -> dict[str, Any]:
         "model": status.identity.model or None,
         "firmware": status.identity.firmware or None,
         "has_laser": status.identity.has_laser,
+        "pan_limits_deg": degrees_of(status.identity.pan_limits_rad),
         "range_hz": status.range_hz,
         "angles_hz": status.angles_hz,
         "round_trip_s": status.round_trip_s,
@@ -54,4 +57,24 @@ def payload_lines(name: str, status: PayloadStatus) -> list[str]:
         lines.append(
             f"  height by range and angles: {status.height_ratio:.2f} times the autopilot's height above home"
         )
+    lines += [f"  {words}" for words in pan_words(status.identity.pan_limits_rad)]
     return lines + [f"  missing: {what}" for what in status.missing]
+
+
+def degrees_of(limits_rad: tuple[float, float] | None) -> list[float] | None:
+    """Return limits in degrees."""
+    return None if limits_rad is None else [round(math.degrees(limit_rad), 1) for limit_rad in limits_rad]
+
+
+def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:
+    """Return what pan limits mean for a watch, one sentence; none if the gimbal looks all around.
+
+    The aircraft turns through 360 degrees in each lap. A target outside the circle is therefore in every direction
+    from the nose for the same time, wherever the circle is.
+    """
+    if limits_rad is None or limits_rad[1] - limits_rad[0] >= math.tau - _CLOSED_RAD:
+        return []
+    least_deg, most_deg = (math.degrees(limit_rad) for limit_rad in limits_rad)
+    share = 100.0 - (most_deg - least_deg) / 3.6
+    reach = f"the gimbal pans from {least_deg:.0f} to {most_deg:.0f} degrees off the nose"
+    return [f"{reach}: it cannot look at a target outside the circle for {share:.0f} % of each lap"]

@@ -12,7 +12,8 @@ from sidelong.mission.exchange.dialect import Home
 
 _FLYING_HEIGHT_M = 25.0
 _ANSWER_S, _TRIES = 0.8, 3
-_REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID = 512, 242, 148
+_REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID, _GIMBAL_MANAGER_INFORMATION_ID = 512, 242, 148, 280
+_INFINITE_YAW = 2048  # GIMBAL_MANAGER_CAP_FLAGS
 
 
 def mode_of(vehicle: Vehicle) -> str:
@@ -43,6 +44,20 @@ async def release_of(vehicle: Vehicle) -> Release | None:
     """Return the vehicle's firmware release, None if it does not report it."""
     message = await _requested(vehicle, "AUTOPILOT_VERSION", _AUTOPILOT_VERSION_ID)
     return None if message is None else release_in(message.fields)
+
+
+async def pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
+    """Return how far the gimbal turns to the left and to the right of the nose, as its gimbal manager reports it.
+
+    Returns:
+        The least and the greatest yaw; None if there is no limit or none is reported.
+
+    """
+    message = await _requested(vehicle, "GIMBAL_MANAGER_INFORMATION", _GIMBAL_MANAGER_INFORMATION_ID)
+    if message is None or int(message.fields["cap_flags"]) & _INFINITE_YAW:
+        return None
+    least_rad, most_rad = float(message.fields["yaw_min"]), float(message.fields["yaw_max"])
+    return (least_rad, most_rad) if least_rad < most_rad else None
 
 
 async def _requested(vehicle: Vehicle, name: str, message_id: int) -> Message | None:

@@ -108,12 +108,14 @@ class Identity:
         model: name of the model, "" while it is unknown.
         firmware: version in words, "" while it is unknown.
         has_laser: None while it is unknown.
+        pan_limits_rad: least and greatest yaw off the nose; None while they are unknown, or if there are none.
 
     """
 
     model: str = ""
     firmware: str = ""
     has_laser: bool | None = None
+    pan_limits_rad: tuple[float, float] | None = None
 
 
 class PayloadDriver(Protocol):

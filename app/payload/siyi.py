@@ -37,7 +37,7 @@ _AIRCRAFT = 0x22
 _STREAMS = {_ATTITUDE: ("angles", b"\x01\x05"), _RANGE: ("range", b"\x02\x04")}  # kind and frequency: 20, 10 Hz
 _MODELS = {0x6B: "ZR10", 0x73: "A8 mini", 0x75: "A2 mini", 0x78: "ZR30", 0x7A: "ZT30", 0x83: "ZT6"}
 _WITH_LASER = ("ZT30",)
-_YAW_MAX_RAD = {"A8 mini": math.radians(135.0), "ZR10": math.radians(135.0)}
+_PAN_LIMITS_RAD = dict.fromkeys(("A8 mini", "ZR10"), (math.radians(-135.0), math.radians(135.0)))
 _PITCH_MIN_RAD, _PITCH_MAX_RAD = math.radians(-90.0), math.radians(25.0)
 _FRAMES: dict[int, Frame] = {0: "vehicle", 1: "vehicle", 2: "body"}  # by motion mode: lock, follow, FPV
 _UPSIDE_DOWN = 2
@@ -92,8 +92,8 @@ class SiyiDriver(FramedDriver):
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the command that turns the gimbal, within the model's limits."""
-        yaw_max_rad = _YAW_MAX_RAD.get(self.identity.model, math.pi)
-        yaw_rad = min(max(wrap_rad(yaw_rad), -yaw_max_rad), yaw_max_rad)
+        least_rad, most_rad = self.identity.pan_limits_rad or (-math.pi, math.pi)
+        yaw_rad = min(max(wrap_rad(yaw_rad), least_rad), most_rad)
         pitch_rad = min(max(pitch_rad, _PITCH_MIN_RAD), _PITCH_MAX_RAD)
         data = struct.pack("<hh", *map(_tenths_deg, (self._yaw_sign * yaw_rad, self._pitch_sign * pitch_rad)))
         return (self._frame_of(_SET_ANGLES, data),)
@@ -134,6 +134,7 @@ class SiyiDriver(FramedDriver):
             except ValueError:
                 code = 0
         self.identity.model = _MODELS.get(code, f"unknown (hardware id {data[:2].hex(' ')})")
+        self.identity.pan_limits_rad = _PAN_LIMITS_RAD.get(self.identity.model)
         self.identity.has_laser = self.identity.model in _WITH_LASER if code in _MODELS else None
 
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured:

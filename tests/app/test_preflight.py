@@ -1,14 +1,19 @@
 """What stands in the way of a mission, by the autopilots' parameters and their own words."""
 
+import asyncio
+import math
+
 import pytest
 
 from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.autopilots.px4 import Px4
+from sidelong.app.commands.payload_status import pan_words
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
+from sidelong.app.link.queries import pan_limits_rad
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest
 
@@ -124,3 +129,20 @@ def test_an_aircraft_on_its_way_home_is_not_taken_over_silently(vehicle, allowed
         check_takeover(vehicle, allowed)
     assert refused in str(why.value)
     assert "change the flight mode" in str(why.value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"cap_flags": 0, "yaw_min": -2.0944, "yaw_max": 2.0944}, "from -120 to 120 degrees off the nose"),
+        ({"cap_flags": 2048, "yaw_min": -2.0944, "yaw_max": 2.0944}, None),  # infinite yaw
+        ({"cap_flags": 0, "yaw_min": math.nan, "yaw_max": math.nan}, None),
+        ({"cap_flags": 0, "yaw_min": -math.pi, "yaw_max": math.pi}, None),
+    ],
+)
+def test_pan_limits_are_reported_with_the_share_of_a_lap_that_they_cost(fields, words):
+    limits_rad = asyncio.run(pan_limits_rad(Silent(GIMBAL_MANAGER_INFORMATION=fields)))
+    assert (words is None) == (pan_words(limits_rad) == [])
+    for line in pan_words(limits_rad):
+        assert words in line
+        assert line.endswith("for 33 % of each lap")
