@@ -1,15 +1,17 @@
-"""Streams of a payload's bytes in which many are damaged, and an own reading of which frames in them are intact."""
+"""Streams of a payload's bytes in which many are damaged, and an own reading of the intact frames in them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
-from sidelong.app.payload.driver import DriverSettings
+from sidelong.app.payload.driver import DriverSettings, Measured, RangeMeasured
 from sidelong.app.payload.gremsy import GremsyDriver
+from sidelong.app.payload.registry import kind_by_name
 from sidelong.sitl.payload.device import Seen
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
@@ -50,41 +52,60 @@ def _damaged(frame: bytes, rng: np.random.Generator) -> bytes:
     return frame
 
 
-def intact_frames(kind: str, data: bytes) -> int:
-    """Return how many stretches of the bytes are frames with the right checksum, wherever they begin."""
-    return sum(_is_frame(kind, data, at) for at in range(len(data)))
+def intact_frames(kind: str, data: bytes) -> list[bytes]:
+    """Return all stretches of the bytes that are frames with the right checksum, wherever they begin."""
+    ends = ((at, _END[kind](data, at)) for at in range(len(data)))
+    return [data[at:end] for at, end in ends if end is not None]
 
 
-def _is_frame(kind: str, data: bytes, at: int) -> bool:
-    if kind == "siyi":
-        if data[at : at + 2] != b"\x55\x66":
-            return False
-        end = at + 10 + int.from_bytes(data[at + 3 : at + 5], "little")
-        return end <= len(data) and _crc(data[at:end]) == 0
-    if kind == "viewpro":
-        if data[at : at + 3] != b"\x55\xaa\xdc" or at + 4 > len(data):
-            return False
-        end = at + 3 + (data[at + 3] & 0x3F)
-        check = 0
-        for byte in data[at + 3 : end]:
-            check ^= byte
-        return at + 6 <= end <= len(data) and check == 0
-    if kind == "gremsy":
-        return _is_mavlink(data, at)
-    if data[at : at + 3].upper() != b"#TP" or data[at + 5 : at + 6] not in b"0123456789ABCDEF":
-        return False
-    end = at + 10 + int(data[at + 5 : at + 6] or b"0", 16)
-    return data[end : end + 2] == b"%02X" % (sum(data[at:end]) % 256)
+def values_of(measured: Iterable[Measured]) -> list[object]:
+    """Return readings without their times."""
+    return [one.slant_range_m if isinstance(one, RangeMeasured) else one.quaternion_wxyz for one in measured]
 
 
-def _is_mavlink(data: bytes, at: int) -> bool:
+def unfounded(kind: str, data: bytes, measured: Iterable[Measured]) -> list[object]:
+    """Return the readings that no intact frame of the bytes gives, in their order."""
+    driver = kind_by_name(kind).make(DriverSettings())
+    founded = iter([value for frame in intact_frames(kind, data) for value in values_of(driver.receive(frame, 0.0))])
+    return [value for value in values_of(measured) if value not in founded]
+
+
+def _siyi(data: bytes, at: int) -> int | None:
+    if data[at : at + 2] != b"\x55\x66":
+        return None
+    end = at + 10 + int.from_bytes(data[at + 3 : at + 5], "little")
+    return end if end <= len(data) and _crc(data[at:end]) == 0 else None
+
+
+def _viewpro(data: bytes, at: int) -> int | None:
+    if data[at : at + 3] != b"\x55\xaa\xdc" or at + 4 > len(data):
+        return None
+    end, check = at + 3 + (data[at + 3] & 0x3F), 0
+    for byte in data[at + 3 : end]:
+        check ^= byte
+    return end if at + 6 <= end <= len(data) and check == 0 else None
+
+
+def _topotek(data: bytes, at: int) -> int | None:
+    length = data[at + 5 : at + 6]
+    if data[at : at + 3].upper() != b"#TP" or not length or length not in b"0123456789ABCDEF":
+        return None
+    end = at + 10 + int(length, 16)
+    return end + 2 if data[end : end + 2] == b"%02X" % (sum(data[at:end]) % 256) else None
+
+
+def _gremsy(data: bytes, at: int) -> int | None:
     number = int.from_bytes(data[at + 7 : at + 10], "little")
     if data[at] != 0xFD or number not in mavlink.mavlink_map:
-        return False
+        return None
     end = at + 10 + data[at + 1]
     checksum = x25crc(data[at + 1 : end])
     checksum.accumulate(bytes((mavlink.mavlink_map[number].crc_extra,)))
-    return data[end : end + 2] == checksum.crc.to_bytes(2, "little")
+    return end + 2 if data[end : end + 2] == checksum.crc.to_bytes(2, "little") else None
+
+
+# Where an intact frame that begins at a byte ends; None if none begins there.
+_END = {"siyi": _siyi, "viewpro": _viewpro, "topotek": _topotek, "gremsy": _gremsy}
 
 
 def _crc(frame: bytes) -> int:

@@ -113,8 +113,9 @@ def test_watch_with_the_payloads_own_protocol_is_as_good_as_with_mavlink(kind):
     assert error_m(flown) <= 1.5 * error_m(by_mavlink())  # 1.39 is the worst of the four (SIYI)
 
 
-def test_watch_goes_on_while_the_payload_is_unplugged_ten_times():
-    loop = DeviceLoop(_UNPLUGGED, "siyi")
+def check_unplugged(kind):
+    """Fly with a payload that is unplugged ten times, and check the reports and the watch."""
+    loop = DeviceLoop(_UNPLUGGED, kind)
     loop.unplugged_s = tuple((20.0 + 27.0 * time, 26.0 + 27.0 * time) for time in range(10))
     flown = loop.fly()
     assert flown.yielded is None
@@ -125,3 +126,7 @@ def test_watch_goes_on_while_the_payload_is_unplugged_ten_times():
     for _, back_s in loop.unplugged_s:
         assert any(back_s <= time_s <= back_s + 3.0 for time_s in loop.ranges_s)
     assert shares(flown)[1] >= 97.0
+
+
+def test_watch_goes_on_while_the_payload_is_unplugged_ten_times():
+    check_unplugged("siyi")  # the other kinds: tests/bench/test_payloads.py
