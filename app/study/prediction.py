@@ -86,6 +86,15 @@ class Prediction:
         return {"flights": FLIGHTS, "flight_s": FLIGHT_S, **shown}
 
 
+def studied(config: Config) -> StudySettings:
+    """Return the study whose flights predict what a configuration achieves."""
+    planner, answer = PlannerName(config.planner.name), AUTOPILOTS[config.simulation.autopilot]
+    base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S)
+    (design,) = designs(base, configured(config), [])
+    together = with_values(design.settings.config, {"requirement": {"fleet_size": config.requirement.fleet_size}}, "")
+    return replace(design.settings, latency_s=answer.latency_s, lag_s=answer.lag_s, config=together)
+
+
 def predict(config: Config, progress: Callable[[float], None] = lambda _share: None) -> Prediction:
     """Fly a configuration that its planner can fly next to random targets, by the kinematic study.
 
@@ -94,11 +103,8 @@ def predict(config: Config, progress: Callable[[float], None] = lambda _share: N
         progress: Called with the share 0..1 of the value table while that is computed.
 
     """
-    planner, answer = PlannerName(config.planner.name), AUTOPILOTS[config.simulation.autopilot]
-    base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S)
-    (design,) = designs(base, configured(config), [])
-    together = with_values(design.settings.config, {"requirement": {"fleet_size": config.requirement.fleet_size}}, "")
-    settings = replace(design.settings, latency_s=answer.latency_s, lag_s=answer.lag_s, config=together)
+    settings = studied(config)
+    (planner,) = settings.planners
     table = table_of(settings, progress) if planner is PlannerName.PREDICTIVE else None
     flown = [one_flown(settings, planner, number, table) for number in range(FLIGHTS)]
     return Prediction(Share.of([one.time_in_band for one in flown]), Share.of([one.time_on_side for one in flown]))

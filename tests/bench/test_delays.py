@@ -22,7 +22,7 @@ from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings, st
 from sidelong.app.study.study import table_of
 from sidelong.estimators.tracking.tracker import Tracker
 
-DELAYS_S = (0.0, 0.2, 0.5, 1.0, 2.0)
+DELAYS_S = tuple(map(float, os.environ.get("SIDELONG_DELAYS", "0,0.2,0.5,1,2").split(",")))
 RUNS = int(os.environ.get("SIDELONG_RUNS", "12"))
 BY_S = 300.0
 DURATION_S = float(os.environ.get("SIDELONG_DURATION", "1200"))
