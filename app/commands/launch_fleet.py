@@ -55,8 +55,7 @@ async def _displayed(
         if address is None:
             yield panel, None
             return
-        members = fleet.members
         sides = {name: asked.side for name, asked in fleet.asked.items()}
-        page = FleetView(panel, tuple(one.name for one in members), members[0].config, address, sides)
+        page = FleetView(panel, {one.name: one.config for one in fleet.members}, address, sides)
         async with served(page, partial(console.print, soft_wrap=True)) as view:
             yield panel, view

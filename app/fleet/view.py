@@ -1,4 +1,4 @@
-"""The live map of a fleet: one aircraft in detail, the others next to it; the buttons apply to all of them."""
+"""The live map of a fleet: a row for each aircraft, one of them in detail; the buttons apply to all of them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Protocol
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import AircraftDisplay, FleetPanel
 from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.address import Address
-from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.state import Json, alarms_of, other_aircraft, other_target
+from sidelong.app.view.display import ShownAircraft, ViewDisplay
+from sidelong.app.view.state import Json
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import AlarmReported, MissionChange
+from sidelong.mission.core.events import AlarmReported, Announce, MissionChange
 from sidelong.mission.core.requirement import Side
 
 
@@ -33,8 +34,14 @@ class FleetRequests(Protocol):
 class FleetView(ViewDisplay):
     """A ``FlightDisplay`` of the first aircraft; ``of`` returns each aircraft's. Use as ``with``, as ``ViewDisplay``.
 
-    ``requests`` must be set before a button is pressed. sides: the required side of each target if there are
-    several.
+    ``requests`` must be set before a button is pressed.
+
+    Args:
+        panel: The fleet on the terminal.
+        configs: The configuration of each aircraft, by name.
+        address: Where the page is served.
+        sides: The required side of each target if there are several.
+
     """
 
     requests: FleetRequests
@@ -42,20 +49,31 @@ class FleetView(ViewDisplay):
     def __init__(
         self,
         panel: FleetPanel,
-        names: tuple[str, ...],
-        config: Config,
+        configs: Mapping[str, Config],
         address: Address,
         sides: Mapping[str, Side] = MappingProxyType({}),
     ) -> None:
-        self._aircraft = {name: panel.of(name) for name in names}
-        self._first = self._aircraft[names[0]]
-        self._wanted, self._sides = config.requirement.requirement().side, dict(sides)
-        super().__init__(self._first, config, address, ", ".join(names), names)
+        self._aircraft = {name: panel.of(name) for name in configs}
+        first, *others = configs
+        self._first = self._aircraft[first]
+        self._wanted, self._sides = configs[first].requirement.requirement().side, dict(sides)
+        super().__init__(self._first, configs[first], address, ", ".join(configs), tuple(configs))
+        self._others = {name: _OtherAircraft(self._aircraft[name], configs[name], self) for name in others}
 
     def of(self, name: str) -> FlightDisplay:
         """Return the display of one aircraft."""
-        one: AircraftDisplay = self._aircraft[name]
-        return self if one is self._first else one
+        return self._others.get(name, self)
+
+    def received(self, name: str, since_s: float | None, kind: str, text: str) -> None:
+        """Add a message to the log of the page; since_s: time since that aircraft began to watch."""
+        start_s = self._own.start_s
+        time_s = None if since_s is None or start_s is None else start_s + since_s
+        super()._received(time_s, kind, f"{name}: {text}")
+
+    def followed(self, points: list[list[object]]) -> None:
+        """Add to the path of an aircraft, and send the states if it is time to."""
+        self._trail.extend(points)
+        self.pump_if_due()
 
     def _received(self, time_s: float | None, kind: str, text: str) -> None:
         super()._received(time_s, kind, f"{self._first.name}: {text}")
@@ -99,27 +117,52 @@ class FleetView(ViewDisplay):
     def _set(self) -> Json:
         return super()._set() | {"fleet": list(self._aircraft)}
 
-    def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
-        """Return the first aircraft's state with the others, and with the required side in place of its own."""
-        state = super()._state(snapshot, silent_s)
-        others = [
-            other_aircraft(name, one.snapshot)
-            for name, one in self._aircraft.items()
-            if one is not self._first and one.snapshot is not None
-        ]
-        wanted = self._sides.get(snapshot.target, self._wanted)
-        targets = self._other_targets(snapshot.target)
+    def _states(self) -> Json:
+        """Return the state of each aircraft, with its name, the required side and the side of its role."""
+        shown = [self._own, *(one.shown for one in self._others.values())]
+        return {"fleet": [self._state_of(one, one.snapshot) for one in shown if one.snapshot is not None]}
+
+    def _state_of(self, one: ShownAircraft, snapshot: Snapshot) -> Json:
+        one.vehicle = self._aircraft[one.name].status
+        state = one.state(snapshot)
         if len(self._sides) > 1 and state["target"] is not None:
             state["target"]["name"] = snapshot.target
-        asked = state["asked"] | {"side": wanted}
-        state["alarms"] = [alarm for name, one in self._aircraft.items() for alarm in alarms_of(name, one.status)]
-        return state | {"others": others, "targets": targets, "wanted": wanted, "asked": asked}
+        if snapshot.requirement.sector is None and not snapshot.requirement.either_side:
+            state["asked"]["side"] = snapshot.side
+        return state | {"start_s": one.start_s, "wanted": self._sides.get(snapshot.target, self._wanted)}
 
-    def _other_targets(self, shown: str) -> list[Json]:
-        """Return the targets that the first aircraft does not watch, by name."""
-        found: dict[str, Json] = {}
-        for one in self._aircraft.values():
-            own = one.snapshot
-            if own is not None and own.estimate is not None and own.target not in ("", shown):
-                found[own.target] = other_target(own.target, own.estimate.position_m(own.time_s))
-        return list(found.values())
+
+class _OtherAircraft:
+    """A ``FlightDisplay`` of another aircraft than the first, on the terminal and on the page."""
+
+    def __init__(self, inner: AircraftDisplay, config: Config, page: FleetView) -> None:
+        self.shown = ShownAircraft(config, inner.name)
+        self._inner, self._page = inner, page
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        self._inner.connected(status)
+
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+        self._inner.begin(plane, request)
+        self.shown.encoder.plane = plane
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        self._inner.engage(start_s, duration_s)
+        self.shown.start_s = start_s
+
+    def note(self, text: str) -> None:
+        self._inner.note(text)
+        self._page.received(self.shown.name, None, "note", text)
+
+    def say(self, announcement: Announce) -> None:
+        self._inner.say(announcement)
+        start_s = self.shown.start_s
+        since_s = None if start_s is None else announcement.time_s - start_s
+        self._page.received(self.shown.name, since_s, announcement.kind, announcement.text)
+
+    def show(self, snapshot: Snapshot) -> None:
+        self._inner.show(snapshot)
+        self._page.isolated("the page's state", self._observe, snapshot)
+
+    def _observe(self, snapshot: Snapshot) -> None:
+        self._page.followed(self.shown.take(snapshot))

@@ -37,6 +37,44 @@ T = TypeVar("T")
 View = TypeVar("View", bound="ViewDisplay")
 
 
+class ShownAircraft:
+    """What the page shows of one aircraft.
+
+    Attributes:
+        name: In a fleet; '' where there is one aircraft only.
+        encoder: Turns its snapshots into states.
+        snapshot: The latest one.
+        start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
+        vehicle: Its status as received last.
+
+    """
+
+    def __init__(self, config: Config, name: str = "") -> None:
+        self.name = name
+        self.encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
+        self.snapshot: Snapshot | None = None
+        self.start_s: float | None = None
+        self.vehicle: VehicleStatus | None = None
+        self._received_at_s = time.monotonic()
+        self._trail_s = -math.inf
+
+    def take(self, snapshot: Snapshot) -> list[list[object]]:
+        """Take the next snapshot; return the points of the path that it adds."""
+        if self.snapshot is None or snapshot.time_s != self.snapshot.time_s:
+            self._received_at_s = time.monotonic()
+        self.snapshot, aircraft = snapshot, snapshot.aircraft
+        if aircraft is None or aircraft.time_s < self._trail_s + _TRAIL_STEP_S:
+            return []
+        self._trail_s = aircraft.time_s
+        point = [round(value, 1) for value in (aircraft.time_s, aircraft.east_m, aircraft.north_m)]
+        return [[*point, self.name]]
+
+    def state(self, snapshot: Snapshot) -> Json:
+        """Return the state for the page."""
+        silent_s = time.monotonic() - self._received_at_s
+        return self.encoder.state(snapshot, silent_s, self.vehicle, self.name)
+
+
 class ViewDisplay:
     """A ``FlightDisplay`` around another. Use as ``with``; ``url`` and ``viewer_url`` are then the page's addresses.
 
@@ -60,21 +98,16 @@ class ViewDisplay:
         self._fleet = tuple(fleet)
         self._inner, self._config, self.address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
-        self._encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
+        self._own = ShownAircraft(config, *fleet[:1])
         self._feed: Feed | None = None
-        self._snapshot: Snapshot | None = None
-        self._trail: deque[list[float]] = deque(maxlen=_UNSENT_MAX)
+        self._trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
         self._route: Route | None = None
         self._shading: Shading | None = None
-        self._trail_s = -math.inf
         self._sent_at_s = -math.inf
-        self._received_at_s = time.monotonic()
-        self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._status: Callable[[], VehicleStatus] | None = None
-        self._vehicle: VehicleStatus | None = None
         self._vehicle_at_s = -math.inf
         self._request: Callable[[Wish], None] | None = None
         self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
@@ -113,14 +146,14 @@ class ViewDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._inner.begin(plane, request)
         self._request = request
-        self._encoder.plane = plane
+        self._own.encoder.plane = plane
         self._setting = self._set()
         if self._config.terrain.folder is not None and self._shading is None:
             self._shading = Shading(self._config, plane)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)
-        self._start_s = start_s
+        self._own.start_s = start_s
 
     def note(self, text: str) -> None:
         self._inner.note(text)
@@ -129,7 +162,7 @@ class ViewDisplay:
 
     def say(self, announcement: Announce) -> None:
         self._inner.say(announcement)
-        time_s = None if self._start_s is None else announcement.time_s
+        time_s = None if self._own.start_s is None else announcement.time_s
         self._received(time_s, announcement.kind, announcement.text)
 
     def _received(self, time_s: float | None, kind: str, text: str) -> None:
@@ -137,20 +170,14 @@ class ViewDisplay:
 
     def show(self, snapshot: Snapshot) -> None:
         self._inner.show(snapshot)
-        self._isolated("the page's state", self._observe, snapshot)
+        self.isolated("the page's state", self._observe, snapshot)
 
     def _observe(self, snapshot: Snapshot) -> None:
-        if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
-            self._received_at_s = time.monotonic()
-        self._snapshot = snapshot
+        self._trail.extend(self._own.take(snapshot))
         route = None if snapshot.route is None else snapshot.route.route
         if snapshot.requirement != self._requirement or route is not self._route:
             self._requirement, self._route = snapshot.requirement, route
             self._setting = self._set()
-        aircraft = snapshot.aircraft
-        if aircraft is not None and aircraft.time_s >= self._trail_s + _TRAIL_STEP_S:
-            self._trail_s = aircraft.time_s
-            self._trail.append([round(aircraft.time_s, 1), round(aircraft.east_m, 1), round(aircraft.north_m, 1)])
         self.pump_if_due()
 
     # -- to and from the page ------------------------------------------------------------------------------
@@ -166,8 +193,8 @@ class ViewDisplay:
         if feed is None or not feed.alive:
             return
         for line in feed.lines():
-            self._isolated("a request from the page", lambda line: self._pressed(json.loads(line)), line)
-        self._isolated("the page's state", self._send, feed)
+            self.isolated("a request from the page", lambda line: self._pressed(json.loads(line)), line)
+        self.isolated("the page's state", self._send, feed)
 
     def _send(self, feed: Feed) -> None:
         if feed.send(page_line(self._update())):
@@ -177,7 +204,7 @@ class ViewDisplay:
         elif not feed.alive:
             self._inner.note("the page has stopped; the flight goes on without it")
 
-    def _isolated(self, what: str, work: Callable[[T], object], argument: T) -> None:
+    def isolated(self, what: str, work: Callable[[T], object], argument: T) -> None:
         """Do what is for the page alone; an error in it is reported once and never reaches the control loop."""
         try:
             work(argument)
@@ -188,24 +215,27 @@ class ViewDisplay:
                 self._inner.note(f"{fault}; the flight continues")
 
     def _set(self) -> Json:
-        base = setting(self._config, self._encoder.plane, self._name, self._requirement, self._route)
+        base = setting(self._config, self._own.encoder.plane, self._name, self._requirement, self._route)
         return base | under_flight(self.address, self._shading)
 
     def _update(self) -> Json:
-        update: Json = {"start_s": self._start_s, "trail": list(self._trail), "announcements": list(self._announced)}
+        update: Json = {
+            "start_s": self._own.start_s,
+            "trail": list(self._trail),
+            "announcements": list(self._announced),
+        }
         if self._shading is not None and self._shading.is_new():
             update["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
             update["setting"] = self._setting
         if self._status is not None and time.monotonic() >= self._vehicle_at_s + _STATUS_EVERY_S:
-            self._vehicle, self._vehicle_at_s = self._status(), time.monotonic()
-        if self._snapshot is not None:
-            silent_s = time.monotonic() - self._received_at_s
-            update["state"] = self._state(self._snapshot, silent_s)
-        return update
+            self._own.vehicle, self._vehicle_at_s = self._status(), time.monotonic()
+        return update | self._states()
 
-    def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
-        return self._encoder.state(snapshot, silent_s, self._vehicle)
+    def _states(self) -> Json:
+        """Return the part of an update that says how the flight stands."""
+        own = self._own
+        return {} if own.snapshot is None else {"state": own.state(own.snapshot)}
 
     def _answer(self, text: str) -> None:
         """Answer a request of the page, on the terminal too."""
@@ -213,11 +243,11 @@ class ViewDisplay:
         self._announced.append([None, "operator", text])
 
     def _pressed(self, press: Json) -> None:
-        if self._request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
+        if self._request is None or self._own.snapshot is None or not math.isfinite(self._own.snapshot.time_s):
             self._answer(f"{press['action']} refused: nothing is flown yet")
             return
         self.note(f"{press['action']} by {press['who']}")
-        time_s, who = self._snapshot.time_s, press["who"]
+        time_s, who = self._own.snapshot.time_s, press["who"]
         if press["action"] == "acknowledge":
             self._request(AlarmReported(time_s, press["alarm"], "acknowledged", who=who))
             return

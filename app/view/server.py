@@ -59,14 +59,14 @@ _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 class History:
     """Data for a page that is opened during the flight."""
 
-    def __init__(self, setting: Json | None = None) -> None:
+    def __init__(self, setting: Json | None = None, aircraft: int = 1) -> None:
         self.setting: Json = setting or {}
         self.replay: Json | None = None
-        self.state: Json | None = None
+        self.present: Json = {}  # the state, or those of a fleet
         self.start_s: float | None = None
-        self.trail: deque[list[float]] = deque(maxlen=_TRAIL_KEPT)
+        self.trail: deque[list[Any]] = deque(maxlen=aircraft * _TRAIL_KEPT)
         self.announced: deque[list[Any]] = deque(maxlen=_WORDS_KEPT)
-        self.series: deque[Json] = deque(maxlen=_SERIES_KEPT)
+        self.series: deque[Json] = deque(maxlen=aircraft * _SERIES_KEPT)
 
     def add(self, update: Json) -> None:
         self.setting = update.get("setting", self.setting)
@@ -74,10 +74,8 @@ class History:
         self.trail.extend(update["trail"])
         self.announced.extend(update["announcements"])
         self.replay = update.get("replay", self.replay)
-        state = update.get("state")
-        if state is not None:
-            self.state = state
-            self.series.append(_sample(state))
+        self.present = {key: update[key] for key in ("state", "fleet") if key in update} or self.present
+        self.series.extend(_samples(update))
 
     def update(self) -> Json:
         """Return all of it as one message."""
@@ -88,14 +86,20 @@ class History:
             "announcements": list(self.announced),
             "series": list(self.series),
             "replay": self.replay,
-            **({"state": self.state} if self.state is not None else {}),
+            **self.present,
         }
 
 
+def _samples(update: Json) -> list[Json]:
+    """Return what the plots draw of an update."""
+    states = [update["state"]] if "state" in update else update.get("fleet", [])
+    return [_sample(state) for state in states]
+
+
 def _sample(state: Json) -> Json:
-    """Return what the plots draw of a state."""
     target, aircraft = state["target"] or {}, state["aircraft"] or {}
     return {
+        "name": state["name"],
         "time_s": state["time_s"],
         "target_m": target.get("at_m"),
         "range_m": target.get("range_m"),
@@ -120,7 +124,7 @@ class Server:
         self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet))
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
-        self._history = History()
+        self._history = History(aircraft=max(len(fleet), 1))
         self._pages: set[asyncio.Queue[bytes | None]] = set()
         self._requests = Allowances(burst=300.0, rate_s=50.0)
         self._pictures = Allowances(burst=2000.0, rate_s=300.0)
@@ -148,8 +152,7 @@ class Server:
             update["series"] = [_sample(state) for state in states]
             self._history.series.extend(update["series"])
         self._history.add(update)
-        if "state" in update and "series" not in update:
-            update["series"] = [_sample(update["state"])]
+        update.setdefault("series", _samples(update))
         event = _event({"setting": self._history.setting} | update if update.get("restart") else update)
         for page in list(self._pages):
             try:

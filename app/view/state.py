@@ -92,27 +92,7 @@ def _origin(plane: LocalPlane) -> Json:
     }
 
 
-def other_aircraft(name: str, snapshot: Snapshot) -> Json:
-    """Return another aircraft of a fleet, in the same plane."""
-    aircraft, circle = snapshot.aircraft, snapshot.present.circle if snapshot.present is not None else None
-    return {
-        "name": name,
-        "at_m": None if aircraft is None else _rounded(aircraft.east_m, aircraft.north_m),
-        "course_rad": None if aircraft is None else round(aircraft.course_rad, 4),
-        "height_m": _number(snapshot.sensor_status.height_m, 1),
-        "circle": None if circle is None else [*_rounded(circle.east_m, circle.north_m), round(circle.radius_m, 1)],
-        "phase": snapshot.phase,
-        "side": snapshot.side,
-    }
-
-
-def other_target(name: str, at_m: tuple[float, float]) -> Json:
-    """Return a target of a fleet that the aircraft shown does not watch, in the same plane."""
-    return {"name": name, "at_m": _rounded(*at_m)}
-
-
-def alarms_of(name: str, vehicle: VehicleStatus) -> list[Json]:
-    """Return the alarms of an aircraft; its name is '' where there is one only."""
+def _alarms(name: str, vehicle: VehicleStatus) -> list[Json]:
     return [{"aircraft": name, **asdict(alarm)} for alarm in vehicle.alarms]
 
 
@@ -149,10 +129,21 @@ class StateEncoder:
         self._in_band, self._on_side = _Share(), _Share()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
-    def state(self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None) -> Json:
-        """Return the state; silent_s is the time since the last message of the vehicle, s."""
+    def state(
+        self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None, name: str = ""
+    ) -> Json:
+        """Return the state.
+
+        Args:
+            snapshot: Of the mission.
+            silent_s: Time since the last message of the vehicle, s.
+            vehicle: Its status; None if there is none, as in a replay.
+            name: Of the aircraft; '' where there is one only.
+
+        """
         sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
         return {
+            "name": name,
             "time_s": _number(time_s, 2),
             "phase": snapshot.phase,
             "mode": snapshot.mode,
@@ -177,7 +168,7 @@ class StateEncoder:
             "latency_s": _number(snapshot.latency_s, 2),
             "asked": self._asked(snapshot),
             "vehicle": None if vehicle is None else _vehicle(vehicle),
-            "alarms": [] if vehicle is None else alarms_of("", vehicle),
+            "alarms": [] if vehicle is None else _alarms(name, vehicle),
             "over": snapshot.over,
             "unknown": snapshot.unknown,
             "inputs": list(snapshot.impaired_inputs),

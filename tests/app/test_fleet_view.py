@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
 
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
+from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.address import Address
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
 
 PLANE = LocalPlane(47.4, 8.5)
 NAMES = ("plane", "wing")
+CONFIGS = dict.fromkeys(NAMES, Config())
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +35,7 @@ def snapshot(flight):
 def view():
     """Return a fleet's map without a page, and the wishes that reach each aircraft."""
     panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    made = FleetView(panel, NAMES, Config(), Address(port=0))
+    made = FleetView(panel, CONFIGS, Address(port=0))
     wishes: dict[str, list] = {name: [] for name in NAMES}
     for name in NAMES:
         made.of(name).begin(PLANE, wishes[name].append)
@@ -107,10 +112,10 @@ def test_the_side_is_asked_of_the_fleet_and_shown_once_it_is_given(view, snapsho
     shown, wishes = view
     shown.requests = Requests(refused)
     shown.of("plane").show(replace(snapshot, side=Side.RIGHT))  # its role: the other side
-    assert shown._update()["state"]["wanted"] == Side.LEFT
+    assert shown._update()["fleet"][0]["wanted"] == Side.LEFT
     shown._pressed({"action": "side", "side": "right", "who": "operator 1"})
     assert shown.requests.asked == [(Side.RIGHT, "operator 1")]
-    assert shown._update()["state"]["wanted"] == (Side.LEFT if refused else Side.RIGHT)
+    assert shown._update()["fleet"][0]["wanted"] == (Side.LEFT if refused else Side.RIGHT)
     assert wishes == {"plane": [], "wing": []}
 
 
@@ -148,12 +153,88 @@ def test_the_map_draws_the_others_with_their_circles(page, snapshot):
 
 def test_of_several_targets_the_page_names_each_and_whose_decisions_are_reported(snapshot):
     panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    shown = FleetView(panel, NAMES, Config(), Address(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
+    shown = FleetView(panel, CONFIGS, Address(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
     for name, target in zip(NAMES, ("boat", "bike"), strict=True):
         shown.of(name).begin(PLANE, lambda _wish: None)
         shown.of(name).show(replace(snapshot, target=target))
-    state = shown._state(replace(snapshot, target="boat"), 0.0)
-    assert state["target"]["name"] == "boat"
-    assert [one["name"] for one in state["targets"]] == ["bike"]
-    shown.of("plane").say(Announce(snapshot.time_s, "decision", "moving"))
-    assert shown._announced[-1][1:] == ["decision", "plane: moving"]
+    states = shown._update()["fleet"]
+    assert [one["target"]["name"] for one in states] == ["boat", "bike"]
+    assert [one["wanted"] for one in states] == [Side.LEFT, Side.RIGHT]
+    for name in NAMES:
+        shown.of(name).say(Announce(snapshot.time_s, "decision", "moving"))
+    assert [one[1:] for one in shown._announced] == [["decision", f"{name}: moving"] for name in NAMES]
+
+
+def test_messages_of_the_others_are_logged_by_the_time_since_their_own_start(view, snapshot):
+    shown, _ = view
+    shown.of("plane").engage(100.0, None)
+    shown.of("wing").engage(500.0, None)
+    shown.of("wing").say(Announce(530.0, "decision", "moving"))
+    assert shown._announced[-1] == [130.0, "decision", "wing: moving"]
+
+
+BATTERIES = {"plane": 74, "wing": 20}
+LOST = Alarm("target", "target lost for 60 s", "Find it.", 60.0)
+
+
+@pytest.fixture
+def described(browser, view, snapshot):
+    """Return the page of a fleet whose second aircraft is on the other side, with a low battery and an alarm."""
+    shown, _ = view
+    shown.requests = Requests()
+    with shown:
+        for name in NAMES:
+            alarms = (LOST,) if name == "wing" else ()
+            status = VehicleStatus(BATTERIES[name], 11.0, "3D", True, 97, 0.1, alarms=alarms)
+            shown.of(name).connected(lambda status=status: status)
+        shown.of("plane").show(snapshot)
+        shown.of("wing").show(replace(alongside(snapshot), side=Side.RIGHT))
+        shown._vehicle_at_s = -math.inf
+        shown.pump()
+        opened = browser.new_page()
+        opened.goto(shown.url)
+        opened.locator("#fleet tbody tr").nth(1).wait_for()
+        yield opened
+        opened.close()
+
+
+def cells(page, name):
+    return page.locator(f"#fleet tr[data-name={name}] td[data-title]:not(:last-child)").all_inner_texts()
+
+
+def test_each_aircraft_has_a_row_with_its_own_values(described):
+    state, side, range_m, *rest = cells(described, "plane")
+    assert (state, side.split(", ")[0], rest) == ("watching AUTO", "left", ["74 %", "97 %", "none"])
+    other_state, other_side, other_range_m, *rest = cells(described, "wing")
+    assert (other_state, other_side.split(", ")[0], rest) == ("watching AUTO", "right", ["20 %", "97 %", "1 new"])
+    assert range_m != other_range_m
+    assert "required side left" in described.locator("#held").inner_text()
+
+
+def test_the_details_are_those_of_the_selected_aircraft(described):
+    battery = described.locator("#key-tiles div", has_text="battery").locator("dd")
+    assert described.locator("#whose").inner_text() == "plane"
+    assert battery.inner_text() == "74 %"
+    described.locator("#fleet").get_by_role("button", name="wing", exact=True).click()
+    assert described.locator("#whose").inner_text() == "wing"
+    assert battery.inner_text() == "20 %"
+    assert "required: right" in described.locator("#side span").inner_text()
+    assert described.locator(".place[data-of=aircraft]").inner_text().startswith("wing 47.")
+    described.keyboard.press("n")
+    assert described.locator("#whose").inner_text() == "plane"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1920, 1080), (1280, 800), (390, 844)], ids="{0[0]}".format)
+def test_the_rows_are_readable_at_any_width(browser, view, described, size, scheme):
+    shown, _ = view
+    context = browser.new_context(viewport=dict(zip(("width", "height"), size, strict=True)), color_scheme=scheme)
+    page = context.new_page()
+    page.goto(shown.url)
+    page.locator("#fleet tbody tr").nth(1).wait_for()
+    found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]})
+    assert found.violations_count == 0, found.generate_report()
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    for button in page.locator("#fleet button").all():
+        assert button.bounding_box()["height"] >= 44
+    context.close()

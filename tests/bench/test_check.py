@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.config import Config
+from sidelong.app.config import Config, unflyable
 from sidelong.app.errors import InputError
 from sidelong.app.study.closed_loop import run_closed_loop
-from sidelong.app.study.prediction import FLIGHTS, LEAST_IN_BAND, LEAST_ON_SIDE, predict, studied, unflyable
+from sidelong.app.study.prediction import FLIGHTS, LEAST_IN_BAND, LEAST_ON_SIDE, predict, studied
 from sidelong.app.study.settings import Fidelity, PlannerName
 from sidelong.app.study.study import table_of
 from tests.bench.size import size

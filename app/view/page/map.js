@@ -7,6 +7,7 @@ const PREDICTED_S = 60;
 const GRID_PX = 90;
 const TRAIL_KEPT = 2400;
 const SCALE_PX = 120;
+const NAME_PX = [130, 17]; // room of a name, width and height
 const AIRCRAFT = "M0 -11 L8 9 L0 4 L-8 9 Z";
 const EQUATOR_M_PER_PX = 156543.034; // of zoom 0, at 256 px a tile
 const TILES_MAX = 80;
@@ -42,6 +43,13 @@ function ringSector(least, most, from, to) {
     + `A${least} ${least} 0 ${large} 1 ${at(least, from)} Z`;
 }
 
+function extend(trails, name, at) {
+  if (!trails.has(name)) trails.set(name, []);
+  const trail = trails.get(name);
+  trail.push(at);
+  trail.splice(0, trail.length - TRAIL_KEPT);
+}
+
 export class FlightMap {
   constructor(root, followButton, measureButton, cursor) {
     this.root = root;
@@ -49,8 +57,8 @@ export class FlightMap {
     this.measureButton = measureButton;
     this.measured = []; // up to two points, metres
     this.pointers = new Map();
-    this.trail = [];
-    this.targetTrail = [];
+    this.trails = new Map(); // of each aircraft, by its name
+    this.targetTrails = new Map(); // of its target
     this.setting = {};
     this.state = null;
     this.view = null; // {east, north, scale px/m}; null follows the target
@@ -100,19 +108,17 @@ export class FlightMap {
   }
 
   forget() {
-    this.trail = [];
-    this.targetTrail = [];
+    this.trails.clear();
+    this.targetTrails.clear();
   }
 
   addTrail(samples) {
-    for (const [, east, north] of samples) this.trail.push([east, north]);
-    this.trail.splice(0, this.trail.length - TRAIL_KEPT);
+    for (const [, east, north, name = ""] of samples) extend(this.trails, name, [east, north]);
   }
 
-  addTarget(at) {
-    const last = this.targetTrail.at(-1);
-    if (at && (!last || Math.hypot(at[0] - last[0], at[1] - last[1]) > 2)) this.targetTrail.push(at);
-    this.targetTrail.splice(0, this.targetTrail.length - TRAIL_KEPT);
+  addTarget({ name, target_m: at }) {
+    const last = this.targetTrails.get(name)?.at(-1);
+    if (at && (!last || Math.hypot(at[0] - last[0], at[1] - last[1]) > 2)) extend(this.targetTrails, name, at);
   }
 
   // -- view ------------------------------------------------------------------------------------------------
@@ -240,7 +246,8 @@ export class FlightMap {
     const seen = [];
     const reach = (at, r) => seen.push([at[0] - r, at[1] - r], [at[0] + r, at[1] + r]);
     if (state?.target) reach(state.target.at_m, setting.band_m?.[1] ?? 100);
-    for (const one of [state?.aircraft, ...(state?.others ?? []), ...(state?.targets ?? [])]) if (one?.at_m) reach(one.at_m, 30);
+    const others = (state?.others ?? []).map((one) => one.aircraft);
+    for (const one of [state?.aircraft, ...others, ...(state?.targets ?? [])]) if (one?.at_m) reach(one.at_m, 30);
     for (const plan of [state?.present, state?.coming]) if (plan) reach(plan.circle, plan.circle[2]);
     if (!seen.length) reach([0, 0], 500);
     const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
@@ -261,8 +268,9 @@ export class FlightMap {
     this.under.setAttribute("transform", `translate(${x(0)} ${y(0)}) scale(${scale})`);
     this.drawUnder(width, height, { east, north, scale });
     this.drawGrid(width, height, { east, north, scale }, x, y);
-    this.trailLine.setAttribute("points", points(this.trail));
-    this.targetLine.setAttribute("points", points(this.targetTrail));
+    const name = this.state?.name ?? "";
+    this.trailLine.setAttribute("points", points(this.trails.get(name) ?? []));
+    this.targetLine.setAttribute("points", points(this.targetTrails.get(name) ?? []));
     if (!this.measured.length) this.measureLine.setAttribute("points", "");
     const { state } = this;
     this.plan(state?.present, this.circle, this.line);
@@ -276,7 +284,7 @@ export class FlightMap {
     this.aircraft.toggleAttribute("hidden", !aircraft);
     const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
     if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
-    this.drawFleet((state?.others ?? []).filter((one) => one.at_m), placed, x, y);
+    this.drawFleet((state?.others ?? []).filter((one) => one.aircraft), placed, x, y);
     for (const { name, at_m } of state?.targets ?? []) {
       svg("circle", { class: "target", cx: x(at_m[0]), cy: y(at_m[1]), r: 5 }, this.others);
       svg("text", { class: "label", x: x(at_m[0]) + 9, y: y(at_m[1]) + 16 }, this.others).textContent = name;
@@ -287,19 +295,22 @@ export class FlightMap {
   drawFleet(others, placed, x, y) {
     this.others.replaceChildren();
     this.otherCircles.replaceChildren();
-    const own = this.state?.aircraft;
-    if (own && this.setting.fleet) this.nameOf(own, this.setting.fleet[0], x, y);
+    this.named = []; // where names are, pixels
+    if (this.state?.name && this.state.aircraft) this.nameOf(this.state, x, y);
     for (const one of others) {
-      svg("path", { class: "aircraft other", d: AIRCRAFT, transform: placed(one) }, this.others);
-      this.nameOf(one, one.name, x, y);
-      const [cx, cy, r] = one.circle ?? [0, 0, 0];
+      svg("path", { class: "aircraft other", d: AIRCRAFT, transform: placed(one.aircraft) }, this.others);
+      this.nameOf(one, x, y);
+      const [cx, cy, r] = one.present?.circle ?? [0, 0, 0];
       svg("circle", { class: "circle other", cx, cy, r }, this.otherCircles);
     }
   }
 
-  // Name and height next to an aircraft, on the side where there is room.
-  nameOf(one, name, x, y) {
-    const words = svg("text", { class: "label", x: x(one.at_m[0]) + 12, y: y(one.at_m[1]) + 4 }, this.others);
+  // Name and height next to an aircraft, on the side where there is room, below the names that are there already.
+  nameOf({ name, aircraft: one }, x, y) {
+    const at = [x(one.at_m[0]), y(one.at_m[1]) + 4];
+    while (this.named.some((other) => Math.abs(other[0] - at[0]) < NAME_PX[0] && Math.abs(other[1] - at[1]) < NAME_PX[1])) at[1] += NAME_PX[1];
+    this.named.push(at);
+    const words = svg("text", { class: "label", x: at[0] + 12, y: at[1] }, this.others);
     words.textContent = one.height_m === null ? name : `${name}, ${length(one.height_m)}`;
     if (x(one.at_m[0]) + 12 + words.getComputedTextLength() > this.root.clientWidth) {
       words.setAttribute("x", x(one.at_m[0]) - 12);
@@ -347,7 +358,7 @@ export class FlightMap {
     let to = 2 * Math.PI - 1e-6;
     if (sector) [from, to] = [sector[0], sector[1] <= sector[0] ? sector[1] + 2 * Math.PI : sector[1]];
     else if (!either && target.watch_course_rad !== null) {
-      from = target.watch_course_rad + (state.side === "left" ? -Math.PI : 0);
+      from = target.watch_course_rad + ((state.wanted ?? state.side) === "left" ? -Math.PI : 0);
       to = from + Math.PI;
     }
     this.side.setAttribute("d", ringSector(band[0], band[1], from, to));

@@ -1,6 +1,7 @@
 // The page: takes the flight's stream, shows it, and sends the buttons back.
 
 import { AlarmList } from "./alarms.js";
+import { Fleet } from "./fleet.js";
 import { FlightMap } from "./map.js";
 import { Plots } from "./plots.js";
 import { ReplayBar } from "./replay.js";
@@ -21,6 +22,7 @@ const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
 const map = new FlightMap(byId("map"), byId("follow"), byId("measure"), byId("cursor"));
 const plots = new Plots(byId("plots"), byId("inner-plots"));
 const alarms = new AlarmList(byId("alarms"), byId("mute"), (body) => press(body));
+const fleet = new Fleet(byId("fleet"), () => { state = fleet.take(fleet.states); draw(); });
 const bar = new ReplayBar(byId("replay"), (body) => press(body));
 let state = null;
 let startS = 0;
@@ -30,8 +32,9 @@ let drawn = true;
 let answered = 0;
 let pending = null; // the unanswered request: {text, since}
 
-function clock(timeS) {
-  const since = Math.max(0, timeS - startS);
+// from: when watching began, on the clock of that aircraft.
+function clock(timeS, from = startS) {
+  const since = Math.max(0, timeS - from);
   return `${Math.floor(since / 60)}:${String(Math.floor(since % 60)).padStart(2, "0")}`;
 }
 
@@ -41,20 +44,21 @@ function receive(update) {
   heardAt = performance.now();
   if (update.restart) {
     map.forget();
-    plots.samples = [];
+    plots.forget();
     byId("log").replaceChildren();
   }
   if (update.start_s !== null) startS = update.start_s;
   if (update.setting?.band_m) set(update.setting);
   if (update.replay) bar.show(update.replay);
   map.addTrail(update.trail);
-  for (const sample of update.series ?? []) map.addTarget(sample.target_m);
+  for (const sample of update.series ?? []) map.addTarget(sample);
   plots.add(update.series ?? []);
   for (const [timeS, kind, text] of update.announcements) {
     say(timeS, kind, text);
     if (kind === "operator" && !update.restart) answer(text);
   }
   if (update.state) state = update.state;
+  if (update.fleet) state = fleet.take(update.fleet) ?? state;
   over ||= update.over ?? false;
   if (drawn) {
     drawn = false;
@@ -71,21 +75,10 @@ function set(setting) {
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
-  for (const name of setting.fleet ?? []) relief(name);
   if (setting.replay) {
     bar.set(setting.replay, startS);
     document.title = "sidelong: replay";
   }
-}
-
-// The button that lets another aircraft replace this one.
-function relief(name) {
-  if (document.querySelector(`[data-name="${name}"]`)) return;
-  const button = document.createElement("button");
-  button.type = "button";
-  button.textContent = `Relieve ${name}`;
-  Object.assign(button.dataset, { action: "relieve", name, ask: `Relieve ${name}? It goes home once another has taken over.` });
-  byId("buttons").insertBefore(button, document.querySelector("[data-action=end]"));
 }
 
 function say(timeS, kind, text) {
@@ -251,7 +244,7 @@ function places() {
 }
 
 // The names of the aircraft and the target, if there are several.
-const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] : state.target?.name) || what;
+const called = (what) => (what === "aircraft" ? state.name : state.target?.name) || what;
 
 // The result of the end of the mission, and how to continue.
 function ended() {
@@ -269,13 +262,16 @@ function draw() {
   if (!state) return;
   map.state = state;
   map.draw();
-  plots.draw();
+  plots.draw(state.name);
+  fleet.draw();
+  byId("whose").hidden = !state.name;
+  byId("whose").textContent = state.name;
   const lost = state.phase === "watching" && (!state.connected || state.target?.quality === "lost");
   chip("phase", state.phase, lost ? "bad" : PHASE_LOOKS[state.phase] ?? "");
   chip("quality", state.target ? `track ${state.target.quality}` : "no target yet", QUALITY_LOOKS[state.target?.quality] ?? "");
   chip("link", state.connected ? "" : "link lost", "bad");
   chip("inputs", (state.inputs ?? []).join(", "), "warn");
-  byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s);
+  byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s, state.start_s ?? startS);
   byId("quality").title = state.target?.why ?? "";
   byId("phase").title = state.reason;
   chip("mode", state.mode ? `mode ${state.mode}` : "", "");
@@ -292,13 +288,14 @@ function draw() {
 }
 
 function buttons() {
-  const inHand = state !== null && IN_HAND.has(state.phase) && !over;
-  for (const button of byId("buttons").children) {
-    const { action } = button.dataset;
-    const apt = (action !== "hold" || state?.phase === "watching") && (action !== "resume" || ["holding", "yielded"].includes(state?.phase));
-    const resumes = action === "resume" && state?.phase === "yielded" && !over;
+  for (const button of document.querySelectorAll("button[data-action]")) {
+    const { action, name } = button.dataset;
+    const phase = (name ? fleet.states.find((one) => one.name === name) : state)?.phase;
+    const inHand = IN_HAND.has(phase) && !over;
+    const apt = (action !== "hold" || phase === "watching") && (action !== "resume" || ["holding", "yielded"].includes(phase));
+    const resumes = action === "resume" && phase === "yielded" && !over;
     button.disabled = !((inHand || resumes) && apt);
-    button.title = inHand || resumes ? "" : `refused: the mission is ${over ? "over" : state?.phase ?? "not begun"}`;
+    button.title = inHand || resumes ? "" : `refused: the mission is ${over ? "over" : phase ?? "not begun"}`;
   }
 }
 
@@ -377,7 +374,7 @@ function requested({ action, side, values, name }) {
   return { side: `watch from the ${side}`, relieve: `relieve ${name}` }[action] ?? action;
 }
 
-byId("buttons").addEventListener("click", async ({ target: button }) => {
+async function commanded({ target: button }) {
   const { action, ask, name } = button.dataset;
   if (!action) return;
   if (action === "change") {
@@ -389,7 +386,8 @@ byId("buttons").addEventListener("click", async ({ target: button }) => {
   const question = side ? `Watch from the target's ${side} instead?` : ask;
   if (!(await asked(question))) return;
   press(name ? { action, name } : { action, side });
-});
+}
+for (const id of ["buttons", "fleet"]) byId(id).addEventListener("click", commanded);
 
 // -- units, positions, keys -----------------------------------------------------------------------------------
 
@@ -410,7 +408,7 @@ const click = (selector) => { const button = document.querySelector(selector); i
 const KEYS = {
   h: () => click("[data-action=hold]"), r: () => click("[data-action=resume]"), s: () => click("[data-action=side]"),
   c: () => click("[data-action=change]"), a: () => click("#alarms button.seen:not([hidden])"), m: () => click("#mute"),
-  d: () => click("#measure"), f: () => map.follow(), "+": () => map.zoomAt([0, 0], 1.3), "-": () => map.zoomAt([0, 0], 1 / 1.3),
+  d: () => click("#measure"), n: () => fleet.next(), f: () => map.follow(), "+": () => map.zoomAt([0, 0], 1.3), "-": () => map.zoomAt([0, 0], 1 / 1.3),
   u: () => { next("units"); showDisplay(); }, p: () => { next("coordinates"); showDisplay(); },
   t: () => { next("times"); showDisplay(); }, "?": () => byId("help").showModal(),
 };
@@ -432,8 +430,8 @@ byId("places").addEventListener("click", async ({ target: button }) => {
   button.textContent = `${called(button.dataset.of)}: copied`;
 });
 
-new ResizeObserver(() => plots.draw()).observe(byId("plots"));
-byId("engineers").addEventListener("toggle", () => plots.draw());
+new ResizeObserver(() => plots.draw(state?.name)).observe(byId("plots"));
+byId("engineers").addEventListener("toggle", () => plots.draw(state?.name));
 
 buttons();
 const stream = new EventSource("events");

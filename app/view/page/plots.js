@@ -115,7 +115,7 @@ export class Plots {
   // inner: where the plots for engineers go.
   constructor(parent, inner) {
     this.parent = parent;
-    this.samples = [];
+    this.samples = new Map(); // by the name of the aircraft
     this.setting = {};
     this.plots = PLOTS.map((kind) => new Plot(kind, kind.inner ? inner : parent));
     const under = document.createElement("figcaption");
@@ -125,15 +125,26 @@ export class Plots {
     parent.append(figure);
   }
 
-  add(samples) {
-    for (const sample of samples) if (sample.time_s !== null) this.samples.push(sample);
-    const since = (this.samples.at(-1)?.time_s ?? 0) - SPAN_S;
-    const kept = this.samples.findIndex((sample) => sample.time_s >= since);
-    this.samples.splice(0, Math.max(0, kept - 1));
+  forget() {
+    this.samples.clear();
   }
 
-  draw() {
-    this.parent.hidden = !this.samples.length;
-    for (const plot of this.plots) plot.draw(this.samples, this.setting);
+  add(samples) {
+    for (const sample of samples) {
+      if (sample.time_s === null) continue;
+      if (!this.samples.has(sample.name)) this.samples.set(sample.name, []);
+      this.samples.get(sample.name).push(sample);
+    }
+    for (const kept of this.samples.values()) {
+      const since = kept.at(-1).time_s - SPAN_S;
+      kept.splice(0, Math.max(0, kept.findIndex((sample) => sample.time_s >= since) - 1));
+    }
+  }
+
+  // name: of the aircraft to be shown; "" where there is one only.
+  draw(name = "") {
+    const samples = this.samples.get(name) ?? [];
+    this.parent.hidden = !samples.length;
+    for (const plot of this.plots) plot.draw(samples, this.setting);
   }
 }
