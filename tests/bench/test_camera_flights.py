@@ -1,6 +1,7 @@
 """A camera that tracks the target, without a laser, over flat ground: compared with laser and gimbal.
 
-``python -m pytest tests/bench/test_camera_flights.py -s`` flies the same targets with each.
+``python -m pytest tests/bench/test_camera_flights.py -s`` flies the same targets with each. CAMERA_FLIGHTS: targets.
+CAMERA_FLIGHT_S: length of each flight, s.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import pytest
 from sidelong.app.assembly import settle
 from sidelong.app.config import Config
 from sidelong.app.simulation.payload import Payload
+from tests.bench.size import size
 from tests.faults import flight as faults
 from tests.faults.flight import HOME_DEG, FaultedFlight, Scenario
 from tests.payload.test_camera import CAMERA
 from tests.payload.test_flight import error_m, shares
 
-SEEDS, DURATION_S = range(1, 7), 600.0
+SEEDS, DURATION_S = range(1, 1 + size(6, 1, "CAMERA_FLIGHTS")), float(size(600, 60, "CAMERA_FLIGHT_S"))
 _CHI2_95 = 5.991
 _HEIGHT_SIGMA_M = 2.0
 
