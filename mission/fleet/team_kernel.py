@@ -41,7 +41,7 @@ from sidelong.mission.fleet.cover_kernel import (
 from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
 from sidelong.mission.predictive.decision_kernel import Looker, add_prices, alternatives, commitment, look_deeper
 from sidelong.mission.predictive.foresight_kernel import along_route, foresee
-from sidelong.mission.predictive.future_kernel import first_of, winding
+from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
 from sidelong.mission.predictive.rollout_kernel import (
     Futures,
@@ -277,7 +277,10 @@ def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, floa
 @compiled
 def _value_at(now: Situation, looker: Looker) -> float:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    turns = looker.turns
+    if len(looker.foresight.way.points) == 0:  # only the first future counts
+        turns = Turns(turns.rate_rad_s[:1], turns.fades_s)
+    every = winding(scene, looker.motions, looker.wish, looker.memory, turns)
     f = first_of(along_route(scene, looker, every)[0], 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
@@ -300,8 +303,10 @@ def team_decide(
     others, first_s: see :func:`cover_of`.
     """
     sure, foreseen, judged_by = foresee(scene, now, looker)
-    every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    every, _ = along_route(scene, looker, every)
+    every = foreseen
+    if len(looker.foresight.way.points) > 0:  # without the layers of time
+        every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+        every, _ = along_route(scene, looker, every)
     f = first_of(every, 1) if team.futures < 2 else every
     cover = cover_of(scene, f, others, first_s, looker, team)
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)

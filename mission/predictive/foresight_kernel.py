@@ -171,6 +171,17 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
 
 
 @compiled
+def weigh(scene: Scene, now: Situation, looker: Looker, sight: Sight, costs: FloatArray) -> tuple[float, float]:
+    """Fill in what each move costs (MOVES,); return what staying costs, and what a move must gain beyond its price.
+
+    Processes the target's estimate, as :func:`foresee` does.
+    """
+    scene, futures, judged_by = foresee(scene, now, looker)
+    min_gain = commitment(scene, now, futures, judged_by)
+    return look_deeper(scene, now, futures, judged_by, sight, min_gain, costs), min_gain
+
+
+@compiled
 def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
     """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
 
@@ -179,8 +190,6 @@ def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
     costs = np.empty(MOVES)
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    scene, futures, judged_by = foresee(scene, now, looker)
-    min_gain = commitment(scene, now, futures, judged_by)
-    stay_cost = look_deeper(scene, now, futures, judged_by, flat, min_gain, costs)
-    line = best_line(scene, judged_by, costs, stay_cost - min_gain)
+    stay_cost, min_gain = weigh(scene, now, looker, flat, costs)
+    line = best_line(scene, looker, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line

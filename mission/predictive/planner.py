@@ -33,11 +33,10 @@ from sidelong.mission.predictive.cost_kernel import Table
 from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
 from sidelong.mission.predictive.foresight import foresight_along, no_route
-from sidelong.mission.predictive.foresight_kernel import foresee
+from sidelong.mission.predictive.foresight_kernel import weigh
 from sidelong.mission.predictive.future_kernel import Turns
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.programme_kernel import Foresight
-from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, scene_of
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.predictive.situation import situation
@@ -232,17 +231,11 @@ class PredictivePlanner:
         scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
         return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
 
-    def _predicted(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
-        """Return what the target may do, with the scene and the looker to judge it by."""
-        return foresee(scene, now, looker)
-
     def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         scene, sight = self.outlook(now, looker)
         costs = np.empty(MOVES)
-        scene, futures, looker = self._predicted(scene, now, looker)
-        min_gain_s = kernel.commitment(scene, now, futures, looker)
-        stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, min_gain_s, costs)
+        stay_cost, min_gain_s = weigh(scene, now, looker, sight, costs)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
         ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
