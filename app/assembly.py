@@ -22,7 +22,7 @@ from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.sighting import Sighting
-from sidelong.estimators.tracking.band_kernel import solve_banded
+from sidelong.estimators.tracking.band_kernel import add_readings, aircraft_at, solve_banded
 from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
@@ -209,6 +209,11 @@ def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) 
     path = Trapezoids.between(circle.curvature_per_m, [0.0], [300.0], [circle.curvature_per_m], 1e-3)
     ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
     solve_banded(np.ones((5, 4)), np.ones((4, 5)))
+    aircraft_at(np.ones((2, 5)), np.ones(1))
+    one, border = np.ones(1), np.ones((4, 4))[:, ::2]
+    add_readings(
+        np.zeros(1, np.intp), one, np.ones((1, 2)), np.ones((2, 1)), one, one, np.ones((5, 4)), border, np.ones(4)
+    )
     for time_s in (0.0, 0.5, 1.0):
         track.add(Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0))
         place = circle.position_at_course(0.1 * time_s)

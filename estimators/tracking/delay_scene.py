@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.tracking.band_kernel import solve_banded
+from sidelong.estimators.tracking.band_kernel import add_readings, aircraft_at, solve_banded
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -24,7 +24,6 @@ STIFF_M = 0.1
 
 _KNOT_S = 2.0
 _BENT = (1.0, -2.0, 1.0)  # second difference of the path
-_NONE = 0.0  # derivative by a shared number that a kind of reading does not depend on
 _FREEDOM = 4.0  # of Student's distribution
 _STIFFEST_M, _STIFF_ITERATIONS = 0.02, 3
 _ITERATIONS_MAX, _SETTLED_S = 12, 0.002
@@ -59,7 +58,8 @@ class _Normal:
         self,
         at: tuple[npt.NDArray[np.intp], FloatArray],
         by_place: FloatArray,
-        by_shared: tuple[FloatArray | float, ...],
+        device: int,
+        by_shared: tuple[FloatArray, FloatArray],
         residual: FloatArray,
         sigma: FloatArray,
     ) -> None:
@@ -68,7 +68,8 @@ class _Normal:
         Args:
             at: knot before each, and the share of the one after it.
             by_place: derivative by the target's place, (n, 2).
-            by_shared: derivatives by the shared numbers.
+            device: 0 for the gimbal, 1 for the laser.
+            by_shared: derivatives by the device's delay and by its bias.
             residual: of each, m.
             sigma: noise of each, m.
 
@@ -77,21 +78,12 @@ class _Normal:
         squared = (residual / sigma) ** 2
         self.cost += 0.5 * (_FREEDOM + 1) * float(np.log1p(squared / _FREEDOM).sum())
         weight = (_FREEDOM + 1) / (_FREEDOM + squared) / sigma**2
-        size = len(self.right)
-        parts = [(2 * k + axis, (1 - u) * by_place[:, axis]) for axis in (0, 1)]
-        parts += [(2 * k + 2 + axis, u * by_place[:, axis]) for axis in (0, 1)]
-        own = [(s, np.broadcast_to(by, k.shape)) for s, by in enumerate(by_shared) if by is not _NONE]
-        for i, (row, a) in enumerate(parts):
-            weighted = weight * a
-            self.right -= np.bincount(row, weighted * residual, size)
-            for s, by in own:
-                self.border[:, s] += np.bincount(row, weighted * by, size)
-            for j in range(i, 4):
-                self.band[4 - (j - i)] += np.bincount(row + (j - i), weighted * parts[j][1], size)
-        for s, by in own:
+        border = self.border[:, device::2]
+        add_readings(k, u, by_place, np.stack(by_shared), weight, residual, self.band, border, self.right)
+        for s, by in zip((device, device + 2), by_shared, strict=True):
             weighted = weight * by
             self.right_shared[s] -= weighted @ residual
-            for other, by_other in own:
+            for other, by_other in zip((device, device + 2), by_shared, strict=True):
                 self.corner[s, other] += weighted @ by_other
 
     def hold_straight(self, path: FloatArray, scale_m2: float, robust: bool) -> None:
@@ -138,6 +130,7 @@ class Scene:
             self._angles = np.unwrap(attitudes[:, 1:], axis=0)
             self._yaw_rate = np.gradient(self._angles[:, 2], self._attitude_s)
         self._sight_s, self._sights = gimbals[:, 0], gimbals[:, 1:]
+        self._azimuth = np.arctan2(gimbals[:, 2], gimbals[:, 1])
         self._range_s, self._slant_m = ranges.T
         self._begin_s = min(self._sight_s[0], self._range_s[0]) - MAX_DELAY_S
         end_s = max(self._sight_s[-1], self._range_s[-1]) - MIN_DELAY_S
@@ -185,7 +178,7 @@ class Scene:
             turning += ahead_m * np.interp(time_s, self._attitude_s, self._yaw_rate)
         residual = way[:, 0] * north - way[:, 1] * east + ahead_m * shared[2]
         across = np.stack([north, -east], axis=1)
-        normal.add(at, across, (turning, _NONE, ahead_m, _NONE), residual, self._yaw_sigma_rad * ahead_m)
+        normal.add(at, across, 0, (turning, ahead_m), residual, self._yaw_sigma_rad * ahead_m)
 
     def _add_ranges(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
         time_s = self._range_s - shared[1]
@@ -196,7 +189,7 @@ class Scene:
         residual = distance_m - self._slant_m * np.sqrt(1.0 - sine * sine) + shared[3]
         closing = -(toward * speed).sum(axis=1)
         sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
-        normal.add(at, toward, (_NONE, closing, _NONE, 1.0), residual, sigma)
+        normal.add(at, toward, 1, (closing, np.broadcast_to(1.0, closing.shape)), residual, sigma)
 
     def _way(
         self, path: FloatArray, time_s: FloatArray
@@ -206,29 +199,19 @@ class Scene:
         k = np.clip(at.astype(np.intp), 0, self._knots - 2)
         u = at - k
         leg = path[k + 1] - path[k]
-        place, velocity = self._aircraft(time_s)
+        place, velocity = aircraft_at(self._positions, time_s)
         return path[k] + u[:, None] * leg - place, leg / _KNOT_S - velocity, (k, u)
-
-    def _aircraft(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places and velocities (n, 2) of the aircraft, by the cubic through positions and velocities."""
-        rows = self._positions
-        k = np.clip(np.searchsorted(rows[:, 0], time_s) - 1, 0, len(rows) - 2)
-        a, b = rows[k], rows[k + 1]
-        step_s = b[:, :1] - a[:, :1]
-        u = (time_s[:, None] - a[:, :1]) / step_s
-        slopes = step_s * u * (1 - u) * ((1 - u) * a[:, 3:] - u * b[:, 3:])
-        place = a[:, 1:3] + u * u * (3 - 2 * u) * (b[:, 1:3] - a[:, 1:3]) + slopes
-        return place, a[:, 3:] + u * (b[:, 3:] - a[:, 3:])
 
     def _directions(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return bearing and sine of the depression, (n,) each, of the lines of sight if they were made at times."""
         x, y, z = self._sights.T
         if self._frame == "earth":
-            return np.arctan2(y, x), z
+            return self._azimuth, z
         roll, pitch, yaw = (np.interp(time_s, self._attitude_s, angle) for angle in self._angles.T)
-        if self._frame == "body":
-            y, z = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
-            x, z = np.cos(pitch) * x + np.sin(pitch) * z, np.cos(pitch) * z - np.sin(pitch) * x
+        if self._frame == "vehicle":
+            return yaw + self._azimuth, z
+        y, z = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
+        x, z = np.cos(pitch) * x + np.sin(pitch) * z, np.cos(pitch) * z - np.sin(pitch) * x
         return yaw + np.arctan2(y, x), z
 
     def _first_path(self, shared: FloatArray) -> FloatArray:
@@ -237,7 +220,8 @@ class Scene:
         bearing, sine = self._directions(sight_s)
         bearing, sine = np.interp(time_s, sight_s, np.unwrap(bearing)), np.interp(time_s, sight_s, sine)
         level_m = self._slant_m * np.sqrt(1.0 - sine * sine)
-        place = self._aircraft(time_s)[0] + level_m[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+        aircraft, _ = aircraft_at(self._positions, time_s)
+        place = aircraft + level_m[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
         knots_s = self._begin_s + _KNOT_S * np.arange(self._knots)
         return np.stack([np.interp(knots_s, time_s, axis) for axis in place.T], axis=1)
 
