@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from sidelong.app.simulation.airframe_kernel import Airframe, Body, stepped
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
+
+# In Python: for one step, to hand its tuples over to compiled code and back takes longer than the step.
+_stepped: Callable[[Body, Airframe, float, float], Body] = stepped.py_func  # type: ignore[attr-defined]
 
 
 class KinematicAircraft:
@@ -41,6 +45,6 @@ class KinematicAircraft:
 
     def step(self, curvature_per_m: float, step_s: float) -> AircraftState:
         """Roll towards the commanded curvature, fly on for a step and return the new state."""
-        *state, self.bank_rad = stepped(self.body, self.frame(step_s), curvature_per_m, step_s)
+        *state, self.bank_rad = _stepped(self.body, self.frame(step_s), curvature_per_m, step_s)
         self.state = AircraftState(*state)
         return self.state

@@ -114,6 +114,9 @@ class KinematicVehicle:
         target: what the payload looks at.
         rates: how often it sends.
 
+    Attributes:
+        time_s: since the start of the simulation.
+
     """
 
     system_id = _SYSTEM
@@ -136,7 +139,7 @@ class KinematicVehicle:
         if any(rates.tick_hz % rate_hz for rate_hz in rates.each_hz if rate_hz):
             raise ValueError(f"the rates {rates.each_hz} do not divide {rates.tick_hz} Hz")
         self._tracking: LineTracking = autopilot.tracking(aircraft.airspeed_m_s, wind)
-        self._tick = 0
+        self._tick, self.time_s = 0, 0.0
         self._sent: list[Message] = []
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -163,16 +166,12 @@ class KinematicVehicle:
         """Time between two ticks."""
         return 1.0 / self._rates.tick_hz
 
-    @property
-    def time_s(self) -> float:
-        """Time since the start of the simulation."""
-        return self._tick / self._rates.tick_hz
-
     def advance(self, to_s: float) -> None:
         """Fly until a time, and send what is due on the way."""
         while self.time_s < to_s - 1e-6:
             self._send_due()
             self._tick += 1
+            self.time_s = self._tick / self._rates.tick_hz
             while self.aircraft.state.time_s < self.time_s - 1e-6:
                 self._fly(min(_STEP_S, self.time_s - self.aircraft.state.time_s))
             self._transfer.step(self.time_s)

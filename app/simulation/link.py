@@ -46,6 +46,7 @@ class Link(Generic[P]):
         change: Change[P] | None = None,
     ) -> None:
         self._link: FaultyLink[P] = FaultyLink(faults, rng)
+        self._is_perfect = faults == NO_FAULTS
         self._silences, self._change = silences, change
         self._held_up: list[tuple[float, int, P]] = []  # by a change
         self._count = itertools.count()
@@ -59,10 +60,11 @@ class Link(Generic[P]):
     @faults.setter
     def faults(self, faults: LinkFaults) -> None:
         self._link.faults = faults
+        self._is_perfect = faults == NO_FAULTS
 
     def put(self, packet: P, now_s: float, size_bytes: int = 0) -> None:
         """Send a packet."""
-        if any(one.begin_s <= now_s < one.end_s for one in self._silences):
+        if self._silences and any(one.begin_s <= now_s < one.end_s for one in self._silences):
             return
         if self._change is None:
             self._send(packet, now_s, size_bytes)
@@ -82,7 +84,7 @@ class Link(Generic[P]):
         return taken
 
     def _send(self, packet: P, now_s: float, size_bytes: int) -> None:
-        if self._link.faults == NO_FAULTS:
+        if self._is_perfect:
             self._at_once.append(packet)
         else:
             self._link.put(packet, now_s, size_bytes)

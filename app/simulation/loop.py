@@ -156,9 +156,9 @@ class ClosedLoop(Generic[P]):
         for packet in self.arriving():
             for message in simulated.messages(packet, link_s):
                 self.on_message(message)
-        if self.core is not None and self.link_s >= self._tick_s:
-            self._tick_s = self.link_s + _CLOCK_TICK_S
-            self.put(ClockTick(self.telemetry.now_s, self.link_s))
+        if self.core is not None and link_s >= self._tick_s:
+            self._tick_s = link_s + _CLOCK_TICK_S
+            self.put(ClockTick(self.telemetry.now_s, link_s))
         self.expire()
 
     def deliver(self, frame: bytes) -> None:
@@ -185,11 +185,11 @@ class ClosedLoop(Generic[P]):
 
     def expire(self) -> None:
         """Fire the timers that the core asked for."""
-        core = self.core
+        core, link_s = self.core, self.link_s
         for _ in range(_TIMERS_MAX):
-            if core is None or core.next_timer_s > self.link_s:
+            if core is None or core.next_timer_s > link_s:
                 return
-            self.put(TimerExpired(self.telemetry.now_s, self.link_s))
+            self.put(TimerExpired(self.telemetry.now_s, link_s))
 
     def put(self, event: InboundEvent) -> tuple[Output, ...]:
         """Step the core with an event, and send what it wants sent."""

@@ -18,7 +18,6 @@ calibrations become observable, which they hardly are for one aircraft alone.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -191,7 +190,9 @@ class TargetImm:
 
     def copy(self) -> Self:
         """Return an independent filter with the same state."""
-        return copy.copy(self)
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
 
 
 def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float]) -> Biases:
