@@ -213,7 +213,8 @@ def _replay_run(
         if plane is not None:
             judged.collector.ground = settle(controller, settings, plane, journal.header.home_deg)
         repeats = settings == flown
-        steps = JournalReplay(controller, _exchange_of(settings, controller, journal.header) if repeats else None)
+        mission = _exchange_of(settings, controller, journal.header) if repeats else None
+        steps = JournalReplay(controller, mission, compares=verify or not quiet)
         replayed = steps.run(journal)
         if frames is not None:
             frames.plane = plane
