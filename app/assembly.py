@@ -47,11 +47,14 @@ if TYPE_CHECKING:
     from sidelong.app.link.other_mission import OtherMission
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight, SightAt
+    from sidelong.mission.terrain.heights import FlightHeights
+    from sidelong.mission.terrain.sight import SightField
 
 # Laser dropouts of one or two seconds are normal and need no message.
 _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
+_FIRST = Circle(-250.0, 0.0, 60.0, clockwise=True)  # of the warm-up
 
 
 def tracker_of(config: Config) -> Tracker:
@@ -204,9 +207,8 @@ def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) 
     """
     if with_route and isinstance(planner, RoutePlanner):
         planner.follow(route_of(np.array([-300.0, 300.0]), np.zeros(2)), fresh_progress())
-    circle = Circle(-250.0, 0.0, 60.0, clockwise=True)
+    circle, path = _FIRST, Trapezoids.between(_FIRST.curvature_per_m, [0.0], [300.0], [_FIRST.curvature_per_m], 1e-3)
     plan = Plan(circle)
-    path = Trapezoids.between(circle.curvature_per_m, [0.0], [300.0], [circle.curvature_per_m], 1e-3)
     ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
     solve_banded(np.ones((5, 4)), np.ones((4, 5)))
     aircraft_at(np.ones((2, 5)), np.ones(1))
@@ -215,7 +217,7 @@ def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) 
         np.zeros(1, np.intp), one, np.ones((1, 2)), np.ones((2, 1)), one, one, np.ones((5, 4)), border, np.ones(4)
     )
     for time_s in (0.0, 0.5, 1.0):
-        track.add(Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0))
+        track.add(_sighting(time_s))
         place = circle.position_at_course(0.1 * time_s)
         aircraft = AircraftState(time_s, *place, 0.1 * time_s, 15.0, circle.curvature_per_m)
         estimate = track.estimate(time_s)
@@ -230,6 +232,33 @@ def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) 
         aircraft = AircraftState(1.0, *place, course_rad, 15.0, circle.curvature_per_m)
         if planner.decide(aircraft, far, Plan(circle), Wind(), 0.5).plan is not None:
             break
+    track.begin_again()
+    track.add(_sighting(1.5))
+
+
+def _sighting(time_s: float) -> Sighting:
+    return Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0)
+
+
+def _warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: SightField) -> None:
+    """Do as :func:`_warm_up` for the functions that a flight calls over elevation data only."""
+    track.stand_on(ground)
+    for time_s in (0.0, 0.5):
+        track.add(_sighting(time_s))
+        track.estimate(time_s)
+    track.begin_again()
+    track.add(_sighting(1.0))
+    here_m = 0.0, 0.0, 100.0
+    ground.patch(*here_m[:2])
+    ground.cut_m(*here_m, 0.0, 0.3, 500.0)
+    ground.sees(here_m, here_m)
+    ground.heights_at_m(np.zeros(2), np.zeros(2))
+    field.sight(*here_m[:2], 1.0, 0.0, here_m[2])
+    heights.expected_m(None, here_m[:2])
+    heights.clearance_m(*here_m)
+    path = Trapezoids.between(0.0, [0.0], [300.0], [_FIRST.curvature_per_m], 1e-3).path(0, *here_m[:2], 0.0)
+    for one in (heights, heights.at(0.0)):  # with a climb from far below
+        one.levelled(Plan(_FIRST, path), -1e3)
 
 
 def mission_controller_of(
@@ -308,8 +337,9 @@ def settle(
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
-    surroundings.heights = FlightHeights(ground, rules)
+    over = surroundings.heights = FlightHeights(ground, rules)
     field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
+    _warm_up_over(ground, Track(tracker_settings(config.sensors, config.planner.lost_after_s)), over, field)
 
     def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
         heights = surroundings.heights

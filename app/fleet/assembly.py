@@ -20,6 +20,7 @@ from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
+from sidelong.mission.fleet.watched_course import WatchedCourse
 
 
 def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda _share: None) -> FleetCoordinator:
@@ -70,6 +71,7 @@ def _warm_up(planner: TeamPlanner) -> None:
         track.add(name, Sighting(0.0, 270.0, bearing_rad, 0.3, 1.0, 0.01, 0.01, east_m, 0.0, 80.0))
     estimate = track.estimate(0.0)
     assert estimate is not None
+    WatchedCourse(Requirement(100.0, 500.0, Side.LEFT, 5.0)).update(estimate, None)
     west, east = (Circle(east_m, 0.0, 60.0, clockwise=True) for east_m in (-250.0, 250.0))
     state = AircraftState(0.0, *west.position_at_course(0.0), 0.0, 15.0, west.curvature_per_m)
     other = Neighbour("east", replace(state, east_m=250.0), 160.0, ours=True, target="target")

@@ -5,9 +5,22 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
-FLIGHT = """
+COMPARED = """
+import sys
+from pathlib import Path
 from sidelong.estimators.compiled import KERNELS
+
+def compiled():
+    return {kernel: set(kernel.signatures) for kernel in KERNELS}
+
+def compare(before):
+    print(*(kernel.py_func.__name__ for kernel, now in compiled().items() if now - before.get(kernel, set())))
+"""
+ALONE = """
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
@@ -15,20 +28,44 @@ from tests.faults.flight import FaultedFlight, Scenario
 
 # The simulated aircraft is compiled, too, but flies in no program that commands a real one.
 KinematicAircraft(AircraftState(0.0, 0.0, 0.0, 0.0, 15.0, 0.0), 15.0, 0.7, 0.5, Wind()).step(0.0, 0.1)
-flight = FaultedFlight(Scenario(3, "px4"))
-before = {kernel: set(kernel.signatures) for kernel in KERNELS}
+flight = FaultedFlight(Scenario(3, "px4"), terrain=sys.argv[1])
+before = compiled()
 flown = flight.fly()
 assert sum(decided.moved for decided in flown.decided) > 0
-print(*(kernel.py_func.__name__ for kernel in KERNELS if set(kernel.signatures) - before.get(kernel, set())))
+compare(before)
+"""
+FLEET = """
+from tests.exchange.conftest import Flight
+from tests.exchange.test_fleet import Fleet
+
+fleet = Fleet(Flight, Path(sys.argv[1]))
+before = compiled()
+fleet.take_off()
+fleet.run(90.0)
+assert sum(craft.flight.core.controller.changes.moves for craft in fleet.crafts) > 0
+compare(before)
 """
 
 
-def test_no_kernel_is_compiled_or_loaded_after_the_warm_up():
+def kernels_after_the_warm_up(script, argument=""):
     done = subprocess.run(
-        [sys.executable, "-c", FLIGHT],
+        [sys.executable, "-c", COMPARED + script, str(argument)],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
     )
-    assert done.stdout.split() == []
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("over_hills", [False, True])
+def test_no_kernel_is_compiled_or_loaded_after_the_warm_up(over_hills, tmp_path):
+    at = np.linspace(0.0, 120.0, 1201)
+    waves_m = 400.0 + 15.0 * np.sin(at)[:, None] * np.cos(at)
+    waves_m.astype(">i2").tofile(tmp_path / "N47E008.hgt")
+    assert kernels_after_the_warm_up(ALONE, tmp_path if over_hills else "") == []
+
+
+def test_no_kernel_is_compiled_or_loaded_while_a_fleet_flies(tmp_path):
+    assert kernels_after_the_warm_up(FLEET, tmp_path) == []

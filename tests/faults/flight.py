@@ -94,7 +94,9 @@ class Flown:
 class FaultedFlight(ClosedLoop[Message]):
     """One flight with faults. What came of it is in ``flown``."""
 
-    def __init__(self, scenario: Scenario, faults: Sequence[Fault] = (), timer=lambda: 0.0) -> None:
+    def __init__(
+        self, scenario: Scenario, faults: Sequence[Fault] = (), timer=lambda: 0.0, terrain: str = ""
+    ) -> None:
         self._scenario, self._faults, self._timer = scenario, faults, timer
         autopilot = FLAVOURS[scenario.flavour]
         target_rng, air_rng, noise_rng = (
@@ -102,7 +104,8 @@ class FaultedFlight(ClosedLoop[Message]):
         )
         self._fault_rng = np.random.default_rng((scenario.seed, 77))
         self._noise = noise_rng
-        config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}})
+        ground = {"terrain": {"folder": terrain}} if terrain else {}
+        config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}, **ground})
         self.controller: StandoffController = controller_of(config)
         settle(self.controller, config, _PLANE, HOME_DEG)
         self._target = RandomTarget(target_rng, scenario.duration_s + 1.0, 3.0, (15.0, 60.0))
