@@ -262,16 +262,17 @@ class MotionFit:
     def _residual_as_reported_m(self) -> float:
         """Return the same as ``_residuals_m`` of what was reported, in a third of the time for so few numbers."""
         samples, count = self._samples, len(self._samples)
-        middle_s = sum(one.time_s for one in samples) / count
+        middle_s = sum([one.time_s for one in samples]) / count
         since_s = [one.time_s - middle_s for one in samples]
-        spread_s2 = sum(one_s * one_s for one_s in since_s)
+        spread_s2 = sum(map(operator.mul, since_s, since_s))
         off_m2 = [0.0] * count
         for values_m in zip(*(one.sighted_m for one in samples), strict=True):
             mean_m = sum(values_m) / count
             speed_m_s = sum(map(operator.mul, values_m, since_s)) / spread_s2
-            for k in range(count):
-                off_m = values_m[k] - mean_m - speed_m_s * since_s[k]
-                off_m2[k] += off_m * off_m
+            off_m2 = [
+                sum_m2 + (off_m := value_m - mean_m - speed_m_s * one_s) * off_m
+                for sum_m2, value_m, one_s in zip(off_m2, values_m, since_s, strict=True)
+            ]
         return math.sqrt(statistics.median(off_m2))
 
     def _off_level(self, own_m: tuple[float, float, float], target_m: tuple[float, float, float]) -> float:

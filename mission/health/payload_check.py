@@ -18,6 +18,7 @@ drive makes the payload suspect for ``SUSPECT_S``, in which rules 1 to 3 come to
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 from collections.abc import Sequence
 
@@ -74,9 +75,7 @@ class _Repeats:
             travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
 
         """
-        before, off = self.found, 0.0
-        for anchor, now in zip(self._anchor, values, strict=False):
-            off = max(off, abs(anchor - now))
+        before, off = self.found, max(map(abs, map(operator.sub, self._anchor, values)))
         if off <= self._same:
             self._count += 1
             self._moved = 0
@@ -231,9 +230,10 @@ class PayloadCheck:
             if reading.time_s < self._sampled_s:  # the clock was set back
                 self._sampled_s = self._judged_s = -math.inf
             return
-        if max(abs(reading.time_s - one.time_s) for one in (position, attitude, slant)) > _FRESH_S:
+        now_s = reading.time_s
+        if max(abs(now_s - position.time_s), abs(now_s - attitude.time_s), abs(now_s - slant.time_s)) > _FRESH_S:
             return
-        self._sampled_s = reading.time_s
+        self._sampled_s = now_s
         if self._is_stuck or self._sight_repeats.found:
             self._fit.clear()
         else:

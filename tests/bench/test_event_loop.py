@@ -1,0 +1,91 @@
+"""How long one callback blocks the event loop in flight, the first start on a machine included.
+
+python -m pytest -s tests/bench/test_event_loop.py. Each flight begins with an empty compilation cache: about two
+minutes of processor time. SIDELONG_SMOKE=1 flies with the machine's cache.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.bench.size import SMOKE, size
+from tests.terrain.conftest import HOME_DEG, write_hills
+
+ROOT = Path(__file__).resolve().parents[2]
+LONGEST_MS = 50.0
+DURATION_S = size(300, 60, "DURATION_S")
+FLIGHT = """
+import asyncio, gc, json, sys, time
+from sidelong.app.cli import run
+from sidelong.app.flight.loop import ControlLoop
+from sidelong.estimators.compiled import KERNELS
+
+flying, taken, collections, flights, before = 0, [], [0.0], 0, {}
+gc.callbacks.append(collected)
+fly, call = ControlLoop.run, asyncio.Handle._run
+
+async def counted(loop):
+    global flying, flights
+    if not flights:
+        before.update((kernel, set(kernel.signatures)) for kernel in KERNELS)
+    flying, flights = flying + 1, flights + 1
+    try:
+        await fly(loop)
+    finally:
+        flying -= 1
+
+def collected(phase, info):
+    global begun_s
+    if phase == "start":
+        begun_s = time.thread_time()
+    elif flying:
+        collections.append(time.thread_time() - begun_s)
+
+def timed(handle):
+    begun_s = time.thread_time()
+    call(handle)
+    if flying:
+        taken.append((time.thread_time() - begun_s, handle))
+
+def name(handle):
+    task = getattr(handle._callback, "__self__", None)
+    return task.get_coro().__qualname__ if isinstance(task, asyncio.Task) else str(handle)[:80]
+
+ControlLoop.run, asyncio.Handle._run = counted, timed
+code = run(sys.argv[1:])
+late = [kernel.py_func.__name__ for kernel in KERNELS if set(kernel.signatures) - before.get(kernel, set())]
+taken.sort(key=lambda one: -one[0])
+shown = [f"{1e3 * taken_s:.1f} ms in {name(handle)}" for taken_s, handle in taken[:3]]
+shown.append(f"longest collection of garbage {1e3 * max(collections):.1f} ms")
+print(json.dumps([code, 1e3 * taken[0][0], len(taken), late, shown]))
+"""
+
+
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("flown", ["arduplane", "px4", "hills", "fleet"])
+def test_no_callback_blocks_the_loop_in_flight(flown, tmp_path):
+    arguments = {
+        "arduplane": ["--autopilot", "arduplane"],
+        "px4": ["--autopilot", "px4"],
+        "hills": ["--terrain", str(tmp_path), "--home", ",".join(map(str, HOME_DEG))],
+        "fleet": ["--fleet", "2", "--autopilot", "arduplane,px4"],
+    }[flown]
+    write_hills(tmp_path)
+    cache = {} if SMOKE else {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = ["launch", *arguments, "--duration", str(DURATION_S), "--no-view", "--quiet", "--out", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-c", FLIGHT, *command],
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | cache,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    code, longest_ms, count, late, shown = json.loads(done.stdout.splitlines()[-1])
+    print(f"\n{flown}: {longest_ms:.1f} ms of processor time, the longest of {count} callbacks in flight; {shown}")
+    assert code == 0, done.stdout
+    assert late == []
+    assert longest_ms <= LONGEST_MS
