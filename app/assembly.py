@@ -206,7 +206,8 @@ def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) 
     circle as well. A test flies and fails if a kernel is called in flight with arguments that this has not run.
     """
     if with_route and isinstance(planner, RoutePlanner):
-        planner.follow(route_of(np.array([-300.0, 300.0]), np.zeros(2)), fresh_progress())
+        route = route_of(np.array([-300.0, 300.0]), np.zeros(2))
+        planner.follow(route, fresh_progress(route.east_m.size))
     circle, path = _FIRST, Trapezoids.between(_FIRST.curvature_per_m, [0.0], [300.0], [_FIRST.curvature_per_m], 1e-3)
     plan = Plan(circle)
     ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))

@@ -311,7 +311,7 @@ class RouteSection(Section):
     """MAVLink system id of the target: its mission, once read, takes the place of the file; left out: none."""
     lap: bool = False
     """Whether the last way point connects to the first one."""
-    tolerance_m: float = Field(12.0, ge=1, le=200)
+    tolerance_m: float = Field(10.0, ge=1, le=200)
     """One standard deviation of the target's lateral offset from the route, m."""
     speed_m_s: float | None = Field(None, gt=0, le=50)
     """Expected speed along the route, m/s; left out: unknown."""

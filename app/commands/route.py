@@ -35,7 +35,7 @@ def route(
     lap: Annotated[bool, typer.Option("--lap", help="The last way point connects to the first one.")] = False,
     tolerance: Annotated[
         float, typer.Option(min=1.0, max=200.0, help="Standard deviation of the target's lateral offset, m.")
-    ] = 12.0,
+    ] = 10.0,
     png: Annotated[Path | None, typer.Option(help="Draw the route into this file.")] = None,
     json: JsonOption = None,
 ) -> None:

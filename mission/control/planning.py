@@ -36,7 +36,7 @@ class Planning:
         self._advice: FleetAdvice | None = None
         self._neighbours: dict[str, NeighbourPlanned] = {}
         self._route: Route | None = None
-        self._progress = fresh_progress()  # along the route: a new planner continues with it
+        self._progress = fresh_progress(0)  # along the route: a new planner continues with it
         self._on_route = False  # as it was last reported
         self.planner: Planner = make_planner(aircraft, requirement)
 
@@ -93,7 +93,7 @@ class Planning:
             self._route = route_from(given)
         except ValueError as error:
             return f"the route is not used: {error}"
-        self._on_route, self._progress = False, fresh_progress()
+        self._on_route, self._progress = False, fresh_progress(self._route.east_m.size)
         self.planner.follow(self._route, self._progress)
         return f"the target is expected on a route of {self._route.length_m:.0f} m"
 
@@ -127,7 +127,7 @@ class Planning:
         else:
             self._advice = news
             if before not in ("", news.target):  # the planner's memory belongs to another target
-                self._progress[:] = fresh_progress()
+                self._progress[:] = fresh_progress(0 if self._route is None else self._route.east_m.size)
                 self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
             self.planner.advise(news)

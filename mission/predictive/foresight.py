@@ -30,7 +30,7 @@ _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 def no_route() -> Foresight:
     """Return what a planner without a route looks ahead with."""
     way = Way(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
-    return Foresight(way, fresh_progress(), _NOTHING, _NOTHING, 1.0, np.zeros(1), np.zeros(KNOWN + HEADINGS))
+    return Foresight(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), np.zeros(KNOWN + HEADINGS))
 
 
 def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: FloatArray) -> Foresight:

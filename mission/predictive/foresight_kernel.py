@@ -33,14 +33,7 @@ from sidelong.mission.predictive.programme_kernel import (
 )
 from sidelong.mission.predictive.rollout_kernel import Doubt, Futures
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of, with_doubt
-from sidelong.mission.route.progress_kernel import (
-    CHANCE,
-    ON_ROUTE,
-    forecast,
-    hypotheses,
-    likeliest,
-    update_progress,
-)
+from sidelong.mission.route.progress_kernel import CHANCE, ON_ROUTE, PART, forecast, update_progress
 from sidelong.mission.viewpoint.viewpoint_kernel import STANDING
 
 _ROUTE = 0  # the future along the route is the first one
@@ -48,7 +41,6 @@ _TRUST = 0.8  # the most that it counts
 _LEAST_TRUST = 0.3  # a less probable route is not planned along
 _RENEW_S = 2.5  # how long the layers are used
 _OTHER_WIND_RAD = 0.3
-_SETTLES_S = 8.0
 
 
 @compiled
@@ -60,18 +52,14 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, 
     way, progress = looker.foresight.way, looker.foresight.progress
     if len(way.points) == 0 or progress[ON_ROUTE] == 0.0:
         return every, False
-    best = likeliest(progress)
-    if best < 0:
-        return every, False
-    one = hypotheses(progress)[best]
-    chance, turns, k = _TRUST * one[CHANCE], len(looker.turns.rate_rad_s), every.place.shape[1]
+    chance, turns, k = _TRUST * progress[CHANCE], len(looker.turns.rate_rad_s), every.place.shape[1]
     if chance < _LEAST_TRUST:
         return every, False
     weight, place = np.full(turns + 1, (1.0 - chance) / turns), np.empty((turns + 1, k, 4))
     weight[_ROUTE] = chance
     place[1], place[2:] = every.place[0], every.place[len(every.weight) - turns + 1 :]
     points = np.empty((k + 1, 2))
-    forecast(way, progress, one, scene.departure_s, _SETTLES_S, points)
+    forecast(way, progress, scene.departure_s, points)
     off_e, off_n = scene.frame_east_m - points[0, 0], scene.frame_north_m - points[0, 1]
     for i in range(k + 1):
         points[i, 0], points[i, 1] = in_frame(scene, points[i, 0] + off_e, points[i, 1] + off_n)
@@ -126,7 +114,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
         return scene, every, looker
     update_progress(s.way, now.target, s.progress)
     f, on_route = along_route(scene, looker, every)
-    best, state = likeliest(s.progress), s.state
+    part, state = s.progress[PART], s.state
     if not on_route:
         state[COMPUTED_S] = -np.inf
         return scene, f, looker
@@ -135,7 +123,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
     layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)
     since_s = scene.departure_s - state[COMPUTED_S]
-    if not 0.0 <= since_s <= _RENEW_S or state[MIRROR] != scene.mirror or state[FOLLOWED] != best:
+    if not 0.0 <= since_s <= _RENEW_S or state[MIRROR] != scene.mirror or state[FOLLOWED] != part:
         _fill_after_turn(f, turn_rad, scene, looker)
         fill_layers(
             f,
@@ -153,7 +141,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
             s.values[count:],
         )
         least_of(s.values[count:], s.least[count:])
-        state[COMPUTED_S], state[MIRROR], state[FOLLOWED], since_s = scene.departure_s, scene.mirror, best, 0.0
+        state[COMPUTED_S], state[MIRROR], state[FOLLOWED], since_s = scene.departure_s, scene.mirror, part, 0.0
     sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
     for k in range(f.place.shape[1]):
         at = min((k * f.step_s + since_s) / dt_s, layers - 1.001)

@@ -153,7 +153,7 @@ class PredictivePlanner:
         self.price_share = 1.0  # of what moves cost, in its own decisions
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
         self._kept, self._seconds = nothing_kept(), no_seconds()
-        self._route, self._progress = route, fresh_progress()
+        self._route, self._progress = route, fresh_progress(0 if route is None else route.east_m.size)
         self.lookers = [self._looker(one) for one in self._tables]
         if self._settings.beam > 0:  # else the first decisions would wait for it
             kernel.lay_out(self.lookers[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)

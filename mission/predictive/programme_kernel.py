@@ -34,8 +34,8 @@ _PAD = 8  # cells beyond the edge, equal to it: more than aircraft and target mo
 _TURN = 2  # headings of a step on the circle
 _MODES = 3  # on the circle, straight, the other way round
 HORIZON_S = 45.0
-# What is remembered of the layers: when they were computed, for which mirror, hypothesis and direction of the wind,
-# then for which courses the values after a turn are computed.
+# What is remembered of the layers: when they were computed, for which mirror, part of the route and direction of the
+# wind, then for which courses the values after a turn are computed.
 COMPUTED_S, MIRROR, FOLLOWED, WIND_RAD, KNOWN = range(5)
 
 

@@ -20,8 +20,6 @@ from sidelong.mission.route.progress_kernel import (
     SPEED_M_S,
     Way,
     fresh_progress,
-    hypotheses,
-    likeliest,
     update_progress,
 )
 from sidelong.mission.route.route import Direction, Route, route_from
@@ -84,7 +82,7 @@ class RouteFollower:
 
     def __init__(self, route: Route) -> None:
         self.route = route
-        self._way, self._memory, self._at_s = way_of(route), fresh_progress(), -math.inf
+        self._way, self._memory, self._at_s = way_of(route), fresh_progress(route.east_m.size), -math.inf
 
     def update(self, target: TargetEstimate) -> RouteProgress | None:
         """Process an estimate, in order of time.
@@ -122,13 +120,12 @@ def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
         The progress; off route before the filter's first update.
 
     """
-    best, on_route = likeliest(memory), bool(memory[ON_ROUTE] > 0.0)
+    on_route = bool(memory[ON_ROUTE] > 0.0)
     along_m = speed_m_s = to_end_s = math.nan
-    if best >= 0 and on_route:
-        one = hypotheses(memory)[best]
-        along_m, speed_m_s = float(one[ALONG_M]), float(one[SPEED_M_S])
+    if on_route:
+        along_m, speed_m_s = float(memory[ALONG_M]), float(memory[SPEED_M_S])
         if not route.lap and abs(speed_m_s) > 0.1:
-            to_end_s = (route.length_m - along_m if one[DIRECTION] > 0.0 else along_m) / abs(speed_m_s)
+            to_end_s = (route.length_m - along_m if memory[DIRECTION] > 0.0 else along_m) / abs(speed_m_s)
     return RouteProgress(route, on_route, along_m, speed_m_s, 1.0 - float(memory[OFF_CHANCE]), to_end_s)
 
 

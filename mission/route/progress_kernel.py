@@ -1,10 +1,9 @@
-"""The target's progress along a route: a filter with several hypotheses of where on the route it is, or off it.
+"""The target's progress along a route: a Bayes filter over all points of the route, in both directions, or off it.
 
-Each hypothesis is a one-dimensional Kalman filter of the position along the route and the speed along it (negative:
-backward). A route may pass the same point several times, so every part of the route near the target starts a
-hypothesis. The hypotheses compete with each other, and with "off the route", by the likelihood of the lateral offset
-and of the course. A hypothesis keeps its direction: a target that turns back is one more hypothesis. So the end of a
-row of a field, where the route doubles back, is not mistaken for turning back.
+A route may pass the same position more than once, and its parts may lie close together. The filter therefore keeps a
+probability for each point and direction. They move along the route at the target's speed, and are weighted by the
+distance of the point from the target and by the target's course. So the order of the route decides between parallel
+rows, and where the route doubles back, a target that turns is not mistaken for one that turns back.
 """
 
 from __future__ import annotations
@@ -18,33 +17,41 @@ from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
-HYPOTHESES = 8
-# Columns of a hypothesis: position and speed along the route, their covariance, direction (1, -1) and probability.
-ALONG_M, SPEED_M_S, VARIANCE_M2, COVARIANCE, VARIANCE_SPEED, DIRECTION, CHANCE = range(7)
-# The memory: time of the last update, probability of "off", usual speed, whether reported as on the route, then the
-# hypotheses.
-LAST_S, OFF_CHANCE, USUAL_M_S, ON_ROUTE = range(4)
-_FIRST = 4
-PROGRESS_SIZE = _FIRST + 7 * HYPOTHESES
+# The memory: time of the last update; probability of "off the route"; whether "on route" is reported; position, speed
+# (negative: backward), direction (1, -1) and probability of the most probable part of the route; how often that part
+# has changed; usual speeds on straight parts, bends and turns. Then the probabilities: those of the points in their
+# order, and in the reverse order for the backward direction.
+LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S = range(9)
+_BENDS = 3
+_FIRST = USUAL_M_S + _BENDS
 
-_ACCELERATION_M_S2 = 0.5
 _LEAVES_AFTER_S = 150.0
-# Share of the probability that new hypotheses receive each second: from "off", and from all others.
-_JOINS_PER_S, _JUMPS_PER_S, _BACKWARD = 0.02, 0.002, 0.15
-# A target may cut a corner, or turn before the end of a row: the next part of the route starts with more.
-_SHORT_CUT_M, _SHORT_CUT = 60.0, 10.0
-# Errors of lateral offset and course are correlated from second to second: their likelihoods count in part.
+# Share of the probability that is moved each second: from "off" to points near the target, from all points to those,
+# to the opposite direction, and to points ahead or behind, at exponentially distributed distances: a target may cut a
+# corner, or turn before the end of a row.
+_JOINS_PER_S, _JUMPS_PER_S, _TURNS_BACK_PER_S, _SKIPS_PER_S, _SKIP_M = 0.02, 1e-4, 0.001, 0.01, 25.0
+_SKIPS_AHEAD = 0.7  # the rest of them falls back
+_SPREAD = 0.08  # of a moving target's probability, to the cell before and to the one behind
+_BACKWARD = 0.15
+# A target is expected to join the route again where it left it, or ahead of that: elsewhere counts less.
+_REJOINS_FROM_M, _REJOINS_TO_M, _ELSEWHERE = -60.0, 200.0, 0.1
+# Errors of offset and course are correlated from second to second: their likelihoods count in part.
 _SHARE_PER_S = 0.45
-_OFF_WIDTH_M = 100.0  # lateral offsets of a target off the route are spread over this width
+_OFF_WIDTH_M = 100.0  # offsets of a target off the route are spread over this width
+_LEAST_EVIDENCE = -12.0
 _COURSE_SIGMA_RAD, _ANY_COURSE = 0.45, 0.1
-_SLOW_M_S = 0.7  # the course of a slower target is not compared
-_ALONG_SIGMA_M, _SPEED_SIGMA_M_S = 4.0, 0.4  # errors of the projection to the route, beyond the estimate's
+_SLOW_M_S, _MOVING_M_S = 0.7, 0.3  # the course of a slower target is not compared; a slower one does not move
 _TANGENT_M = 8.0  # the route's course is that of a chord this far to both sides
-_NEAR_M = 25.0  # hypotheses this near, in the same direction, are one
+_PART_M = 24.0  # points this near to the most probable one are one part of the route
+_OTHER_PART_M = 25.0
 _GATE = 3.0
-_MIN_CHANCE = 1e-4
+_MIN_CHANCE, _NO_CHANCE = 1e-4, 1e-9
 _ON_ABOVE, _OFF_BELOW = 0.7, 0.5
-_USUAL_S = 40.0
+_SPEED_S, _USUAL_S = 2.0, 40.0
+# Bends: cosines of the change of course from 12 m before a point to 12 m after it. Before the speeds in bends and
+# turns are known, they are this share of the usual speed on straight parts.
+_BEND_M, _BEND_COS, _TURN_COS, _IN_BENDS, _IN_TURNS = 12.0, 0.85, 0.0, 0.9, 0.7
+_SETTLES_S, _SETTLED = 15.0, 0.5
 
 
 class Way(NamedTuple):
@@ -62,17 +69,12 @@ class Way(NamedTuple):
 
 
 @compiled
-def fresh_progress() -> FloatArray:
-    """Return the memory before the first update."""
-    memory = np.zeros(PROGRESS_SIZE)
-    memory[LAST_S], memory[OFF_CHANCE], memory[USUAL_M_S] = np.nan, 1.0, np.nan
+def fresh_progress(points: int) -> FloatArray:
+    """Return the memory before the first update, for a route with a number of points."""
+    memory = np.zeros(_FIRST + 2 * points)
+    memory[LAST_S], memory[OFF_CHANCE], memory[ALONG_M] = np.nan, 1.0, np.nan
+    memory[USUAL_M_S:_FIRST] = np.nan
     return memory
-
-
-@compiled
-def hypotheses(memory: FloatArray) -> FloatArray:
-    """Return the hypotheses (HYPOTHESES, 7), a view of the memory."""
-    return memory[_FIRST:].reshape(HYPOTHESES, 7)
 
 
 @inlined
@@ -118,69 +120,61 @@ def _tangent(way: Way, along_m: float) -> tuple[float, float]:
 
 
 @compiled
-def _nearest(way: Way, east_m: float, north_m: float, near_m: float, within_m: float) -> tuple[float, float]:
-    """Return the position along the route nearest to a point, and the distance; sought within_m around near_m."""
-    n = len(way.points)
-    first, last = math.floor((near_m - within_m) / way.spacing_m), math.ceil((near_m + within_m) / way.spacing_m)
-    if not way.lap:
-        first, last = min(max(first, 0), n - 2), min(max(last, 1), n - 1)
-    elif last - first > n:
-        last = first + n
-    found_m, least2 = near_m, np.inf
-    for k in range(first, last):
-        i, j = k % n, (k + 1) % n
-        e, north = way.points[i, 0], way.points[i, 1]
-        de, dn = way.points[j, 0] - e, way.points[j, 1] - north
-        span2 = max(de * de + dn * dn, 1e-9)
-        share = min(max(((east_m - e) * de + (north_m - north) * dn) / span2, 0.0), 1.0)
-        off_e, off_n = east_m - e - share * de, north_m - north - share * dn
-        away2 = off_e * off_e + off_n * off_n
-        if away2 < least2:
-            found_m, least2 = (k + share) * way.spacing_m, away2
-    return found_m, math.sqrt(least2)
+def _bend(way: Way, along_m: float) -> int:
+    """Return 0 on a straight part of the route, 1 in a bend, and 2 in a turn."""
+    before_e, before_n = _tangent(way, along_m - _BEND_M)
+    after_e, after_n = _tangent(way, along_m + _BEND_M)
+    cosine = before_e * after_e + before_n * after_n
+    return 0 if cosine > _BEND_COS else 1 if cosine > _TURN_COS else 2
 
 
 @inlined
-def _evidence(lateral_m: float, sigma_m: float, agreement: float, speed_m_s: float) -> float:
-    """Return the log of the likelihood of a lateral offset and a course on the route, over that off the route.
+def _evidence(offset_m: float, sigma_m: float, agreement: float, speed_m_s: float) -> float:
+    """Return the log of the likelihood of an offset and a course at a point of the route, over that off the route.
 
     agreement: cosine of the angle between the target's course and that along the route.
     """
-    offset = lateral_m / sigma_m
+    offset = offset_m / sigma_m
     log = math.log(_OFF_WIDTH_M / (sigma_m * math.sqrt(2.0 * math.pi))) - 0.5 * offset * offset
     if speed_m_s > _SLOW_M_S:
         angle = math.acos(min(max(agreement, -1.0), 1.0)) / _COURSE_SIGMA_RAD
         like = math.exp(-0.5 * angle * angle) * math.sqrt(2.0 * math.pi) / _COURSE_SIGMA_RAD
         log += math.log((1.0 - _ANY_COURSE) * like + _ANY_COURSE)
-    return max(log, -12.0)
+    return max(log, _LEAST_EVIDENCE)
 
 
 @compiled
-def _carried_on(way: Way, one: FloatArray, dt_s: float) -> None:
-    """Predict a hypothesis."""
-    q = _ACCELERATION_M_S2 * _ACCELERATION_M_S2
-    one[ALONG_M] += one[SPEED_M_S] * dt_s
-    one[VARIANCE_M2] += 2.0 * dt_s * one[COVARIANCE] + dt_s * dt_s * one[VARIANCE_SPEED] + 0.25 * q * dt_s**4
-    one[COVARIANCE] += dt_s * one[VARIANCE_SPEED] + 0.5 * q * dt_s**3
-    one[VARIANCE_SPEED] += q * dt_s * dt_s
-    if not way.lap:
-        one[ALONG_M] = min(max(one[ALONG_M], 0.0), length_m(way))
+def _move(way: Way, chance: FloatArray, travelled_m: float, skips: float, found: FloatArray) -> None:
+    """Fill in the probabilities (n,) of one direction after the target has travelled. skips: share that skips."""
+    n, cells = len(chance), travelled_m / way.spacing_m
+    whole = math.floor(cells)
+    past, spread = cells - whole, _SPREAD if travelled_m > 0.0 else 0.0
+    found[:] = 0.0
+    for i in range(n):
+        if chance[i] < _NO_CHANCE:
+            continue
+        for k in range(-1, 3):
+            share = (1.0 - 2.0 * spread if k == 0 else spread if k < 2 else 0.0) * (1.0 - past)
+            share += (1.0 - 2.0 * spread if k == 1 else spread if k > -1 else 0.0) * past
+            to = i + whole + k
+            to = to % n if way.lap else min(max(to, 0), n - 1)
+            found[to] += share * chance[i]
+    if skips <= 0.0:
+        return
+    fading, ahead, behind = math.exp(-way.spacing_m / _SKIP_M), 0.0, 0.0
+    for i in range(n):
+        skipping = skips * found[i]
+        found[i] += ahead * (1.0 - fading) - skipping
+        ahead = ahead * fading + _SKIPS_AHEAD * skipping
+    for i in range(n - 1, -1, -1):
+        skipping = skips * found[i]
+        found[i] += behind * (1.0 - fading)
+        behind = behind * fading + (1.0 - _SKIPS_AHEAD) * skipping
 
 
-@compiled
-def _corrected(one: FloatArray, along_m: float, along_speed_m_s: float, variance_m2: float, variance: float) -> None:
-    """Correct a hypothesis by a measured position and speed along the route, one after the other."""
-    for i in range(2):
-        p = one[VARIANCE_M2] if i == 0 else one[VARIANCE_SPEED]
-        gain = 1.0 / (p + (variance_m2 if i == 0 else variance))
-        error = along_m - one[ALONG_M] if i == 0 else along_speed_m_s - one[SPEED_M_S]
-        to_m = one[VARIANCE_M2] if i == 0 else one[COVARIANCE]
-        to_speed = one[COVARIANCE] if i == 0 else one[VARIANCE_SPEED]
-        one[ALONG_M] += gain * to_m * error
-        one[SPEED_M_S] += gain * to_speed * error
-        one[VARIANCE_M2] -= gain * to_m * to_m
-        one[COVARIANCE] -= gain * to_m * to_speed
-        one[VARIANCE_SPEED] -= gain * to_speed * to_speed
+@inlined
+def _share(per_s: float, dt_s: float) -> float:
+    return 1.0 - math.exp(-per_s * dt_s)
 
 
 @compiled
@@ -192,158 +186,130 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
     first = math.isnan(dt_s)
     dt_s = 1.0 if first else min(dt_s, 10.0)
     memory[LAST_S] = target.time_s
-    held, p = hypotheses(memory), target.covariance
+    n = len(way.points)
+    chance, moved = memory[_FIRST:].reshape(2, n), np.empty((2, n))
+    speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
+    travelled_m = speed_m_s * dt_s if speed_m_s > _MOVING_M_S else 0.0
+    for d in range(2):
+        _move(way, chance[d], travelled_m, _share(_SKIPS_PER_S, dt_s) if travelled_m > 0.0 else 0.0, moved[d])
+    if travelled_m > 0.0 and way.direction == 0.0:
+        turning = _share(_TURNS_BACK_PER_S, dt_s)
+        for i in range(n):
+            forward, backward = moved[0, i], moved[1, n - 1 - i]
+            moved[0, i] += turning * (backward - forward)
+            moved[1, n - 1 - i] += turning * (forward - backward)
+    off, leaves = memory[OFF_CHANCE], _share(1.0 / _LEAVES_AFTER_S, dt_s)
+    joins, jumps = 0.5 if first else _share(_JOINS_PER_S, dt_s), _share(_JUMPS_PER_S, dt_s)
+    for d in range(2):
+        for i in range(n):
+            moved[d, i] *= 1.0 - leaves - jumps
+    _weigh(way, target, joins * off + jumps * (1.0 - off), dt_s, memory, moved)
+    off = off * (1.0 - joins) + (1.0 - off) * leaves
+    total = off
+    for d in range(2):
+        for i in range(n):
+            total += moved[d, i]
+    memory[OFF_CHANCE] = max(off / total, _MIN_CHANCE)
+    for d in range(2):
+        for i in range(n):
+            chance[d, i] = moved[d, i] / total
+    if memory[OFF_CHANCE] < 1.0 - _ON_ABOVE:
+        memory[ON_ROUTE] = 1.0
+    elif memory[OFF_CHANCE] > 1.0 - _OFF_BELOW:
+        memory[ON_ROUTE] = 0.0
+    _summarise(way, target, dt_s, memory, chance)
+
+
+@compiled
+def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatArray, chance: FloatArray) -> None:
+    """Weigh the probabilities (2, n) of the points by the estimate; ``joining`` is first shared by those near it."""
+    n, exponent, p = len(way.points), _SHARE_PER_S * dt_s, target.covariance
     ve, vn = target.velocity_east_m_s, target.velocity_north_m_s
     speed_m_s = math.hypot(ve, vn)
-    if speed_m_s > _SLOW_M_S:
-        usual = memory[USUAL_M_S]
-        share = 1.0 if math.isnan(usual) else 1.0 - math.exp(-dt_s / _USUAL_S)
-        memory[USUAL_M_S] = speed_m_s if math.isnan(usual) else usual + share * (speed_m_s - usual)
-    position2 = max(0.5 * (p[0, 0] + p[1, 1]), 0.0)
-    velocity2 = max(0.5 * (p[2, 2] + p[3, 3]), 0.0)
-    sigma_m, exponent = math.sqrt(way.tolerance_m**2 + position2), _SHARE_PER_S * dt_s
-    leaves = 1.0 - math.exp(-dt_s / _LEAVES_AFTER_S)
-    for h in range(HYPOTHESES):
-        one = held[h]
-        if one[CHANCE] <= 0.0:
-            continue
-        _carried_on(way, one, dt_s)
-        within_m = 3.0 * math.sqrt(one[VARIANCE_M2]) + 12.0
-        along_m, lateral_m = _nearest(way, target.east_m, target.north_m, one[ALONG_M], within_m)
-        tangent_e, tangent_n = _tangent(way, along_m)
-        along_speed = ve * tangent_e + vn * tangent_n
-        onward_speed = one[DIRECTION] * max(one[DIRECTION] * along_speed, 0.0)
-        _corrected(one, along_m, onward_speed, position2 + _ALONG_SIGMA_M**2, velocity2 + _SPEED_SIGMA_M_S**2)
-        if way.lap:
-            one[ALONG_M] -= length_m(way) * math.floor(one[ALONG_M] / length_m(way))
-        agreement = one[DIRECTION] * along_speed / max(speed_m_s, 1e-6)
-        memory[OFF_CHANCE] += leaves * one[CHANCE]
-        one[CHANCE] *= (1.0 - leaves) * math.exp(exponent * _evidence(lateral_m, sigma_m, agreement, speed_m_s))
-    _start(way, target, speed_m_s, sigma_m, 1.0 if first else dt_s, first, held, memory)
-    _settle(way, held, memory)
-
-
-@compiled
-def _start(
-    way: Way,
-    target: Known,
-    speed_m_s: float,
-    sigma_m: float,
-    dt_s: float,
-    first: bool,
-    held: FloatArray,
-    memory: FloatArray,
-) -> None:
-    """Start a hypothesis on each part of the route near the target that has none."""
-    n, gate_m = len(way.points), _GATE * sigma_m
-    total = memory[OFF_CHANCE]
-    for h in range(HYPOTHESES):
-        total += held[h, CHANCE]
-    share = (1.0 - math.exp(-_JOINS_PER_S * dt_s)) * memory[OFF_CHANCE]
-    share += (1.0 - math.exp(-_JUMPS_PER_S * dt_s)) * (total - memory[OFF_CHANCE])
-    share = 0.5 * total if first else share
+    sigma_m = math.sqrt(way.tolerance_m**2 + max(0.5 * (p[0, 0] + p[1, 1]), 0.0))
+    gate2, beyond, near = (_GATE * sigma_m) ** 2, math.exp(_LEAST_EVIDENCE * exponent), 0
+    away2 = np.empty(n)
     for i in range(n):
-        here2 = (way.points[i, 0] - target.east_m) ** 2 + (way.points[i, 1] - target.north_m) ** 2
-        if here2 > gate_m * gate_m:
+        away2[i] = (way.points[i, 0] - target.east_m) ** 2 + (way.points[i, 1] - target.north_m) ** 2
+        near += 1 if away2[i] < gate2 else 0
+    for i in range(n):
+        if away2[i] >= gate2:
+            chance[0, i] *= beyond
+            chance[1, n - 1 - i] *= beyond
             continue
-        before, after = i - 1, i + 1
-        if way.lap:
-            before, after = before % n, after % n
-        least = True
-        for other in (before, after):
-            if 0 <= other < n:
-                away2 = (way.points[other, 0] - target.east_m) ** 2 + (way.points[other, 1] - target.north_m) ** 2
-                least &= here2 < away2 or (here2 == away2 and other > i)
-        if not least:
-            continue
-        along_m, lateral_m = _nearest(way, target.east_m, target.north_m, i * way.spacing_m, 1.5 * way.spacing_m)
-        tangent_e, tangent_n = _tangent(way, along_m)
-        along_speed = target.velocity_east_m_s * tangent_e + target.velocity_north_m_s * tangent_n
-        direction = 1.0 if along_speed > 0.0 or speed_m_s < _SLOW_M_S else -1.0
-        if direction * way.direction < 0.0:
-            continue
-        agreement = direction * along_speed / max(speed_m_s, 1e-6)
-        log = _SHARE_PER_S * _evidence(lateral_m, sigma_m, agreement, speed_m_s)
-        chance = share * math.exp(log) * (_BACKWARD if direction < 0.0 and way.direction == 0.0 else 1.0)
-        lowest, known, ahead = 0, False, 0.0
-        for h in range(HYPOTHESES):
-            known |= held[h, CHANCE] > 0.0 and _same(way, held[h], along_m, direction, _NEAR_M)
-            if held[h, DIRECTION] == direction and 0.0 < direction * (along_m - held[h, ALONG_M]) < _SHORT_CUT_M:
-                ahead = max(ahead, held[h, CHANCE])
-            if held[h, CHANCE] < held[lowest, CHANCE]:
-                lowest = h
-        chance *= 1.0 + _SHORT_CUT * ahead
-        if known or chance <= held[lowest, CHANCE]:
-            continue
-        one = held[lowest]
-        one[ALONG_M], one[SPEED_M_S] = along_m, along_speed
-        one[VARIANCE_M2], one[COVARIANCE], one[VARIANCE_SPEED] = 100.0, 0.0, 1.0
-        one[DIRECTION], one[CHANCE] = direction, chance
-
-
-@inlined
-def _same(way: Way, one: FloatArray, along_m: float, direction: float, near_m: float) -> bool:
-    """Return whether a hypothesis is at a position, in the same direction and on the same leg."""
-    apart_m = abs(one[ALONG_M] - along_m)
-    if way.lap:
-        apart_m = min(apart_m, length_m(way) - apart_m)
-    if one[DIRECTION] != direction or apart_m > near_m:
-        return False
-    own_e, own_n = _tangent(way, one[ALONG_M])
-    other_e, other_n = _tangent(way, along_m)
-    return bool(own_e * other_e + own_n * other_n > 0.5)
-
-
-@compiled
-def _settle(way: Way, held: FloatArray, memory: FloatArray) -> None:
-    """Join equal hypotheses, drop improbable ones, normalise, and decide whether the target is on the route."""
-    for a in range(HYPOTHESES):
-        for b in range(a):
-            one, other = held[a], held[b]
-            if one[CHANCE] <= 0.0 or other[CHANCE] <= 0.0:
+        joins, ahead_m = joining / near, memory[DIRECTION] * (i * way.spacing_m - memory[ALONG_M])
+        if not math.isnan(ahead_m) and not _REJOINS_FROM_M < ahead_m < _REJOINS_TO_M:
+            joins *= _ELSEWHERE
+        tangent_e, tangent_n = _tangent(way, i * way.spacing_m)
+        agreement = (ve * tangent_e + vn * tangent_n) / max(speed_m_s, 1e-6)
+        for d in range(2):
+            at, direction = (i, 1.0) if d == 0 else (n - 1 - i, -1.0)
+            if direction * way.direction < 0.0:
+                chance[d, at] = 0.0
                 continue
-            if _same(way, one, other[ALONG_M], other[DIRECTION], 0.5 * _NEAR_M):
-                kept, dropped = (one, other) if one[CHANCE] > other[CHANCE] else (other, one)
-                kept[CHANCE] += dropped[CHANCE]
-                dropped[CHANCE] = 0.0
-    total = memory[OFF_CHANCE]
-    for h in range(HYPOTHESES):
-        total += held[h, CHANCE]
-    memory[OFF_CHANCE] = max(memory[OFF_CHANCE] / total, _MIN_CHANCE)
-    for h in range(HYPOTHESES):
-        held[h, CHANCE] /= total
-        if held[h, CHANCE] < _MIN_CHANCE:
-            held[h, CHANCE] = 0.0
-    on = 1.0 - memory[OFF_CHANCE]
-    if on > _ON_ABOVE:
-        memory[ON_ROUTE] = 1.0
-    elif on < _OFF_BELOW:
-        memory[ON_ROUTE] = 0.0
+            prior = _BACKWARD if direction < 0.0 and way.direction == 0.0 else 1.0
+            evidence = _evidence(math.sqrt(away2[i]), sigma_m, direction * agreement, speed_m_s)
+            chance[d, at] = (chance[d, at] + prior * joins) * math.exp(exponent * evidence)
 
 
 @compiled
-def likeliest(memory: FloatArray) -> int:
-    """Return the most probable hypothesis; -1 if there is none."""
-    held, best = hypotheses(memory), -1
-    for h in range(HYPOTHESES):
-        if held[h, CHANCE] > 0.0 and (best < 0 or held[h, CHANCE] > held[best, CHANCE]):
-            best = h
-    return best
+def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance: FloatArray) -> None:
+    """Fill in the most probable part of the route, the speed along it, and the usual speed."""
+    n, best_d, best_i = len(way.points), 0, 0
+    for d in range(2):
+        for i in range(n):
+            if chance[d, i] > chance[best_d, best_i]:
+                best_d, best_i = d, i
+    reach, part, off_mean = int(_PART_M / way.spacing_m) + 1, 0.0, 0.0
+    for k in range(-reach, reach + 1):
+        at = best_i + k
+        at = at % n if way.lap else at
+        if 0 <= at < n:
+            part += chance[best_d, at]
+            off_mean += k * chance[best_d, at]
+    middle, direction = best_i + off_mean / max(part, _NO_CHANCE), 1.0 - 2.0 * best_d
+    along_m = way.spacing_m * (middle if best_d == 0 else n - 1 - middle)
+    if way.lap:
+        along_m -= length_m(way) * math.floor(along_m / length_m(way))
+    memory[CHANCE] = part
+    if memory[ON_ROUTE] == 0.0 and not math.isnan(memory[ALONG_M]):
+        return
+    went_m = along_m - memory[ALONG_M] - memory[SPEED_M_S] * dt_s
+    if way.lap:
+        went_m -= length_m(way) * math.floor(went_m / length_m(way) + 0.5)
+    same = memory[DIRECTION] == direction and abs(went_m) < _OTHER_PART_M
+    tangent_e, tangent_n = _tangent(way, along_m)
+    speed_m_s = target.velocity_east_m_s * tangent_e + target.velocity_north_m_s * tangent_n
+    speed_m_s = direction * max(direction * speed_m_s, 0.0)
+    memory[PART] += 0.0 if same else 1.0
+    memory[ALONG_M], memory[DIRECTION] = along_m, direction
+    memory[SPEED_M_S] += (_share(1.0 / _SPEED_S, dt_s) if same else 1.0) * (speed_m_s - memory[SPEED_M_S])
+    over_ground_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
+    if over_ground_m_s > _SLOW_M_S:
+        bend = USUAL_M_S + _bend(way, along_m)
+        usual = memory[bend]
+        new = _share(1.0 / _USUAL_S, dt_s) * (over_ground_m_s - usual)
+        memory[bend] = over_ground_m_s if math.isnan(usual) else usual + new
 
 
 @compiled
-def forecast(
-    way: Way, memory: FloatArray, one: FloatArray, time_s: float, settles_s: float, found: FloatArray
-) -> None:
+def forecast(way: Way, memory: FloatArray, time_s: float, found: FloatArray) -> None:
     """Fill in points (k, 2) of the route, one each second from a time on, that the target is expected to pass.
 
-    Its speed changes from the present one to the expected or usual one with the time constant ``settles_s``.
+    The speed changes slowly from the present one to the mean of that and the usual one; the usual one is smaller in
+    bends and turns.
     """
-    now_m_s = abs(one[SPEED_M_S])
-    usual = way.speed_m_s if not math.isnan(way.speed_m_s) else memory[USUAL_M_S]
-    usual = 0.5 * (now_m_s + usual) if not math.isnan(usual) else now_m_s
-    along_m = one[ALONG_M] + one[SPEED_M_S] * (time_s - memory[LAST_S])
+    now_m_s, direction, usual = abs(memory[SPEED_M_S]), memory[DIRECTION], np.empty(_BENDS)
+    straight = memory[USUAL_M_S] if math.isnan(way.speed_m_s) else way.speed_m_s
+    straight = max(now_m_s, _SLOW_M_S) if math.isnan(straight) else straight
+    for bend in range(_BENDS):
+        usual[bend] = straight * (1.0 if bend == 0 else _IN_BENDS if bend == 1 else _IN_TURNS)
+        if bend > 0 and not math.isnan(memory[USUAL_M_S + bend]):
+            usual[bend] = memory[USUAL_M_S + bend]
+    share = now_m_s / usual[_bend(way, memory[ALONG_M])]
+    settled = _SETTLED + (1.0 - _SETTLED) * share
+    along_m = memory[ALONG_M] + memory[SPEED_M_S] * (time_s - memory[LAST_S])
     for i in range(len(found)):
         found[i, 0], found[i, 1] = point_along(way, along_m)
-        speed_m_s = max(usual + (now_m_s - usual) * math.exp(-(i + 0.5) / settles_s), 0.1)
-        along_m += one[DIRECTION] * speed_m_s
+        of_usual = settled + (share - settled) * math.exp(-(i + 0.5) / _SETTLES_S)
+        along_m += direction * max(of_usual * usual[_bend(way, along_m)], 0.1)

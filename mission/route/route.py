@@ -43,7 +43,7 @@ class Route:
     north_m: FloatArray
     spacing_m: float
     lap: bool = False
-    tolerance_m: float = 12.0
+    tolerance_m: float = 10.0
     speed_m_s: float = math.nan
     direction: Direction = Direction.EITHER
 
@@ -71,7 +71,7 @@ def route_of(
     north_m: FloatArray,
     *,
     lap: bool = False,
-    tolerance_m: float = 12.0,
+    tolerance_m: float = 10.0,
     speed_m_s: float = math.nan,
     direction: Direction = Direction.EITHER,
 ) -> Route:

@@ -149,7 +149,7 @@ class _Noted(PredictivePlanner):
     def __init__(self, aircraft: Aircraft, requirement: Requirement, table: ValueTable, route: Route) -> None:
         super().__init__(aircraft, requirement, table)
         self.noted: list[tuple[float, bool]] = []
-        self._memory = fresh_progress()
+        self._memory = fresh_progress(route.east_m.size)
         self.follow(route, self._memory)
 
     def decide(

@@ -17,7 +17,7 @@ _COVARIANCE = np.diag([4.0, 4.0, 0.09, 0.09])
 
 def _follow(route: Route, path: list[tuple[float, float, float, float]], seed: int = 3) -> list[RouteProgress]:
     """Return the progress after each second of a noisy path of (east, north, velocity east, north)."""
-    rng, memory, found = np.random.default_rng(seed), fresh_progress(), []
+    rng, memory, found = np.random.default_rng(seed), fresh_progress(route.east_m.size), []
     for k, state in enumerate(path):
         east, north, ve, vn = np.array(state) + rng.normal(0.0, [2.0, 2.0, 0.3, 0.3])
         update_progress(way_of(route), Known(float(k), east, north, ve, vn, _COVARIANCE), memory)
@@ -70,6 +70,24 @@ def test_stop_keeps_the_target_on_the_route_and_turning_back_is_followed() -> No
     # With a direction given, the target is off the route when it goes the other way.
     one_way = route_of(np.array([0.0, 0.0, 400.0]), np.array([0.0, 300.0, 300.0]), direction=Direction.FORWARD)
     assert not _follow(one_way, forward + stand + back)[-1].on_route
+
+
+def test_progress_keeps_to_the_order_of_rows_that_lie_close_together() -> None:
+    rows, length_m, apart_m, speed_m_s = 8, 160.0, 6.0, 2.0
+    corners = [(apart_m * row, length_m * ((row + end) % 2)) for row in range(rows) for end in range(2)]
+    east_m, north_m = np.array(corners).T
+    # The recorded route is a row's distance aside: by its position alone the target is always on the next row.
+    route = route_of(east_m + apart_m, north_m)
+    leg_m = np.hypot(np.diff(east_m), np.diff(north_m))
+    gone_m = np.arange(0.0, leg_m.sum(), speed_m_s)
+    arc_m = np.append(0.0, np.cumsum(leg_m))
+    place = np.stack([np.interp(gone_m, arc_m, east_m), np.interp(gone_m, arc_m, north_m)])
+    velocity = np.gradient(place, axis=1)
+    found = _follow(route, list(zip(*place, *velocity, strict=True)))
+    for one, at_m in zip(found[20:], gone_m[20:], strict=True):
+        assert one.on_route
+        assert one.speed_m_s >= 0.0
+        assert one.along_m == pytest.approx(at_m, abs=30.0)
 
 
 def test_parallel_route_60_m_aside_is_not_followed() -> None:
