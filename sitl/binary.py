@@ -25,6 +25,8 @@ _PX4_SIGNED_PAYLOAD_UDP = 14640
 _OUTPUT, _LAST_WORDS = "output.log", 400
 # The stock simulators' batteries are half empty after a minute (PX4), or empty after a quarter of an hour.
 _BATTERY_MAH, _BATTERY_S = 100_000, 10_800
+# PX4's start script runs the first file of this name in PATH, and has an empty one of its own.
+_PX4_PARAMETERS_FILE = "px4-rc.params"
 _CALM = Wind()
 
 
@@ -71,22 +73,31 @@ def run_of(
         return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}", instance + 1)
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
     place = home or Home(DEFAULT_HOMES[flavour].latitude_deg, DEFAULT_HOMES[flavour].longitude_deg, 0.0)
+    start_files = binary.parent.parent / "etc"
     environment = {
         "PX4_SIM_MODEL": "sihsim_airplane",
         "PX4_SIMULATOR": "sihsim",
         "PX4_SIM_SPEED_FACTOR": f"{speed:g}",
-        "PX4_HOME_LAT": str(place.latitude_deg),
-        "PX4_HOME_LON": str(place.longitude_deg),
-        "PX4_HOME_ALT": str(place.altitude_m),
+    }
+    parameters = {"SIM_BAT_DRAIN": str(_BATTERY_S)}
+    if wind != _CALM:  # by where it comes from
+        parameters["SIH_WIND_N"], parameters["SIH_WIND_E"] = f"{-wind.north_m_s:.3f}", f"{-wind.east_m_s:.3f}"
+    if _takes_parameters_from_the_environment(start_files):
         # The stock aeroplane's 6 N are those of a parameter that its thruster no longer reads in versions of 2026: by
         # the default of 2 N it rolls along the ground at 6 m/s and never takes off.
-        "PX4_PARAM_SIH_F_T_MAX": "6",
-        "PX4_PARAM_SIM_BAT_DRAIN": str(_BATTERY_S),
-    }
-    if wind != _CALM:  # by where it comes from
-        environment["PX4_PARAM_SIH_WIND_N"] = f"{-wind.north_m_s:.3f}"
-        environment["PX4_PARAM_SIH_WIND_E"] = f"{-wind.east_m_s:.3f}"
-    command = [str(binary), "-i", str(instance), "-d", "-w", str(folder), str(binary.parent.parent / "etc")]
+        parameters["SIH_F_T_MAX"] = "6"
+        environment |= {f"PX4_PARAM_{name}": value for name, value in parameters.items()}
+        environment["PX4_HOME_LAT"] = str(place.latitude_deg)
+        environment["PX4_HOME_LON"] = str(place.longitude_deg)
+        environment["PX4_HOME_ALT"] = str(place.altitude_m)
+    else:
+        parameters["SIH_LOC_LAT0"] = str(round(place.latitude_deg * 1e7))
+        parameters["SIH_LOC_LON0"] = str(round(place.longitude_deg * 1e7))
+        parameters["SIH_LOC_H0"] = str(place.altitude_m)
+        lines = [f"param set {name} {value}\n" for name, value in parameters.items()]
+        (folder / _PX4_PARAMETERS_FILE).write_text("".join(lines))
+        environment["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
+    command = [str(binary), "-i", str(instance), "-d", "-w", str(folder), str(start_files)]
     return Run(
         command,
         environment,
@@ -95,6 +106,12 @@ def run_of(
         instance + 1,
         ("127.0.0.1", _PX4_SIGNED_PAYLOAD_UDP + instance),
     )
+
+
+def _takes_parameters_from_the_environment(start_files: Path) -> bool:
+    """Return whether PX4's start script does so: from 1.16 on, which also takes its home in degrees."""
+    script = start_files / "init.d-posix" / "rcS"
+    return not script.is_file() or "PX4_PARAM_" in script.read_text(errors="replace")
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,21 @@ def test_px4_is_met_over_udp_and_finds_its_start_files_next_to_it(tmp_path):
     assert run.environment["PX4_PARAM_SIM_BAT_DRAIN"] == "10800"
 
 
+def test_px4_before_1_16_takes_parameters_and_home_from_a_file_in_its_path(tmp_path):
+    scripts = tmp_path / "etc" / "init.d-posix"
+    scripts.mkdir(parents=True)
+    (scripts / "rcS").write_text(". px4-rc.params\n")
+    run = run_of(Flavour.PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, HOME)
+    assert run.environment["PATH"].startswith(f"{tmp_path}:")
+    assert not any(name.startswith(("PX4_PARAM_", "PX4_HOME_")) for name in run.environment)
+    assert (tmp_path / "px4-rc.params").read_text().splitlines() == [
+        "param set SIM_BAT_DRAIN 10800",
+        "param set SIH_LOC_LAT0 470000000",
+        "param set SIH_LOC_LON0 80000000",
+        "param set SIH_LOC_H0 400.0",
+    ]
+
+
 def test_the_wind_is_given_as_each_program_takes_it(tmp_path):
     wind = Wind.blowing_from(4.0, math.radians(270.0))
     arduplane = run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, wind)
