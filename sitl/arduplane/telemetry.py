@@ -56,9 +56,7 @@ class ArduPlaneTelemetry(Telemetry):
     home_quaternion = (NAN, NAN, NAN, NAN)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 
-    def __init__(self, vehicle: ArduPlane) -> None:
-        super().__init__(vehicle)
-        self._plane = vehicle
+    _vehicle: ArduPlane
 
     def builders(self) -> dict[int, Builder]:
         builders = super().builders() | {
@@ -71,30 +69,30 @@ class ArduPlaneTelemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: self._terrain_request,
             mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: self._terrain_report,
         }
-        if self._plane.release < (4, 6):  # no message of its own: it comes with each request for terrain
+        if self._vehicle.release < (4, 6):  # no message of its own: it comes with each request for terrain
             del builders[mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT]
         return builders
 
     def _sys_status(self) -> Any:
-        controllers = _CONTROLLERS if self._plane.armed else 0
-        healthy = _HEALTHY if self._plane.ready else _HEALTHY_BEFORE_READY
+        controllers = _CONTROLLERS if self._vehicle.armed else 0
+        healthy = _HEALTHY if self._vehicle.ready else _HEALTHY_BEFORE_READY
         return mavlink.MAVLink_sys_status_message(
             _PRESENT, _ENABLED | controllers, healthy | controllers, 0, 12600, 1000, self.battery_percent, *(0,) * 6
         )
 
     def _mission_current(self) -> Any:
-        mission = self._plane.mission
-        if self._plane.release < (4, 5):
+        mission = self._vehicle.mission
+        if self._vehicle.release < (4, 5):
             return mavlink.MAVLink_mission_current_message(mission.index)
         return mavlink.MAVLink_mission_current_message(
             mission.index,
             max(0, len(mission.items()) - 1),
             mission.reported_state,
-            int(self._plane.mode == Mode.AUTO),
+            int(self._vehicle.mode == Mode.AUTO),
         )
 
     def _nav_controller_output(self) -> Any:
-        plane, craft, navigator = self._plane, self._craft, self._plane.navigator
+        plane, craft, navigator = self._vehicle, self._craft, self._vehicle.navigator
         goal, guidance = navigator.goal, navigator.guidance
         return mavlink.MAVLink_nav_controller_output_message(
             math.degrees(plane.roll_goal_rad),
@@ -108,7 +106,7 @@ class ArduPlaneTelemetry(Telemetry):
         )
 
     def _position_target(self) -> Any:
-        plane = self._plane
+        plane = self._vehicle
         if plane.mode not in (Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL) or not plane.armed:
             return None
         goal = plane.navigator.goal
@@ -127,22 +125,22 @@ class ArduPlaneTelemetry(Telemetry):
         return mavlink.MAVLink_wind_message(from_deg, math.hypot(wind.east_m_s, wind.north_m_s), 0.0)
 
     def _terrain_request(self) -> Any:
-        terrain = self._plane.terrain
+        terrain = self._vehicle.terrain
         if terrain is None:
             return None
         request = terrain.request(*self._place_deg)
-        if self._plane.release >= (4, 6):
+        if self._vehicle.release >= (4, 6):
             return request
         return [*([] if request is None else [request]), self._terrain_report()]
 
     def _terrain_report(self) -> Any:
-        terrain = self._plane.terrain
+        terrain = self._vehicle.terrain
         return None if terrain is None else terrain.report(*self._place_deg, self.altitude_m(self._craft.height_m))
 
     @property
     def _place_deg(self) -> tuple[float, float]:
-        return self._plane.plane.latitude_longitude_deg(self._craft.east_m, self._craft.north_m)
+        return self._vehicle.plane.latitude_longitude_deg(self._craft.east_m, self._craft.north_m)
 
     def _ekf_status(self) -> Any:
-        flags = 831 if self._plane.ready else 167  # position known absolutely, or only attitude
+        flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
         return mavlink.MAVLink_ekf_status_report_message(flags, *(0.01,) * 5)

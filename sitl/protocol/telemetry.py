@@ -105,9 +105,6 @@ class Telemetry:
             craft.yaw_rate_rad_s * math.cos(craft.roll_rad),
         )
 
-    def _position_e7(self) -> tuple[int, int]:
-        return self.place_e7(self._craft.east_m, self._craft.north_m)
-
     def place_e7(self, east_m: float, north_m: float) -> tuple[int, int]:
         latitude_deg, longitude_deg = self._vehicle.plane.latitude_longitude_deg(east_m, north_m)
         return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
@@ -119,7 +116,7 @@ class Telemetry:
         craft = self._craft
         return mavlink.MAVLink_global_position_int_message(
             self._vehicle.boot_ms,
-            *self._position_e7(),
+            *self.place_e7(craft.east_m, craft.north_m),
             round(self.altitude_m(craft.height_m) * 1000.0),
             round(craft.height_m * 1000.0),
             round(craft.velocity_north_m_s * 100.0),
@@ -157,7 +154,7 @@ class Telemetry:
         return mavlink.MAVLink_gps_raw_int_message(
             self._vehicle.boot_us,
             self.gps_fix,
-            *self._position_e7(),
+            *self.place_e7(craft.east_m, craft.north_m),
             altitude_mm,
             *self.gps_dilution,
             round(craft.ground_speed_m_s * 100.0),

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.sitl.protocol.items import Item, ItemRefused
 from sidelong.sitl.protocol.radio import Radio, Station
 from sidelong.sitl.protocol.store import Store
-from sidelong.sitl.protocol.wire import mission_ack, mission_count
+from sidelong.sitl.protocol.wire import Extended
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +228,8 @@ class Transfer:
         count = len(self.store.items())
         if self._quirks.reads_in_order:
             self._downloads[station] = _Download(sender, count, 0, now_s)
-        self._radio.send(station, mission_count(sender, count, self.mission_type, self._list_id()))
+        message = mavlink.MAVLink_mission_count_message(*sender, count, self.mission_type)
+        self._radio.send(station, Extended(message, self._list_id()))
 
     def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
         if self._upload is not None:
@@ -284,7 +285,8 @@ class Transfer:
     ) -> None:
         named = self._quirks.names_lists
         list_id = opaque_id if named and opaque_id is not None else self._list_id()
-        self._radio.send(station, mission_ack(sender, result, self.mission_type, list_id))
+        message = mavlink.MAVLink_mission_ack_message(*sender, result, self.mission_type)
+        self._radio.send(station, Extended(message, list_id))
 
     def _list_id(self) -> int:
         return (self.store.opaque_id() or 0) if self._quirks.names_lists else 0

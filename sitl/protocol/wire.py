@@ -5,18 +5,17 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-from pymavlink.dialects.v20 import all as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
 _HEADER_BYTES = 10
 
 
 class Extended:
-    """A message with further extension fields at its end, already packed; can be sent like any message."""
+    """A message with further extension fields at its end, numbers of 32 bits; can be sent like any message."""
 
-    def __init__(self, message: Any, extension: bytes) -> None:
+    def __init__(self, message: Any, *numbers: int) -> None:
         self._message = message
-        self._extension = extension
+        self._extension = struct.pack(f"<{len(numbers)}I", *numbers)
         self.crc_extra = message.crc_extra
 
     def pack(self, packer: Any) -> bytes:
@@ -28,15 +27,3 @@ class Extended:
         frame[1] = len(payload)
         crc: int = x25crc(bytes(frame[1:]) + bytes((self.crc_extra,))).crc
         return bytes(frame) + crc.to_bytes(2, "little")
-
-
-def mission_ack(to: tuple[int, int], result: int, mission_type: int, opaque_id: int) -> Extended:
-    return Extended(mavlink.MAVLink_mission_ack_message(*to, result, mission_type), struct.pack("<I", opaque_id))
-
-
-def mission_count(to: tuple[int, int], count: int, mission_type: int, opaque_id: int) -> Extended:
-    return Extended(mavlink.MAVLink_mission_count_message(*to, count, mission_type), struct.pack("<I", opaque_id))
-
-
-def mission_current(base: Any, mission_id: int, fence_id: int, rally_id: int) -> Extended:
-    return Extended(base, struct.pack("<III", mission_id, fence_id, rally_id))

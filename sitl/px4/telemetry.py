@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.telemetry import NAN, Builder, Telemetry
-from sidelong.sitl.protocol.wire import mission_current
+from sidelong.sitl.protocol.wire import Extended
 from sidelong.sitl.px4.modes import BY_PILOT, Mode
 
 if TYPE_CHECKING:
@@ -60,10 +60,8 @@ class Px4Telemetry(Telemetry):
     home_quaternion = (1.0, 0.0, 0.0, 0.0)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
-    def __init__(self, vehicle: Px4) -> None:
-        super().__init__(vehicle)
-        self._px4 = vehicle
-        self._pings = 0
+    _vehicle: Px4
+    _pings = 0
 
     def builders(self) -> dict[int, Builder]:
         builders = super().builders() | {
@@ -77,18 +75,18 @@ class Px4Telemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             mavlink.MAVLINK_MSG_ID_PING: self._ping,
         }
-        if self._px4.release < (1, 15):
+        if self._vehicle.release < (1, 15):
             del builders[mavlink.MAVLINK_MSG_ID_CURRENT_MODE]
         return builders
 
     def _sys_status(self) -> Any:
-        healthy = _HEALTHY if self._px4.ready else _HEALTHY_BEFORE_READY
+        healthy = _HEALTHY if self._vehicle.ready else _HEALTHY_BEFORE_READY
         return mavlink.MAVLink_sys_status_message(
             _PRESENT, _ENABLED, healthy, 454, 16200, -1, self.battery_percent, *(0,) * 6
         )
 
     def _mission_current(self) -> Any:
-        px4 = self._px4
+        px4 = self._vehicle
         if px4.release < (1, 15):
             return mavlink.MAVLink_mission_current_message(px4.mission.index)
         fence_id, rally_id = (px4.transfers[kind].store.opaque_id() or 0 for kind in px4.mission_types[1:])
@@ -98,14 +96,14 @@ class Px4Telemetry(Telemetry):
             px4.mission_state if px4.release >= (1, 17) else mavlink.MISSION_STATE_UNKNOWN,
             1 if px4.mode == Mode.MISSION else 2,
         )
-        return mission_current(base, px4.mission.mission_id, fence_id, rally_id)
+        return Extended(base, px4.mission.mission_id, fence_id, rally_id)
 
     def _orbit_status(self) -> Any:
-        circle = self._px4.navigator.circle
+        circle = self._vehicle.navigator.circle
         if circle is None or not self._craft.flying:
             return None
         return mavlink.MAVLink_orbit_execution_status_message(
-            self._px4.boot_us,
+            self._vehicle.boot_us,
             circle.radius_m if circle.clockwise else -circle.radius_m,
             mavlink.MAV_FRAME_GLOBAL,
             *self.place_e7(*circle.centre.ground_m),
@@ -113,7 +111,7 @@ class Px4Telemetry(Telemetry):
         )
 
     def _position_target(self) -> Any:
-        px4 = self._px4
+        px4 = self._vehicle
         if not self._craft.flying or px4.mode in BY_PILOT:
             return None
         goal = px4.navigator.goal
@@ -131,7 +129,7 @@ class Px4Telemetry(Telemetry):
         height_m = self._craft.height_m
         height_cm = round(height_m * 100.0) if height_m < _DOWNWARD_MAX_M else _DOWNWARD_BEYOND_CM
         downward = mavlink.MAVLink_distance_sensor_message(
-            self._px4.boot_ms,
+            self._vehicle.boot_ms,
             0,
             round(_DOWNWARD_MAX_M * 100.0),
             height_cm,
@@ -144,17 +142,17 @@ class Px4Telemetry(Telemetry):
             [0.0] * 4,
             0,
         )
-        relayed, self._px4.relayed_range = self._px4.relayed_range, None
+        relayed, self._vehicle.relayed_range = self._vehicle.relayed_range, None
         return [downward] if relayed is None else [downward, relayed]
 
     def _current_mode(self) -> Any:
-        standard = _STANDARD_MODES.get(self._px4.mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
-        return mavlink.MAVLink_current_mode_message(standard, self._px4.mode, self._px4.mode)
+        standard = _STANDARD_MODES.get(self._vehicle.mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
+        return mavlink.MAVLink_current_mode_message(standard, self._vehicle.mode, self._vehicle.mode)
 
     def _wind(self) -> Any:
         wind = self._craft.wind
         return mavlink.MAVLink_wind_cov_message(
-            self._px4.boot_us,
+            self._vehicle.boot_us,
             wind.north_m_s,
             wind.east_m_s,
             0.0,
@@ -166,11 +164,11 @@ class Px4Telemetry(Telemetry):
         )
 
     def _estimator_status(self) -> Any:
-        flags = 831 if self._px4.ready else 167  # position known absolutely, or only attitude
-        if self._px4.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
+        flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
+        if self._vehicle.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
             flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
-        return mavlink.MAVLink_estimator_status_message(self._px4.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
+        return mavlink.MAVLink_estimator_status_message(self._vehicle.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
 
     def _ping(self) -> Any:
         self._pings += 1
-        return mavlink.MAVLink_ping_message(self._px4.boot_us, self._pings, 0, 0)
+        return mavlink.MAVLink_ping_message(self._vehicle.boot_us, self._pings, 0, 0)
