@@ -25,7 +25,6 @@ from sidelong.app.flight.loop import ControlLoop
 from sidelong.estimators.compiled import KERNELS
 
 flying, taken, collections, flights, before = 0, [], [0.0], 0, {}
-gc.callbacks.append(collected)
 fly, call = ControlLoop.run, asyncio.Handle._run
 
 async def counted(loop):
@@ -56,6 +55,7 @@ def name(handle):
     return task.get_coro().__qualname__ if isinstance(task, asyncio.Task) else str(handle)[:80]
 
 ControlLoop.run, asyncio.Handle._run = counted, timed
+gc.callbacks.append(collected)
 code = run(sys.argv[1:])
 late = [kernel.py_func.__name__ for kernel in KERNELS if set(kernel.signatures) - before.get(kernel, set())]
 taken.sort(key=lambda one: -one[0])
