@@ -37,7 +37,6 @@ class Watch:
         folder: Where its records are.
         plane: The local plane of all positions, None before it is known.
         summary: What was flown, None before the end.
-
     """
 
     def __init__(self, folder: Path, note: Callable[[str], object]) -> None:
@@ -56,7 +55,6 @@ class Watch:
         Raises:
             InputError: The vehicle cannot be watched with; nothing was commanded.
             FlightError: The flight failed; the text states what the aircraft does now.
-
         """
         while not self._over:
             await self._news.wait()
@@ -140,7 +138,6 @@ async def watch(
 
     Raises:
         InputError: The configuration is wrong, or the records cannot be written.
-
     """
     settings = await asyncio.to_thread(_settings, config, url)
     folder = RunFolder.create(out, datetime.now(UTC))

@@ -103,7 +103,6 @@ def controller_of(
         progress: Receives the share (0 to 1) of the value table's computation, which takes seconds.
         announce: Receives a sentence before the compilation, which takes up to a minute, once for each version.
         kind: The kind of planner; None for the configured one, for an aircraft that flies alone.
-
     """
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
@@ -364,7 +363,6 @@ def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float] |
 
     Raises:
         InputError: The elevation data is unusable.
-
     """
     if config.terrain.folder is None:
         return None

@@ -84,7 +84,6 @@ def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
 
     Returns:
         (name, help) of each argument and option, by the group's title, in the order of their definition.
-
     """
     groups: dict[str, list[tuple[str, str]]] = {}
     for one in command.get_params(context):
@@ -176,7 +175,6 @@ def run(arguments: list[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted.
-
     """
     try:
         try:

@@ -16,7 +16,6 @@ def missing_package(what: str, package: str, otherwise: str = "") -> InputError:
         what: The feature, as the beginning of the sentence.
         package: What pip has to install.
         otherwise: Another way out.
-
     """
     way_out = f", or {otherwise}" if otherwise else ""
     return InputError(f"{what} needs the package {package}: run {sys.executable} -m pip install {package}{way_out}.")

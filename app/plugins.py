@@ -21,7 +21,6 @@ def found(group: str, own: Iterable[str], methods: tuple[str, ...]) -> list[obje
 
     Raises:
         InputError: One cannot be loaded, lacks something, or has a name that is taken.
-
     """
     taken, objects = set(own), []
     for point in entry_points(group=group):

@@ -73,7 +73,6 @@ class PayloadPreset:
         kind: value of ``payload.kind``.
         url: value of ``payload.url``.
         source: where the address is published.
-
     """
 
     about: str

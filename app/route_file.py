@@ -32,7 +32,6 @@ class RoutePoints:
         first: Latitude in degrees, or east in metres (n,).
         second: Longitude in degrees, or north in metres (n,).
         geodetic: Whether they are degrees.
-
     """
 
     first: FloatArray
@@ -53,7 +52,6 @@ def read_route(path: Path) -> RoutePoints:
 
     Raises:
         InputError: The file cannot be read or contains fewer than two points.
-
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:

@@ -125,6 +125,9 @@ def compiled(function: F) -> F:
 
     Divisions by zero give infinities, as numpy's do. Operations keep their order (no fast-math), so that results are
     the same to the last bit in every process on machines of one kind.
+
+    Args:
+        function: The function.
     """
     return cast(F, _dispatcher(function))
 
@@ -133,12 +136,19 @@ def inlined(function: F) -> F:
     """Compile as :func:`compiled` does, and put the function's code into its callers.
 
     For a short function in an inner loop that takes arrays: passing them costs more than the function itself.
+
+    Args:
+        function: The function.
     """
     return cast(F, _dispatcher(function, forceinline=True))
 
 
 def is_cached(function: Callable[..., Any]) -> bool:
-    """Return whether an earlier start has compiled a function and cached its machine code."""
+    """Return whether an earlier start has compiled a function and cached its machine code.
+
+    Args:
+        function: The function.
+    """
     dispatcher = cast(Any, function)
     index = f"*.{dispatcher.py_func.__name__}-*.nbi"
     return any(Path(dispatcher.stats.cache_path).glob(index))

@@ -25,7 +25,6 @@ class Ellipse:
 
         Returns:
             (east, north) of each point from the centre, m.
-
         """
         sin, cos = math.sin(self.orientation_rad), math.cos(self.orientation_rad)
         points = []
@@ -44,7 +43,6 @@ def confidence_ellipse(covariance: npt.NDArray[np.float64], probability: float =
     Args:
         covariance: Covariance of (east, north), m^2, (2, 2).
         probability: Probability that the position is inside, 0 to 1.
-
     """
     k = math.sqrt(-2.0 * math.log(1.0 - probability))
     variance_e, variance_n, cross = float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1])

@@ -56,7 +56,6 @@ class TargetEstimate:
 
         Returns:
             (east, north) in the local plane, m.
-
         """
         ahead_s = max(time_s - self.time_s, 0.0)
         return self.east_m + ahead_s * self.velocity_east_m_s, self.north_m + ahead_s * self.velocity_north_m_s

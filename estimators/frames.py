@@ -18,7 +18,6 @@ def wrap_rad(angle_rad: float) -> float:
 
     Args:
         angle_rad: Any finite angle, rad.
-
     """
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
@@ -29,7 +28,6 @@ def bearing_rad(east: float, north: float) -> float:
     Args:
         east: East component.
         north: North component, in the same unit.
-
     """
     return math.atan2(east, north)
 
@@ -58,7 +56,6 @@ class LocalPlane:
 
         Returns:
             (east, north) from the origin, m.
-
         """
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
         place = _earth_centred_m(latitude_deg, longitude_deg)
@@ -80,7 +77,6 @@ class LocalPlane:
 
         Returns:
             (latitude, longitude) (WGS 84), degrees; for a point beyond the horizon, that of the horizon.
-
         """
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
         x, y, z = (o + east_m * e + north_m * n for o, e, n in zip(origin, east, north, strict=True))

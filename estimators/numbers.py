@@ -14,7 +14,6 @@ def convert_to_floats(instance: object, *names: str) -> None:
 
     Raises:
         TypeError: A field holds something else; the message names it.
-
     """
     for name in names:
         value = getattr(instance, name)
@@ -26,7 +25,16 @@ def convert_to_floats(instance: object, *names: str) -> None:
 
 
 def require_type(instance: object, name: str, *kinds: type) -> None:
-    """Raise TypeError, which names the field, unless a dataclass field holds one of ``kinds``."""
+    """Check that a dataclass field holds one of ``kinds``.
+
+    Args:
+        instance: The instance of a dataclass.
+        name: Name of the field.
+        kinds: Accepted types.
+
+    Raises:
+        TypeError: It does not; the message names the field.
+    """
     value = getattr(instance, name)
     if not isinstance(value, kinds):
         wanted = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)

@@ -17,7 +17,6 @@ def multiply(a_from_b: Quaternion, b_from_c: Quaternion) -> Quaternion:
     Args:
         a_from_b: Rotation from frame b to frame a.
         b_from_c: Rotation from frame c to frame b.
-
     """
     aw, ax, ay, az = a_from_b
     bw, bx, by, bz = b_from_c
@@ -36,7 +35,6 @@ def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Qu
         roll_rad: Rotation about the forward axis, rad.
         pitch_rad: Rotation about the right axis, rad.
         yaw_rad: Rotation about the down axis, rad.
-
     """
     cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
     cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
@@ -58,7 +56,6 @@ def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
 
     Returns:
         The vector in frame a.
-
     """
     w, x, y, z = a_from_b
     vx, vy, vz = vector_b
@@ -78,7 +75,6 @@ def normalized(quaternion: Quaternion) -> Quaternion:
 
     Raises:
         ValueError: The quaternion is zero, which is not a rotation.
-
     """
     length = math.sqrt(sum(part * part for part in quaternion))
     if length < 1e-6:
@@ -96,7 +92,6 @@ def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quat
         first: Rotation at fraction 0.
         second: Rotation at fraction 1.
         fraction: Share of the way, 0 to 1.
-
     """
     same_side = sum(a * b for a, b in zip(first, second, strict=True)) >= 0.0
     far = fraction if same_side else -fraction
@@ -119,7 +114,6 @@ def sight_direction(quaternion: Quaternion) -> Vector:
 
     Returns:
         Unit vector in the parent frame.
-
     """
     w, x, y, z = quaternion
     return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)

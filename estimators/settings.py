@@ -25,7 +25,6 @@ class SourceChoice:
 
         Args:
             source: Message and component of a reading.
-
         """
         return all(
             wanted is None or wanted == found

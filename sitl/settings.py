@@ -72,7 +72,6 @@ class Quirks:
         reach_m: the laser's maximum range.
         silent_beyond: whether it sends nothing beyond its reach, instead of the value for no echo.
         damaged: fraction of its frames that arrive with a changed byte.
-
     """
 
     range_unit_m: float | None = None

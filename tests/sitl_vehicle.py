@@ -22,7 +22,6 @@ class SitlVehicle:
         simulation: the vehicle with target and payload; it is booted here.
         rates_hz: messages to ask for, by id.
         address: of the station.
-
     """
 
     def __init__(

@@ -32,7 +32,6 @@ class InputTimes:
 
         Args:
             reports: As a snapshot has them.
-
         """
         if reports is self._latest:  # displays ask at every event
             return
@@ -48,7 +47,6 @@ class InputTimes:
         Args:
             start_s: Earlier time does not count.
             end_s: Until when the present states have lasted.
-
         """
         seconds: dict[tuple[Input, InputState], list[float]] = defaultdict(list)
         for kind, changes in self._changes.items():

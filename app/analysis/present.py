@@ -23,7 +23,6 @@ class Watch:
         on_side: Whether the side is the required one; unknown until the target has made good a course.
         course_rad: The target's course that defines the sides.
         present_course_rad: Its present course.
-
     """
 
     range_m: float | None = None

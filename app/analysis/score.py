@@ -48,7 +48,6 @@ def middle_rad(requirement: Requirement, course_rad: Angle) -> Angle | float:
     Args:
         requirement: the observation requirement.
         course_rad: the target's course, one value or an array.
-
     """
     if requirement.sector is not None:
         return requirement.sector.middle_rad
@@ -69,7 +68,6 @@ class Moment:
     Attributes:
         target: its name in a fleet.
         known: whether the inputs were complete and consistent; always, where the truth is known.
-
     """
 
     time_s: float
@@ -92,7 +90,6 @@ class Samples:
         aircraft_m: east and north, shape (n, 2).
         target_m: east and north, shape (n, 2).
         target_velocity_m_s: east and north, shape (n, 2).
-
     """
 
     time_s: FloatArray
@@ -121,7 +118,6 @@ class Judgement:
         side_known: whether the target has made good a course.
         course_rad: the target's course that defines the sides, NaN where it is not known.
         observation_rad: observation angle in [-pi, pi), NaN where the side is not known.
-
     """
 
     time_s: FloatArray
@@ -160,7 +156,6 @@ class Score:
         time_on_side_now: as ``time_on_side``, by the target's present course.
         moves: departures to another circle within the judged time.
         reversals: moves within 10 s of the last one.
-
     """
 
     duration_s: float
@@ -220,7 +215,6 @@ def score(
         departures_s: when plans departed to another circle, ascending.
         end_s: until when the last moment counts; None: it does not count.
         known: whether each moment's inputs were sound, shape (n,); None: the truth is known.
-
     """
     if not judged.time_s.size:
         return Score(0.0, None, None, None, None, source)

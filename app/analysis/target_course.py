@@ -30,7 +30,6 @@ def made_good_rad(time_s: FloatArray, velocity_m_s: FloatArray, horizon_s: float
 
     Returns:
         Clockwise from north, shape (n,); NaN until the target has moved far enough.
-
     """
     east_m, north_m = _way_m(time_s, velocity_m_s, horizon_s)
     return _held(np.arctan2(east_m, north_m), np.hypot(east_m, north_m) > MIN_WAY_M)
@@ -45,7 +44,6 @@ def present_rad(velocity_m_s: FloatArray, standing_m_s: float) -> FloatArray:
 
     Returns:
         Clockwise from north, shape (n,); NaN until the target has moved.
-
     """
     east_m_s, north_m_s = velocity_m_s.T
     return _held(np.arctan2(east_m_s, north_m_s), np.hypot(east_m_s, north_m_s) >= standing_m_s)
@@ -73,7 +71,6 @@ class TargetCourse:
     Attributes:
         made_good_rad: the course made good, None until the target has moved.
         present_rad: the present course, None until the target has moved.
-
     """
 
     def __init__(self, standing_m_s: float) -> None:
@@ -89,7 +86,6 @@ class TargetCourse:
             time_s: not before the last one.
             velocity_m_s: (east, north).
             horizon_s: time over which the course made good is taken; at 0 it is the present course.
-
         """
         if math.hypot(*velocity_m_s) >= self._standing_m_s:
             self.present_rad = math.atan2(*velocity_m_s)

@@ -35,7 +35,6 @@ class Truth:
         ground: the aircraft's height above ground in metres, and 1 where it sees the target, shape (2, n); NaN where
             the file has no value.
         target: the name of the target that the payload looks at, shape (n,); '' where the file has no value.
-
     """
 
     time_s: npt.NDArray[np.float64]
@@ -141,7 +140,6 @@ def truth_if_whole(path: Path | None, until_s: float, announce: Callable[[str], 
 
     Returns:
         The truth, None if there is none or it does not cover the run.
-
     """
     if path is None or not path.exists():
         return None

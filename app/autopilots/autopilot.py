@@ -33,7 +33,6 @@ class SupportedReleases:
         oldest: First one.
         newest: Last series whose parameters and protocol are known.
         older_lack: What releases before ``oldest`` lack, as the end of a sentence.
-
     """
 
     oldest: Release

@@ -34,7 +34,6 @@ class Parameter:
         since: First release that has it.
         until: First release that no longer has it, None: all later ones have it.
         notes: Values that deserve a remark.
-
     """
 
     name: str
@@ -81,7 +80,6 @@ class ParameterTable:
         parameters: Those of all releases.
         release: Release on board, None: not known.
         read: Values by the autopilot's own names; what is missing there, the autopilot did not report.
-
     """
 
     def __init__(self, parameters: Iterable[Parameter], release: Release | None, read: Mapping[str, float]) -> None:

@@ -19,7 +19,6 @@ class Release:
         patch: Third number.
         stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
         commit: First digits of the source's commit, "" where it is not reported. Releases are compared without it.
-
     """
 
     major: int

@@ -109,7 +109,6 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
 
     Returns:
         The values for the JSON summary, and why the requirement cannot be met, '' if it can.
-
     """
     if airspeeds_m_s is not None and settings.planner.name != _PAPER:
         raise InputError(f"--optimise finds the best numbers of the paper's method; add --planner {_PAPER}.")

@@ -121,7 +121,6 @@ def config_text(preset: str | None = None, fleet: int | None = None) -> str:
     Args:
         preset: names of presets, separated by commas; None: only defaults.
         fleet: number of aircraft; None: the file is of one aircraft.
-
     """
     presets = {name: (PRESETS | PAYLOAD_PRESETS)[name] for name in (preset.split(",") if preset is not None else ())}
     return "\n".join(_lines(presets, fleet)) + "\n"

@@ -56,7 +56,6 @@ class Participant:
         home_above_m: Height of its home above the common home, m.
         mission_s: Returns the mission time that the others have reached, s.
         to_mission_s: Converts the time of a source into mission time.
-
     """
 
     def __init__(

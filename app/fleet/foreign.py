@@ -35,7 +35,6 @@ class ForeignAircraft:
         Args:
             message: A message of any sender.
             member: Name of the fleet's aircraft that sent it, if this program has yielded it.
-
         """
         fields, now_s = message.fields, self._now_s()
         if message.name == "GLOBAL_POSITION_INT":

@@ -71,7 +71,6 @@ class VehicleClockReader:
         now_s: Returns the time of its own clock, s.
         mission_s: Returns the mission time that the others have reached, s; NaN where they have none.
         to_mission_s: Converts the time of a source into mission time.
-
     """
 
     def __init__(

@@ -41,7 +41,6 @@ class FleetView(ViewDisplay):
         configs: The configuration of each aircraft, by name.
         address: Where the page is served.
         sides: The required side of each target if there are several.
-
     """
 
     requests: FleetRequests

@@ -39,7 +39,6 @@ class AlarmWatch:
         put: Passes an event on to the control loop.
         send: Sends a text to the ground station.
         clock_s: The wall clock.
-
     """
 
     def __init__(

@@ -30,7 +30,6 @@ class InputHealth:
     Args:
         config: The mission; it names the sensors.
         vehicle: The vehicle.
-
     """
 
     def __init__(self, config: Config, vehicle: Vehicle) -> None:

@@ -70,7 +70,6 @@ class ControlLoop:
         acquired: called once control of the aircraft is confirmed; ``failed`` holds the reason if it never is.
         stepped: called after each step with its event and outputs.
         health_changed: called with each change of an input's state.
-
     """
 
     def __init__(

@@ -37,7 +37,6 @@ class PayloadRunner:
         rate: seconds of the driver's clock per second of this computer's.
         measured: receives each measurement with its time on this computer's monotonic clock.
         report: receives trouble with the connection, one sentence without its full stop.
-
     """
 
     def __init__(
@@ -115,7 +114,6 @@ class PayloadInput:
         vehicle: the vehicle that carries the payload.
         rate: seconds of the vehicle's clock per second of this computer's.
         on_frame: receives each measurement as a MAVLink frame, for the record.
-
     """
 
     def __init__(self, vehicle: Vehicle, rate: float, on_frame: Callable[[bytes], object]) -> None:
@@ -199,7 +197,6 @@ async def payload_input(
 
     Raises:
         InputError: the payload's host is not known.
-
     """
     if config.payload.kind == MAVLINK:
         yield None

@@ -22,7 +22,6 @@ class PayloadPointer:
     Args:
         point: takes pitch and yaw relative to the aircraft's heading, rad.
         heading_rad: returns the aircraft's heading, None while it is not known.
-
     """
 
     def __init__(self, point: Callable[[float, float], object], heading_rad: Callable[[], float | None]) -> None:

@@ -68,7 +68,6 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
 
     Raises:
         InputError: It flies in such a mode, and the operator has not allowed it.
-
     """
     if not is_flying(vehicle):
         return
@@ -106,7 +105,6 @@ def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
 
     Raises:
         InputError: The release is older than supported.
-
     """
     name, supported = autopilot.name, autopilot.releases
     oldest, newest = supported.oldest.series, supported.newest.series

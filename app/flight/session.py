@@ -62,7 +62,6 @@ async def connected(
 
     Raises:
         InputError: There is no vehicle, none that sidelong supports, or several and none is selected.
-
     """
     senders = SenderCheck()
 

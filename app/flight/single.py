@@ -33,7 +33,6 @@ class FlightEnded:
         summary: What was flown.
         reason: The error to report and to exit with, None after a regular end.
         aircraft: What the aircraft does now, as the end of a sentence.
-
     """
 
     folder: RunFolder
@@ -72,7 +71,6 @@ async def fly_single(
         note: Receives messages, from any thread.
         make_controller: Makes the control step; it may compute for seconds.
         joined: Called with the session once the vehicle is connected.
-
     """
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():

@@ -8,7 +8,6 @@ class StoppedClock:
 
     Attributes:
         seconds: For how long it has stood still; 0 once it has gone on by more than that.
-
     """
 
     def __init__(self, now_s: float, wall_s: float) -> None:
@@ -21,7 +20,6 @@ class StoppedClock:
         Args:
             now_s: The vehicle's clock.
             wall_s: This computer's clock.
-
         """
         if now_s == self._now_s:
             self.seconds += wall_s - self._wall_s

@@ -68,7 +68,6 @@ class StreamKeeper:
     Args:
         request: requests all streams.
         note: reports a sentence to the operator.
-
     """
 
     def __init__(self, request: Callable[[], Awaitable[None]], note: Callable[[str], object]) -> None:

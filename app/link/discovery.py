@@ -20,7 +20,6 @@ async def the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: i
 
     Raises:
         InputError: Only vehicles with other system ids are received.
-
     """
     first = await instance.first_autopilot(timeout_s)
     if first is None or system_id is None:

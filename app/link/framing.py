@@ -15,7 +15,6 @@ class Framer:
         length_of: returns the length of the frame at the beginning of the buffer; 0: it is not a frame; None: more
             bytes are needed.
         is_intact: returns whether the checksum of a complete frame is right.
-
     """
 
     def __init__(

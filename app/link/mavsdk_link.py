@@ -121,7 +121,6 @@ class MavsdkLink:
             InputError: The URL is invalid, the port is busy, the key is unusable, no heartbeat arrives within
                 ``timeout_s``, or several vehicles are received within ``settling_s`` of the first frame and none is
                 selected.
-
         """
         own = (own_system_id, own_component_id)
         # The library's own subscription decodes texts of the vehicle as UTF-8; where that fails, MAVSDK prints the

@@ -49,7 +49,6 @@ async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSW
     Raises:
         LookupError: It is not received, does not answer, or has fewer than two way points; says so in words.
         LinkError: A message cannot be sent.
-
     """
     received: asyncio.Queue[Message] = asyncio.Queue()
 

@@ -91,7 +91,6 @@ class ParameterWatch:
         bytewise: whether the autopilot sends the bytes of an integer where the float belongs.
         own: what this mission has set itself, by name.
         note: reports a sentence to the operator.
-
     """
 
     def __init__(

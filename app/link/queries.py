@@ -51,7 +51,6 @@ async def pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
 
     Returns:
         The least and the greatest yaw; None if there is no limit or none is reported.
-
     """
     message = await _requested(vehicle, "GIMBAL_MANAGER_INFORMATION", _GIMBAL_MANAGER_INFORMATION_ID)
     if message is None or int(message.fields["cap_flags"]) & _INFINITE_YAW:

@@ -22,7 +22,6 @@ class StatusText:
         text: The text, without control characters.
         severity: MAV_SEVERITY: 0 emergency to 7 debug.
         received_s: When its last chunk came.
-
     """
 
     text: str

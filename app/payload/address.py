@@ -35,7 +35,6 @@ def read_payload(option: str, text: str) -> tuple[str, str | None]:
 
     Raises:
         InputError: the text has another form, or there is no such kind.
-
     """
     if text in (MAVLINK, f"{MAVLINK}://"):
         return MAVLINK, None

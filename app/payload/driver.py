@@ -24,7 +24,6 @@ class RangeMeasured:
     Attributes:
         time_s: best estimate of the time of measurement, s on the driver's clock.
         slant_range_m: distance along the line of sight, m.
-
     """
 
     time_s: float
@@ -39,7 +38,6 @@ class AnglesMeasured:
         time_s: best estimate of the time of measurement, s on the driver's clock.
         quaternion_wxyz: rotation from the sight frame (forward, right, down) to ``frame``.
         frame: what the quaternion is relative to.
-
     """
 
     time_s: float
@@ -60,7 +58,6 @@ class DriverSettings:
         flip_pitch: the same of its pitch.
         relative_to: reference of the payload's angles; None: the reference of its manual or its mode.
         over_tcp: whether the bytes go over TCP, for which some protocols have another frame.
-
     """
 
     range_unit_m: float | None = None
@@ -85,7 +82,6 @@ class AircraftPose:
         velocity_north_m_s: over the ground.
         velocity_east_m_s: over the ground.
         velocity_up_m_s: climb rate.
-
     """
 
     roll_rad: float
@@ -109,7 +105,6 @@ class Identity:
         firmware: version in words, "" while it is unknown.
         has_laser: None while it is unknown.
         pan_limits_rad: least and greatest yaw off the nose; None while they are unknown, or if there are none.
-
     """
 
     model: str = ""
@@ -123,7 +118,6 @@ class PayloadDriver(Protocol):
 
     Attributes:
         identity: What the payload reports of itself.
-
     """
 
     identity: Identity

@@ -29,7 +29,6 @@ class FramedDriver(PayloadDriver):
         range_unit_m: unit of the range by the manual, m.
         yaw_sign: 1 where yaw is positive to the right by the manual, else -1.
         pitch_sign: 1 where pitch is positive upwards by the manual, else -1.
-
     """
 
     def __init__(

@@ -29,7 +29,6 @@ def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]
     Args:
         measured: the measurement.
         vehicle_s: its time, s on the vehicle's clock.
-
     """
     boot_ms = round(1000.0 * vehicle_s) % _BOOT_MS_WRAP
     if isinstance(measured, AnglesMeasured):

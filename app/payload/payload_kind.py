@@ -17,7 +17,6 @@ class PayloadKind:
         about: what it covers, in a few words.
         url: where its devices are found as delivered.
         make: returns a driver for one connection.
-
     """
 
     name: str

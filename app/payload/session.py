@@ -33,7 +33,6 @@ class PayloadStatus:
         angles: the latest attitude, None before the first.
         missing: messages about missing or inconsistent data; empty without a fault.
         height_ratio: height by range and angles over the autopilot's height; None while it is not known.
-
     """
 
     identity: Identity
@@ -56,7 +55,6 @@ class PayloadSession:
         report: receives each report, one sentence without its full stop.
         range_delay_s: age of a range when the payload sends it, s.
         angles_delay_s: the same of the angles, s.
-
     """
 
     def __init__(

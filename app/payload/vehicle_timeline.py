@@ -18,7 +18,6 @@ class VehicleTimeline:
 
     Args:
         rate: seconds of the vehicle's clock per second of this computer's.
-
     """
 
     def __init__(self, rate: float = 1.0) -> None:
@@ -34,7 +33,6 @@ class VehicleTimeline:
         Args:
             stamp_s: its stamp, s on the vehicle's clock.
             arrived_s: when it arrived, s on this computer's clock.
-
         """
         expected_s = self.vehicle_s(arrived_s)
         if expected_s is not None and abs(stamp_s - expected_s) > _JUMP_S:
@@ -49,7 +47,6 @@ class VehicleTimeline:
         Args:
             time_s: s on this computer's clock.
             delay_s: the shortest delay of a message of the vehicle, s of this computer's clock.
-
         """
         if not self._samples:
             return None

@@ -35,7 +35,6 @@ def in_order(entries: Iterator[tuple[float, Entry]], progress: Progress) -> Iter
     Args:
         entries: with the share of the file that is read.
         progress: called with that share.
-
     """
     while stretch := list(islice(entries, _STRETCH)):
         progress(stretch[-1][0])

@@ -38,7 +38,6 @@ def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[
 
     Raises:
         InputError: There is hardly any space.
-
     """
     present = next(path for path in (parent.absolute(), *parent.absolute().parents) if path.exists())
     free = shutil.disk_usage(present).free

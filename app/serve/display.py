@@ -19,7 +19,6 @@ class ServiceDisplay:
     Attributes:
         request: Passes on an operator's wish, None before the flight takes any.
         snapshot: The latest one.
-
     """
 
     def __init__(self, log: Callable[[str], object], changed: Callable[[], object]) -> None:

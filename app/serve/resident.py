@@ -70,7 +70,6 @@ class Resident:
         log: Receives a line for people, from any thread.
         sharing: Outputs to the vehicle.
         decorate: Shows each watch somewhere else, too.
-
     """
 
     def __init__(

@@ -21,7 +21,6 @@ def rotate(parent: Path, budget_bytes: float, keep: timedelta, now: datetime, pr
         keep: How old they may become.
         now: The time in UTC.
         present: The run that is being written.
-
     """
     total = 0
     for begun, run in sorted(_runs(parent), reverse=True):  # newest first

@@ -31,7 +31,6 @@ class Standby:
 
     Attributes:
         missing: What keeps the vehicle from being watched with, in words; '' where it is ready.
-
     """
 
     def __init__(self, session: Session, config: Config) -> None:

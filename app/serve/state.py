@@ -29,7 +29,6 @@ class Status:
         watches: How many watches have begun since the service started.
         disk_mb: What all run folders take, MB.
         records: Why records of the present or last watch are incomplete, '' if they are not.
-
     """
 
     state: State

@@ -38,7 +38,6 @@ class BeaconReport:
     Attributes:
         names: system id, or uid and call sign; the configured name may match any of them.
         sigma_m: position error, 1 sigma, m; 0 where the message has none.
-
     """
 
     message: str
@@ -101,7 +100,6 @@ class BeaconInput(asyncio.DatagramProtocol):
         put: Called with each reading.
         announce: Called with each message for the operator.
         now: Returns the time of day in UTC.
-
     """
 
     def __init__(

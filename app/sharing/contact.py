@@ -32,7 +32,6 @@ class ContactBeacon:
         now_s: returns the time of the vehicle's clock, s.
         put: called with each reading.
         announce: called once, when the contact is received first.
-
     """
 
     def __init__(

@@ -76,7 +76,6 @@ class Start:
         circle: flown at the start.
         height_m: above home.
         boot_s: the vehicle's clock at the start.
-
     """
 
     plane: LocalPlane
@@ -116,7 +115,6 @@ class KinematicVehicle:
 
     Attributes:
         time_s: since the start of the simulation.
-
     """
 
     system_id = _SYSTEM

@@ -35,7 +35,6 @@ class Link(Generic[P]):
         rng: randomness of the faults.
         silences: when nothing comes through.
         change: what becomes of each packet before it meets the link; None: nothing.
-
     """
 
     def __init__(

@@ -75,7 +75,6 @@ class ClosedLoop(Generic[P]):
     Attributes:
         core: what flies, None before :meth:`start`.
         listeners: called with each event and the outputs that it led to.
-
     """
 
     def __init__(
@@ -111,7 +110,6 @@ class ClosedLoop(Generic[P]):
 
         Raises:
             TimeoutError: the vehicle sends neither position nor heartbeat.
-
         """
         self.connect()
         assert self.telemetry.plane is not None
@@ -131,7 +129,6 @@ class ClosedLoop(Generic[P]):
         Args:
             flying_mode: the mode in which it flies already; empty: it stands on the ground.
             round_trip_s: of the link, as far as it is known.
-
         """
         flying = bool(flying_mode)
         request = TakeoverRequested(self.telemetry.now_s, self.link_s, flying, flying_mode, round_trip_s=round_trip_s)

@@ -35,7 +35,6 @@ class PayloadErrors:
         has_laser: whether there is a laser.
         view_deg: field of view of a camera that tracks the target, 0 for none. Its gimbal points off the target by up
             to ``off_axis`` of the view.
-
     """
 
     range_sigma_m: float = 0.8
@@ -59,7 +58,6 @@ class Payload:
         errors: of the readings.
         rng: their noise.
         system_id: of the vehicle that carries them.
-
     """
 
     def __init__(self, errors: PayloadErrors, rng: np.random.Generator, system_id: int = 1) -> None:
@@ -79,7 +77,6 @@ class Payload:
             north_m: from the aircraft to the target.
             up_m: from the aircraft to the target, negative below.
             with_range: whether the laser measures now.
-
         """
         errors = self._errors
         self._lines.append((time_s, east_m, north_m, up_m))

@@ -26,7 +26,6 @@ class Packer:
 
     Args:
         source: its system and component id.
-
     """
 
     def __init__(self, source: tuple[int, int] = OWN_ID) -> None:
@@ -54,7 +53,6 @@ class Decoder:
         Args:
             frame: whole, as it was sent.
             received_s: when it arrived, by the link's clock.
-
         """
         for got in self._parser.parse_buffer(frame) or ():
             name = got.get_type()

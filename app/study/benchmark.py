@@ -59,7 +59,6 @@ class Row:
         planner: Name of the planner.
         measures: Array of each run's values, by the name of the measure.
         decision_p99_ms: 99th percentile of the processor time of a decision.
-
     """
 
     aircraft: AircraftClass
@@ -92,7 +91,6 @@ class Benchmark:
 
         Raises:
             InputError: There is no target that the aircraft can watch.
-
         """
         self.targets = [
             recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_next_to) for one in CLASSES
@@ -131,7 +129,6 @@ class Benchmark:
 
         Returns:
             The rows, by aircraft.
-
         """
         begun_s = time.perf_counter()
         rows = [row for k in range(len(CLASSES)) for row in self._fly_class(k, jobs, advance, computing)]
@@ -164,7 +161,6 @@ class Benchmark:
 
         Args:
             rows: Results of :meth:`fly`.
-
         """
         return {
             "benchmark": VERSION,
@@ -195,7 +191,6 @@ def benchmark_table(rows: Sequence[Row]) -> Table:
 
     Args:
         rows: Results of :meth:`Benchmark.fly`.
-
     """
     headings = (*(of.heading for of in _MEASURES), "decision, ms")
     table = right_aligned(Table("aircraft", "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)), 2)

@@ -39,7 +39,6 @@ class ExternalController:
 
         Raises:
             InputError: The program cannot be started.
-
         """
         self._command, self._curvature_max_per_m = command, curvature_max_per_m
         self._constant = f"{range_m[0]:g},{range_m[1]:g},{side}\n"
@@ -64,7 +63,6 @@ class ExternalController:
 
         Raises:
             InputError: The process has ended, does not answer in time, or answers something else than a number.
-
         """
         speed_m_s, p = max(aircraft.ground_speed_m_s, 1.0), target.covariance
         sigma_m = math.sqrt(max(0.5 * (p[0, 0] + p[1, 1]), 0.0))

@@ -26,7 +26,6 @@ class Track:
         aircraft_m: east and north, shape (n, 2).
         target_m: east and north, shape (n, 2).
         judged: how each step was.
-
     """
 
     time_s: FloatArray
@@ -54,7 +53,6 @@ class RunResult:
         min_clearance_m: least height over the ground; NaN over flat ground.
         decision_s: processor time of the decisions that were measured.
         track: the flown path, None unless asked for.
-
     """
 
     time_in_band: float
@@ -79,7 +77,6 @@ def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
     Args:
         settings: the design that was flown.
         log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more).
-
     """
     velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
     samples = Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
@@ -103,7 +100,6 @@ def judged(
         decision_s: processor time of the decisions that were measured.
         keep_track: whether to keep the path.
         over_ground: time in sight, the same where that is possible, and the least clearance.
-
     """
     steps = judged_log(settings, log)
     duration_s = STEP_S * len(log)
@@ -133,7 +129,6 @@ def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, flo
     Args:
         settings: the design that was flown.
         logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6).
-
     """
     each = [judged_log(settings, log) for log in logs]
     known, in_band = (

@@ -20,7 +20,6 @@ class Measure:
         heading: The same over a narrow column.
         tail: Percentile of the runs that are nearly the worst; below 50 the least value is the worst one.
         digits: Digits after the point.
-
     """
 
     name: str

@@ -34,7 +34,6 @@ class Share:
         low: Lower end of the 95 % confidence interval of the mean.
         high: Upper end of it.
         worst: Of the worst flight. A further flight is worse with a probability of 1 / (flights + 1).
-
     """
 
     mean: float
@@ -101,7 +100,6 @@ def predict(config: Config, progress: Callable[[float], None] = lambda _share: N
     Args:
         config: The mission. Its planner, aircraft, requirement, sensors and simulated wind count.
         progress: Called with the share 0..1 of the value table while that is computed.
-
     """
     settings = studied(config)
     (planner,) = settings.planners

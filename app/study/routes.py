@@ -41,7 +41,6 @@ def route_next_to(file: Path, track: Track) -> Route | None:
 
     Raises:
         InputError: The file is not a route.
-
     """
     named = [file.with_name(f"{file.stem}.route{suffix}") for suffix in ROUTE_SUFFIXES]
     named += [file.with_suffix(suffix) for suffix in ROUTE_SUFFIXES if suffix not in (".csv", file.suffix.lower())]

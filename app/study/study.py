@@ -35,7 +35,6 @@ class PlannerResult:
         runs: which runs.
         measures: arrays (runs,) by the name of the measure.
         decision_s: processor time of the measured decisions of all runs together.
-
     """
 
     runs: tuple[RunId, ...]

@@ -34,7 +34,6 @@ class MbTiles:
 
     Raises:
         sqlite3.Error: The file is not such a file, or a query took too long.
-
     """
 
     def __init__(self, path: Path) -> None:

@@ -46,7 +46,6 @@ class ShownAircraft:
         snapshot: The latest one.
         start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
         vehicle: Its status as received last.
-
     """
 
     def __init__(self, config: Config, name: str = "") -> None:
@@ -83,7 +82,6 @@ class ViewDisplay:
     Args:
         name: What the page calls the vehicle; by default its links.
         fleet: The names of the aircraft that may be relieved; empty for a flight of one aircraft.
-
     """
 
     def __init__(

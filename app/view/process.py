@@ -29,7 +29,6 @@ def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()
 
     Raises:
         InputError: The server does not start, for example because the port is in use.
-
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))

@@ -292,7 +292,6 @@ def button_of(press: Json, fleet: frozenset[str] = frozenset()) -> Json:
 
     Raises:
         ValueError, TypeError, KeyError, AttributeError: The page of this flight has no such button.
-
     """
     action = press["action"]
     if action == "relieve":

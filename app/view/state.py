@@ -139,7 +139,6 @@ class StateEncoder:
             silent_s: Time since the last message of the vehicle, s.
             vehicle: Its status; None if there is none, as in a replay.
             name: Of the aircraft; '' where there is one only.
-
         """
         sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
         return {

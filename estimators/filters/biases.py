@@ -39,7 +39,6 @@ class Delays:
         range_sigma_s: of the second.
         yaw_bias_rad: yaw bias of the gimbal that was found with them.
         yaw_sigma_rad: its standard deviation.
-
     """
 
     gimbal_s: float
@@ -72,7 +71,6 @@ class Biases:
 
         Args:
             settings: Settings of the tracker.
-
         """
         return Biases(np.zeros(3), np.diag(np.square(prior_sigmas(settings))))
 
@@ -90,6 +88,5 @@ def prior_sigmas(settings: TrackerSettings) -> tuple[float, float, float]:
 
     Returns:
         Yaw error, rad; pitch error, rad; range error, m (1 sigma).
-
     """
     return settings.yaw_bias_sigma_rad, settings.pitch_bias_sigma_rad, settings.range_bias_sigma_m

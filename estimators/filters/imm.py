@@ -68,7 +68,6 @@ class TargetImm:
     Attributes:
         time_s: time of the state.
         state: see :mod:`sidelong.estimators.filters.imm_kernel`; never changed in place, so that copies can share it.
-
     """
 
     models: ClassVar[int] = len(kernel.MODELS)
@@ -83,7 +82,6 @@ class TargetImm:
             sighting: the first one.
             biases: what is known of the errors of the payload, or of all payloads as :func:`prior_of` has them.
             ground: the ground that the target stands on, None if it is not known.
-
         """
         mean, covariance = starting_moments(settings, sighting, biases)
         if ground is not None:
@@ -102,7 +100,6 @@ class TargetImm:
             time_s: Time of the state, vehicle's clock, s.
             state: Probability, mean and covariance of each model, (models, 1 + n + n * n).
             ground: The ground on which the target stands; None if unknown.
-
         """
         filtered = cls.__new__(cls)
         filtered._set_up(settings, time_s, state, ground)
@@ -122,7 +119,6 @@ class TargetImm:
 
         Args:
             time_s: Time to predict to, vehicle's clock, s; not earlier than the filter's own time.
-
         """
         step_s = round(time_s - self.time_s, 6)
         self.time_s = time_s
@@ -143,7 +139,6 @@ class TargetImm:
 
         Returns:
             The normalised innovation squared: chi-square with three degrees of freedom for laser and gimbal.
-
         """
         state = self.state.copy()
         nis = kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
@@ -181,7 +176,6 @@ class TargetImm:
         Args:
             payload: Index of the payload.
             sigma_s: Standard deviation of its clock, s.
-
         """
         n = kernel.numbers_of(self.state)
         at = errors_of(payload, n)[0] + ERRORS
@@ -201,7 +195,6 @@ def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float
     Args:
         payloads: Settings of each payload.
         clock_sigmas_s: Standard deviation of each payload's clock, s.
-
     """
     sigmas = [(*prior_sigmas(one), clock_s) for one, clock_s in zip(payloads, clock_sigmas_s, strict=True)]
     return Biases(np.zeros(4 * len(sigmas)), np.diag(np.square(sigmas).ravel()))
@@ -219,7 +212,6 @@ def starting_moments(
 
     Returns:
         Mean (n,) and covariance (n, n) of (east, north, velocity east, velocity north, height, turn rate, errors).
-
     """
     size = TARGET + biases.mean.size
     mean, covariance = np.zeros(size), np.zeros((size, size))
@@ -245,7 +237,6 @@ def seen(sighting: AnySighting) -> Seen:
 
     Args:
         sighting: The sighting.
-
     """
     if isinstance(sighting, Fix):
         return Seen(True, sighting.east_m, sighting.north_m, 0.0, *sighting.variances, 0.0, 0.0, 0.0)

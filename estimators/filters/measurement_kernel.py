@@ -45,7 +45,6 @@ def compared(
         height_m: height of the target, m, in the frame of the aircraft's height.
         residual: (3,), filled in: slant range in m, bearing and depression in rad.
         jacobian: (3, 6), filled in: derivative by (east, north, height, yaw error, pitch error, range error).
-
     """
     jacobian[:] = 0.0
     if seen.is_fix:
@@ -95,7 +94,6 @@ def linearized(
         position_variance_m2: variance of east plus that of north.
         residual: filled in.
         jacobian: filled in.
-
     """
     yaw, pitch, offset = errors
     curved_m = _CURVED_BEYOND * seen.slant_range_m

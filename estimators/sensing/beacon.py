@@ -27,7 +27,6 @@ class BeaconErrors:
 
         Returns:
             Standard deviation, m.
-
         """
         step_s = max(abs(time_s - self._last_s), _MIN_STEP_S)
         self._last_s = max(self._last_s, time_s)

@@ -60,7 +60,6 @@ class VehicleClock:
         returned: Whether that change was back to the previous sequence.
         two_lines_s: Distance of two alternating sequences; None while there is one.
         slow_lines_s: The same, if the second one is seldom received.
-
     """
 
     def __init__(self) -> None:
@@ -103,7 +102,6 @@ class VehicleClock:
             stamp_s: Time since boot in the message, s.
             confirmed_after_s: How long another sequence of stamps has to last before it is followed, s; None: depends
                 on its distance.
-
         """
         if self.goes_on(stamp_s):
             return Stamp.GOOD
@@ -118,7 +116,6 @@ class VehicleClock:
 
         Returns:
             Whether the stamp continues the clock.
-
         """
         own = self._own
         if own is None:
@@ -206,7 +203,6 @@ class SourceClock:
 
         Returns:
             Time on the vehicle's clock, s; None if the stamp fits neither that clock nor the source's own.
-
         """
         ahead_s = stamp_s - clock.now_s
         if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement

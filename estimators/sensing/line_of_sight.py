@@ -35,7 +35,6 @@ def ned_from_body(attitude: AttitudeReading) -> Quaternion:
 
     Args:
         attitude: Roll, pitch and yaw of the aircraft.
-
     """
     return from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
 
@@ -51,7 +50,6 @@ def line_of_sight(
         gimbal: The gimbal's orientation and its frame.
         attitude: Attitude of the aircraft; None is accepted for an earth-frame gimbal only.
         parent_from_mount: Rotation from the gimbal's mount to its parent frame.
-
     """
     direction = sight_direction(normalized(gimbal.quaternion_wxyz))
     if gimbal.frame != "earth":
@@ -74,7 +72,6 @@ def lever_arm_plane_m(lever_arm_body_m: Vector, attitude: AttitudeReading) -> Ve
 
     Returns:
         (east, north, up), m.
-
     """
     north, east, down = rotate(ned_from_body(attitude), lever_arm_body_m)
     return east, north, -down

@@ -50,7 +50,6 @@ class History(Generic[T]):
 
         Returns:
             False for a duplicate.
-
         """
         items = self._items
         if not items or item.time_s > items[-1].time_s:
@@ -73,7 +72,6 @@ class History(Generic[T]):
 
         Returns:
             Both readings, the same one twice if its time is exact; None before the first and after the last reading.
-
         """
         at = bisect_right(self._items, time_s, key=_time_s)
         if at == 0:
@@ -88,7 +86,6 @@ class History(Generic[T]):
 
         Args:
             time_s: Vehicle's clock, s.
-
         """
         return self._items[bisect_right(self._items, time_s, key=_time_s) :]
 
@@ -113,7 +110,6 @@ class PoseHistory:
 
         Args:
             reading: Position or attitude of the aircraft.
-
         """
         if isinstance(reading, PositionReading):
             self.positions.add(reading)
@@ -131,7 +127,6 @@ class PoseHistory:
 
         Returns:
             The position; None before the first reading, more than 0.3 s after the last one, and in a long gap.
-
         """
         pair = self.positions.around(time_s)
         if pair is None:
@@ -181,7 +176,6 @@ class PoseHistory:
 
         Returns:
             The attitude; None outside the readings and in a long gap.
-
         """
         pair = self.attitudes.around(time_s)
         if pair is None:

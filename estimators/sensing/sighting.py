@@ -132,7 +132,6 @@ def measurement_by_biases(sighting: AnySighting) -> FloatArray:
 
     Returns:
         Derivative by the (yaw, pitch, range) errors, (3, 3); read only.
-
     """
     return _BY_BIASES if isinstance(sighting, Sighting) else _BY_NO_BIASES
 

@@ -14,7 +14,6 @@ def flat_ground(sigma_m: float) -> Ground:
 
     Args:
         sigma_m: standard deviation of the target's height against home's, m.
-
     """
     posts = round(2.0 * _REACH_M / _STEP_M) + 1
     return Ground(np.zeros((posts, posts), np.float32), -_REACH_M, -_REACH_M, _STEP_M, _STEP_M, sigma_m)

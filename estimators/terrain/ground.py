@@ -67,7 +67,6 @@ class Ground:
 
         Returns:
             Height, m; NaN if unknown.
-
         """
         return height_and_slope(self.grid, east_m, north_m)[0]
 
@@ -80,7 +79,6 @@ class Ground:
 
         Returns:
             Heights, m, of that shape; NaN where unknown.
-
         """
         east, north = np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)
         return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
@@ -94,7 +92,6 @@ class Ground:
 
         Returns:
             The patch; None if unknown.
-
         """
         height_m, slope_east, slope_north = height_and_slope(self.grid, east_m, north_m)
         if math.isnan(height_m):
@@ -123,7 +120,6 @@ class Ground:
 
         Returns:
             Distance, m; None if the ray does not meet the ground or crosses a void, whose height is unknown.
-
         """
         step_m = sight_step_m(self.grid)
         found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)
@@ -138,7 +134,6 @@ class Ground:
             a_m: (east, north, height) of one point, m.
             b_m: (east, north, height) of the other point, m.
             clearance_m: Required clearance, m.
-
         """
         return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= clearance_m
 
@@ -157,6 +152,5 @@ class Ground:
 
         Returns:
             Heights, m, (azimuths, rings).
-
         """
         return horizon(self.grid, east_m, north_m, height_m, azimuths, rings, ring_m)

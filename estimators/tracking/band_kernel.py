@@ -19,7 +19,6 @@ def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
     Args:
         band: the upper diagonals, (width + 1, n): element (i, j) of the matrix is in row width + i - j, column j.
         right: right-hand sides, (n, m).
-
     """
     width, n = band.shape[0] - 1, band.shape[1]
     factor, x = band.copy(), right.copy()
@@ -74,7 +73,6 @@ def add_readings(
         band: upper diagonals, (5, 2 * knots).
         border: columns of the shared numbers, (2 * knots, m).
         right: right-hand side, (2 * knots,).
-
     """
     size, by_knots = len(right), np.empty((4, len(knot)))
     for axis in range(2):
@@ -96,7 +94,6 @@ def aircraft_at(positions: FloatArray, time_s: FloatArray) -> tuple[FloatArray, 
     Args:
         positions: rows of time s, east m, north m, velocity east m/s, velocity north m/s.
         time_s: at which times, (n,).
-
     """
     place, velocity = np.empty((len(time_s), 2)), np.empty((len(time_s), 2))
     for n in range(len(time_s)):

@@ -36,7 +36,6 @@ class Fit(NamedTuple):
         shared: gimbal delay s, laser delay s, yaw bias rad, range bias m, (4,).
         sigmas: their standard deviations, (4,).
         cost: negative logarithm of the likelihood, less a constant.
-
     """
 
     shared: FloatArray
@@ -72,7 +71,6 @@ class _Normal:
             by_shared: derivatives by the device's delay and by its bias.
             residual: of each, m.
             sigma: noise of each, m.
-
         """
         k, u = at
         squared = (residual / sigma) ** 2
@@ -145,7 +143,6 @@ class Scene:
             scale_m: size of the target's turns to start from.
             settled: whether that is known. If not, the path is held nearly straight at first: a path free to bend
                 would circle with the aircraft and leave the delays nothing to explain.
-
         """
         shared, scale_m2 = start.copy(), scale_m**2
         path = self._first_path(shared)

@@ -46,7 +46,6 @@ class DelayFit:
 
     Attributes:
         frame: of the lines of sight; empty before the first.
-
     """
 
     def __init__(self, settings: TrackerSettings, parent_from_mount: Quaternion) -> None:
@@ -74,7 +73,6 @@ class DelayFit:
 
         Args:
             p: The position.
-
         """
         self._positions.add(p.time_s, p.east_m, p.north_m, p.velocity_east_m_s, p.velocity_north_m_s)
 
@@ -83,7 +81,6 @@ class DelayFit:
 
         Args:
             a: The attitude.
-
         """
         self._attitudes.add(a.time_s, a.roll_rad, a.pitch_rad, a.yaw_rad)
 
@@ -92,7 +89,6 @@ class DelayFit:
 
         Args:
             reading: The line of sight.
-
         """
         if reading.frame != self.frame:
             self.frame = reading.frame
@@ -109,7 +105,6 @@ class DelayFit:
         Args:
             time_s: Stamp of the reading, vehicle's clock, s.
             slant_range_m: Slant range, m.
-
         """
         self._ranges.add(time_s - self._latency_s, slant_range_m)
 
@@ -121,7 +116,6 @@ class DelayFit:
 
         Returns:
             New delays; None between two estimates, and while they are unknown.
-
         """
         if abs(now_s - self._next_s) < _EVERY_KNOWN_S and now_s < self._next_s:
             return None
@@ -138,7 +132,6 @@ class DelayFit:
 
         Returns:
             The delays; None while there are too few readings.
-
         """
         since_s = now_s - _WINDOW_S
         positions, attitudes, gimbals, ranges = (

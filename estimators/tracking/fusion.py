@@ -28,7 +28,6 @@ def agreeing(tracks: Mapping[Name, TargetEstimate], accepted: Collection[Name] =
 
     Returns:
         Names of the group, by increasing covariance.
-
     """
     groups = {
         name: [other for other in tracks if other == name or squared_distance(track, tracks[other]) <= _GATE]
@@ -48,7 +47,6 @@ def apart_m(a: TargetEstimate, b: TargetEstimate) -> float:
     Args:
         a: One track.
         b: Another track, at the same time.
-
     """
     return float(np.hypot(a.east_m - b.east_m, a.north_m - b.north_m))
 
@@ -59,7 +57,6 @@ def squared_distance(a: TargetEstimate, b: TargetEstimate) -> float:
     Args:
         a: One track.
         b: Another track, at the same time.
-
     """
     off = _state(a) - _state(b)
     return float(off @ np.linalg.solve(a.covariance + b.covariance + 1e-9 * np.eye(4), off))

@@ -62,7 +62,6 @@ class JointTrack:
             name: Name of the payload's aircraft.
             sighting: The sighting.
             clock_sigma_s: Standard deviation of its time, s; that of the payload's first sighting counts.
-
         """
         payload = self._names.index(name)
         self._own[payload].add(sighting)
@@ -82,7 +81,6 @@ class JointTrack:
 
         Args:
             time_s: Time to predict to, s.
-
         """
         if time_s - self._compared_s >= _COMPARED_EVERY_S:
             self._compared_s = time_s
@@ -99,7 +97,6 @@ class JointTrack:
 
         Args:
             name: Name of the payload's aircraft.
-
         """
         last, _ = self._track.last
         biases = last.biases() if last is not None else prior_of(self._settings, self._clock_sigmas_s)

@@ -59,7 +59,6 @@ class Pairing:
 
         Returns:
             Whether it is new and its quaternion is a rotation.
-
         """
         length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
         if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
@@ -81,7 +80,6 @@ class Pairing:
 
         Args:
             reading: The range.
-
         """
         if self._ranges.add(reading):
             insort(self.waiting, reading, key=_time_s)
@@ -117,7 +115,6 @@ class Pairing:
 
         Args:
             delays: Delays of laser and gimbal; None: the configured ones.
-
         """
         self.gimbal_delay_s = self.range_delay_s = self._settings.latency_s
         if delays is not None:
@@ -128,7 +125,6 @@ class Pairing:
 
         Args:
             since_s: Vehicle's clock, s.
-
         """
         self._paired_s = -math.inf
         waiting = {reading.time_s for reading in self.waiting}

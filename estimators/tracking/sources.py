@@ -40,7 +40,6 @@ def range_rank(source: Source) -> int | None:
 
     Returns:
         Lower is better; None for a source that cannot be the payload's.
-
     """
     from_autopilot = source.component_id == _AUTOPILOT_COMPONENT
     if source.orientation == LOOKS_DOWN or (from_autopilot and source.message == "RANGEFINDER"):
@@ -57,7 +56,6 @@ def sight_rank(source: Source) -> int | None:
 
     Returns:
         Lower is better.
-
     """
     if source.message == "CAMERA_TRACKING_IMAGE_STATUS":
         return -1
@@ -84,7 +82,6 @@ class SourceSelector:
             source: who sent it.
             time_s: when, on the vehicle's clock.
             agrees: whether the reading agrees with the track; asked before another source is replaced.
-
         """
         if source is not self.chosen and source != self.chosen:
             rank = self._rank_of(source)

@@ -68,7 +68,6 @@ class Track:
 
         Args:
             time_s: Vehicle's clock, s.
-
         """
         while self._kept and self._kept[-1][0] > time_s:
             self._kept.pop()
@@ -90,7 +89,6 @@ class Track:
         Args:
             biases: Errors of the payload.
             sightings: Sightings that replace all earlier ones.
-
         """
         self._filter = self._coasted = None
         self._steps.clear()
@@ -105,7 +103,6 @@ class Track:
 
         Args:
             ground: The ground.
-
         """
         self._ground = ground
 
@@ -116,7 +113,6 @@ class Track:
             last: The filter after the last accepted sighting.
             last_sighting_s: Time of that sighting, vehicle's clock, s.
             gated_out: Sightings since then that the gate rejected.
-
         """
         self._filter, self._coasted = last, None
         self._steps.clear()
@@ -132,7 +128,6 @@ class Track:
 
         Args:
             sighting: The sighting.
-
         """
         settings = self._settings
         if sighting.quality is not None and sighting.quality < settings.quality_min:
@@ -228,7 +223,6 @@ class Track:
 
         Returns:
             The estimate at that time, or at the last sighting if that is later; None before the first sighting.
-
         """
         if self._filter is None:
             return None
@@ -256,7 +250,6 @@ class Track:
 
         Returns:
             Difference of heights, m; 0 before the first sighting.
-
         """
         return 0.0 if self._filter is None else height_m - self._filter.height_m
 

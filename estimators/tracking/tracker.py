@@ -81,7 +81,6 @@ class Tracker:
 
         Returns:
             The outcome of each sighting that the reading completed.
-
         """
         match reading:
             case PositionReading():
@@ -163,7 +162,6 @@ class Tracker:
 
         Args:
             reading: The line of sight.
-
         """
         frame = self._settings.gimbal_frame
         return reading if frame is None or reading.frame == frame else replace(reading, frame=frame)
@@ -238,7 +236,6 @@ class Tracker:
             ground: The ground.
             angles_alone: Whether the line of sight alone counts while the laser is silent. Set False where the gimbal
                 follows the estimate, which would confirm itself.
-
         """
         self._track.stand_on(ground)
         if angles_alone:
@@ -249,7 +246,6 @@ class Tracker:
 
         Args:
             now_s: Time to predict to, vehicle's clock, s.
-
         """
         return self._track.estimate(now_s)
 
@@ -288,7 +284,6 @@ class Tracker:
 
         Args:
             time_s: Vehicle's clock, s.
-
         """
         self._suspected = True
         self._track.forget_since(time_s)

@@ -36,7 +36,6 @@ class Situation:
         battery_percent: Charge; None: unknown.
         endurance_s: Flight time left until the reserve; None: unknown.
         home_s: Flight time to home; None: unknown.
-
     """
 
     time_s: float
@@ -71,7 +70,6 @@ class Alarm:
         since_s: When it was raised.
         countdown_s: Time until the aircraft acts automatically; None: it does not.
         acknowledged: Whether the operator has acknowledged it.
-
     """
 
     key: str
@@ -104,7 +102,6 @@ class Alarms:
         active: Those that are raised, in the order of their rules.
         was_in_band: Whether the target was in the range band since the beginning.
         was_on_side: Whether the aircraft was on the required side since the beginning.
-
     """
 
     def __init__(self) -> None:
@@ -122,7 +119,6 @@ class Alarms:
 
         Returns:
             The alarms that it raises, and those that it clears.
-
         """
         self._remember(now)
         before = {alarm.key: alarm for alarm in self.active}
@@ -139,7 +135,6 @@ class Alarms:
 
         Returns:
             Whether it was active and not seen before.
-
         """
         known = any(alarm.key == key and not alarm.acknowledged for alarm in self.active)
         self.active = tuple(replace(alarm, acknowledged=True) if alarm.key == key else alarm for alarm in self.active)
@@ -174,7 +169,6 @@ class Alarms:
 
         Args:
             now: The situation.
-
         """
         return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
 

@@ -164,7 +164,6 @@ class StandoffController:
 
         Returns:
             The resulting commands and announcements, in order.
-
         """
         self.sighted = ()
         announced: tuple[Command, ...]
@@ -472,7 +471,6 @@ class StandoffController:
 
         Returns:
             The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
-
         """
         height_m = self.flown_height_m
         cleared = self.surroundings.cleared(plan, height_m, self._target_m)
@@ -492,7 +490,6 @@ class StandoffController:
 
         Returns:
             The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
-
         """
         return self.surroundings.cleared(plan, None, None)
 
@@ -641,7 +638,6 @@ class StandoffController:
 
         Args:
             change: The requested change.
-
         """
         if change.height_m is None or self.present is None:
             return None

@@ -24,7 +24,6 @@ class Endurance:
 
     Args:
         reserve_percent: Charge that is to be left.
-
     """
 
     def __init__(self, reserve_percent: float) -> None:
@@ -38,7 +37,6 @@ class Endurance:
         Args:
             time_s: Vehicle's clock, s; not earlier than the previous one.
             percent: Remaining charge, 0 to 100.
-
         """
         last = None if self._last is None else self._last[1]
         self._last = time_s, percent
@@ -75,7 +73,6 @@ class Endurance:
 
         Returns:
             Time, s; None while the consumption is unknown.
-
         """
         rate = self.percent_per_s
         if rate is None:
@@ -95,7 +92,6 @@ def time_to_s(aircraft: AircraftState, place_m: tuple[float, float], airspeed_m_
 
     Returns:
         Time, s; infinite if the wind prevents the flight.
-
     """
     east_m, north_m = place_m[0] - aircraft.east_m, place_m[1] - aircraft.north_m
     distance_m = math.hypot(east_m, north_m)

@@ -34,7 +34,6 @@ class FlownRadius:
         Args:
             aircraft: State of the aircraft.
             commanded: The circle as it was sent to the autopilot.
-
         """
         if commanded != self._circle:
             self._restart(commanded)
@@ -65,6 +64,5 @@ class FlownRadius:
 
         Args:
             wanted: The required circle.
-
         """
         return Circle(wanted.east_m, wanted.north_m, wanted.radius_m / self.ratio, wanted.clockwise)

@@ -18,7 +18,6 @@ def requirement_after(change: MissionChange, requirement: Requirement) -> Requir
 
     Raises:
         ValueError: The words for the side are invalid.
-
     """
     min_m = requirement.range_min_m if change.range_min_m is None else change.range_min_m
     max_m = requirement.range_max_m if change.range_max_m is None else change.range_max_m
@@ -32,7 +31,6 @@ def aircraft_after(change: MissionChange, aircraft: Aircraft) -> Aircraft:
     Args:
         change: The change.
         aircraft: The present limits.
-
     """
     return aircraft if change.radius_m is None else replace(aircraft, radius_m=change.radius_m)
 
@@ -42,7 +40,6 @@ def describe_change(change: MissionChange) -> str:
 
     Args:
         change: The change.
-
     """
     words = []
     if change.radius_m is not None:

@@ -70,7 +70,6 @@ class PlanChanges:
             plan: The plan.
             flown: The circle that is flown.
             commanded: The circle as it was sent to the autopilot.
-
         """
         self.present, self._commanded, self._not_taken = plan, commanded, None
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
@@ -80,7 +79,6 @@ class PlanChanges:
 
         Args:
             aircraft: State of the aircraft.
-
         """
         if self._commanded is not None:
             self._flown_radius.observe(aircraft, self._commanded)
@@ -93,7 +91,6 @@ class PlanChanges:
             plan: The plan.
             wind: Estimate of the wind.
             reason: Reason of the decision, in words.
-
         """
         assert self.present is not None
         self.uploads += 1
@@ -111,7 +108,6 @@ class PlanChanges:
         Args:
             now_s: Present time, vehicle's clock, s.
             watching: Whether control of the aircraft is confirmed.
-
         """
         change = self.under_way
         if change is None or change.stage != "ready":
@@ -142,7 +138,6 @@ class PlanChanges:
             now_s: Present time, vehicle's clock, s.
             aircraft: State of the aircraft; None if unknown.
             watching: Whether control of the aircraft is confirmed.
-
         """
         late = self._not_taken
         if event.stage == "departed" and late is not None and late.number == event.number:
@@ -200,7 +195,6 @@ class PlanChanges:
 
         Args:
             aircraft: State of the aircraft.
-
         """
         present = self.present
         if present is None or present.transition is None:

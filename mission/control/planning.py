@@ -46,7 +46,6 @@ class Planning:
         Args:
             aircraft: Limits of the aircraft.
             requirement: How the target has to be observed.
-
         """
         self._aircraft, self._requirement = aircraft, requirement
         self.planner = self.make_planner(aircraft, requirement)
@@ -67,7 +66,6 @@ class Planning:
 
         Returns:
             Whether the planner was not prepared for it before.
-
         """
         if speed_m_s in self.prepared_winds_m_s or not isinstance(self.planner, WindPlanner):
             return False
@@ -85,7 +83,6 @@ class Planning:
 
         Returns:
             What that means for planning, in words.
-
         """
         if not isinstance(self.planner, RoutePlanner):
             return "this planner does not use a route"
@@ -119,7 +116,6 @@ class Planning:
 
         Args:
             news: Advice of the coordinator, or the plans of another aircraft.
-
         """
         before = self.target
         if isinstance(news, NeighbourPlanned):
@@ -150,7 +146,6 @@ class Planning:
 
         Returns:
             In words; '' if none is, and without fresh advice.
-
         """
         advice = self._advice
         return "" if advice is None or time_s - advice.time_s > _ADVICE_S else advice.separation
@@ -160,7 +155,6 @@ class Planning:
 
         Args:
             requirement: How the target has to be observed.
-
         """
         if isinstance(self.planner, CooperativePlanner):
             self._requirement = requirement
@@ -175,7 +169,6 @@ class Planning:
 
         Returns:
             The estimate; None if it is old or lost.
-
         """
         advice = self._advice
         if advice is None or advice.estimate is None or time_s - advice.time_s > _ADVICE_S:
@@ -198,7 +191,6 @@ class Planning:
 
         Returns:
             A new plan, or None to continue, with the reason.
-
         """
         range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
         if range_m <= self._requirement.range_max_m:

@@ -76,7 +76,6 @@ class Plausibility:
         dead_reckoned: Whether the latest position (``position.accepted``) is dead reckoned.
         no_heartbeat: Whether the flight mode is too old for commands; set by the health model.
         vehicle_silent: Whether the vehicle's clock stands still; set by the health model.
-
     """
 
     def __init__(self, wind_max_m_s: float = math.inf) -> None:
@@ -129,7 +128,6 @@ class Plausibility:
 
         Returns:
             The checked event, None if it is rejected, and the announcements for the operator.
-
         """
         judge = self._judges.get(type(event))
         if judge is None:

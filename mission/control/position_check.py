@@ -40,7 +40,6 @@ class PositionCheck:
         jump_m: How far the first rejected reading was from the reference.
         two_places_m: Distance of two alternating positions; None while there is one position.
         slow_places_m: The same, if the second position is received seldom.
-
     """
 
     def __init__(self) -> None:
@@ -62,7 +61,6 @@ class PositionCheck:
 
         Args:
             drifted_m: Possible drift of recent positions, m.
-
         """
         self._drifted_m = drifted_m
 
@@ -71,7 +69,6 @@ class PositionCheck:
 
         Args:
             seconds: Size of the jump, s.
-
         """
         if self.accepted is not None:
             self.accepted = replace(self.accepted, time_s=self.accepted.time_s + seconds)
@@ -87,7 +84,6 @@ class PositionCheck:
             place: The reported position.
             passed_s: Elapsed time.
             jumped: Whether rejected readings are jumps. They may continue or return; neither is flown motion.
-
         """
         places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
         return any(one is not None and _stayed(one, place, passed_s) for one in places)
@@ -102,7 +98,6 @@ class PositionCheck:
             bank_rad: The aircraft's present bank angle.
             possible: Whether the reading is within the absolute limits.
             sound: Whether GPS and EKF report no fault.
-
         """
         last = self.accepted
         if last is None:

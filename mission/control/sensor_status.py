@@ -57,7 +57,6 @@ class SensorStatus:
             reading: The reading.
             outcomes: What the tracker returned for it.
             tracker: The tracker.
-
         """
         match reading:
             case PositionReading():

@@ -29,7 +29,6 @@ class Surroundings:
         check: Returns the name of the fence that a plan would break, or None.
         heights: Assigns heights to plans; None: the configured height for all.
         sight: Returns what terrain hides around a target of given position and velocity.
-
     """
 
     check: FenceCheck = _no_fence
@@ -54,7 +53,6 @@ class Surroundings:
 
         Returns:
             The plan with its heights, or in words the fence that it breaks or the ground in its path.
-
         """
         heights = heights or self.heights
         levelled = plan if heights is None else heights.levelled(plan, flown_m, target_m)

@@ -27,7 +27,6 @@ class DelayNews:
         Args:
             time_s: Time on the vehicle's clock, s.
             delays: Estimated delays of the payload; None while unknown.
-
         """
         if delays is None:
             return ()
@@ -50,7 +49,6 @@ class MountNews:
         Args:
             time_s: Time on the vehicle's clock, s.
             yaw_rad: The error beyond what is expected; 0: none.
-
         """
         limit_rad = _YAW_STEP_RAD if self._announced_rad else 0.0
         if yaw_rad == 0.0 or abs(yaw_rad - self._announced_rad) <= limit_rad:
@@ -81,7 +79,6 @@ class TargetNews:
 
         Returns:
             New announcements; empty if nothing has changed.
-
         """
         unseen_s = time_s - estimate.last_sighting_s
         sight = _Sight.SEEN

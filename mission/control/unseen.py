@@ -30,7 +30,6 @@ class UnseenTarget:
             estimate: Of the target.
             fault: Whether laser or gimbal have a fault: their silence then is no mere gap.
             speed_max_m_s: The target's highest speed.
-
         """
         unseen_s = now_s - estimate.last_sighting_s
         if estimate.quality is TrackQuality.LOST:

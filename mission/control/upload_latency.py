@@ -29,7 +29,6 @@ class UploadLatency:
         Args:
             took_s: Duration until the plan could be flown, s.
             by_command: The plan was not uploaded, but flown as soon as one command was obeyed.
-
         """
         self._by_command = by_command
         self._took_s.append((took_s, self._round_trip_s))
@@ -40,7 +39,6 @@ class UploadLatency:
 
         Args:
             round_trip_s: Round-trip time, s.
-
         """
         self._round_trip_s = round_trip_s
         self._expect()

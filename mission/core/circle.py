@@ -38,7 +38,6 @@ class Circle:
 
         Returns:
             (east, north) in the local plane, m.
-
         """
         # The centre lies to the right (cos, -sin) of a clockwise flight.
         signed_radius_m = self.radius_m if self.clockwise else -self.radius_m
@@ -56,7 +55,6 @@ class Circle:
 
         Returns:
             Course, clockwise from north, rad.
-
         """
         outward_rad = math.atan2(east_m - self.east_m, north_m - self.north_m)
         return outward_rad + (math.pi / 2 if self.clockwise else -math.pi / 2)
@@ -71,7 +69,6 @@ class Circle:
             course_rad: Direction of the ray, clockwise from north, rad.
             radius_m: Radius of the circle, m.
             clockwise: Whether the circle is flown clockwise.
-
         """
         signed_radius_m = radius_m if clockwise else -radius_m
         return Circle(

@@ -53,7 +53,6 @@ class RouteGiven:
         tolerance_m: One standard deviation of the target's lateral offset from the route, m.
         speed_m_s: Expected speed along the route, m/s; None: unknown.
         direction: Direction in which the target follows the way points.
-
     """
 
     time_s: float
@@ -91,7 +90,6 @@ class ControlAcquired:
         time_s: Time on the vehicle's clock, s.
         circle: The circle that is flown.
         commanded: The circle as it was commanded, where that differs from ``circle``.
-
     """
 
     time_s: float
@@ -112,7 +110,6 @@ class PlanStatus:
             confirmed; departed or failed follows. A failed departure may still be followed by departed.
         detail: The reason of a failure, in words.
         by_command: With ready: no upload was needed; departed follows when the command is obeyed.
-
     """
 
     time_s: float
@@ -137,7 +134,6 @@ class ClockTick:
     Attributes:
         time_s: the vehicle's clock.
         link_s: this computer's clock.
-
     """
 
     time_s: float
@@ -250,7 +246,6 @@ class UploadPlan:
         plan: The plan.
         commanded: The plan's circle, corrected so that the autopilot flies the required one.
         wind: The present estimate of the wind, for which waypoints are laid out.
-
     """
 
     time_s: float
@@ -314,7 +309,6 @@ class HealthChanged:
         state: its new state.
         text: what has happened and what to do, in one sentence.
         lasted_s: how long the previous state lasted; 0 if there was none.
-
     """
 
     time_s: float

@@ -41,7 +41,6 @@ def in_words(changes: Iterable[Change]) -> str:
 
     Args:
         changes: Possible changes of the configuration.
-
     """
     reasons = groupby(changes, key=lambda change: change.because)
     return "; ".join(f"{because}: {', or '.join(each.remedy for each in those)}" for because, those in reasons)
@@ -56,7 +55,6 @@ def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...
 
     Returns:
         Possible changes; empty if the requirement can be kept.
-
     """
     return (
         *_circle_too_tight(aircraft),
@@ -101,6 +99,5 @@ def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
     Args:
         aircraft: Limits of the aircraft.
         requirement: How the target has to be observed.
-
     """
     return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m

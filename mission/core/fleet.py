@@ -30,7 +30,6 @@ class Neighbour:
     Attributes:
         ours: It follows the plans of ``NeighbourPlanned``; a foreign aircraft flies straight on.
         target: Name of the target it watches; '' for a foreign aircraft.
-
     """
 
     name: str
@@ -58,7 +57,6 @@ class FleetAdvice:
         course_rad: Course of the target by which the fleet assigns the sides, clockwise from north; None before the
             first aircraft watches.
         separation: Which aircraft is too near, in words; '' if none is.
-
     """
 
     time_s: float
@@ -80,7 +78,6 @@ class NeighbourPlanned:
 
     Attributes:
         present: None: not known, or the aircraft has left the fleet.
-
     """
 
     time_s: float
@@ -98,6 +95,5 @@ class CooperativePlanner(Planner, Protocol):
 
         Args:
             news: Advice of the coordinator, or the plans of another aircraft.
-
         """
         ...

@@ -24,7 +24,6 @@ class Heights(Protocol):
 
         Returns:
             The plan with heights above home, or in words why there are none.
-
         """
         ...
 
@@ -33,7 +32,6 @@ class Heights(Protocol):
 
         Args:
             height_m: The height, above the reference of the configured one, m.
-
         """
         ...
 
@@ -51,7 +49,6 @@ class ClimbRates:
 
         Args:
             climbs: Whether the aircraft climbs; else it descends.
-
         """
         return _RATE_RESERVE * (self.climb_m_s if climbs else self.descent_m_s) / self.airspeed_m_s
 
@@ -61,7 +58,6 @@ class ClimbRates:
         Args:
             from_m: Height at the start, m.
             to_m: Height at the end, m.
-
         """
         return HeightProfile(from_m, to_m, self.slope(climbs=to_m >= from_m))
 
@@ -80,7 +76,6 @@ class OneHeight:
             plan: The plan.
             flown_m:  None|Present height above home, m; None before the first circle.
             _target_m: Not used.
-
         """
         if self.height_m is None:
             return plan
@@ -91,6 +86,5 @@ class OneHeight:
 
         Args:
             height_m: Height above home, m.
-
         """
         return OneHeight(self.rates, height_m)

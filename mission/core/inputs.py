@@ -46,7 +46,6 @@ class InputReport:
         source: the device it comes from, in words; empty where there is only one.
         rate_hz: readings per second of the vehicle's clock over the last seconds; NaN before it is known.
         text: the sentence of the last change.
-
     """
 
     input: Input

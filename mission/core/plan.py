@@ -49,7 +49,6 @@ class HeightProfile:
 
         Args:
             arc_m: Arc length from the start of the plan, m.
-
         """
         change_m = self.slope * arc_m
         if self.to_m >= self.from_m:
@@ -86,7 +85,6 @@ class Plan:
 
         Args:
             configured_m: Height for a plan without heights of its own, above home, m.
-
         """
         return configured_m if self.heights is None else self.heights.to_m
 
@@ -97,7 +95,6 @@ def settled_m(height_m: float, plan: Plan | None) -> float:
     Args:
         height_m: Present height above home, m.
         plan: The plan.
-
     """
     if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
         return height_m
@@ -140,7 +137,6 @@ class Planner(Protocol):
 
         Returns:
             A new plan, or None to continue, with the reason.
-
         """
         ...
 
@@ -154,7 +150,6 @@ class WindPlanner(Planner, Protocol):
 
         Args:
             wind_speed_m_s: Wind speed, m/s.
-
         """
         ...
 

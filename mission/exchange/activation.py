@@ -78,7 +78,6 @@ class Activation:
 
         Args:
             first_ahead: Number of the first item that the aircraft cannot have passed when the request arrives.
-
         """
         now_s = self._outbox.link_s
         if self.answer is not Answer.OPEN or now_s < self._due_s:
@@ -107,7 +106,6 @@ class Activation:
 
         Args:
             seq: Number of the current item.
-
         """
         if seq in self.layout:
             self.answer, self.index = Answer.FLOWN, seq
@@ -121,7 +119,6 @@ class Activation:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self._sends and not self._target_was_on_line and self._is_on_line(report):
             self.answer = Answer.FLOWN
@@ -131,7 +128,6 @@ class Activation:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self.unanswered and not self._settled:
             self._settled = True
@@ -142,7 +138,6 @@ class Activation:
 
         Args:
             aircraft: State of the aircraft.
-
         """
         if not self._sends or self.answer is not Answer.OPEN:
             return

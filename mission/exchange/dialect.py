@@ -84,7 +84,6 @@ class AutopilotDialect(Protocol):
 
         Args:
             home: Home position of the vehicle.
-
         """
         ...
 
@@ -93,7 +92,6 @@ class AutopilotDialect(Protocol):
 
         Args:
             home: Home position of the vehicle.
-
         """
         ...
 
@@ -103,7 +101,6 @@ class AutopilotDialect(Protocol):
         Args:
             airspeed_m_s: Airspeed, m/s.
             wind: Estimate of the wind.
-
         """
         ...
 
@@ -112,7 +109,6 @@ class AutopilotDialect(Protocol):
 
         Args:
             item: The mission item.
-
         """
         ...
 
@@ -138,7 +134,6 @@ class AutopilotDialect(Protocol):
         Args:
             order: The circle on the globe.
             take_over: Whether to change from another flight mode.
-
         """
         ...
 
@@ -150,6 +145,5 @@ class AutopilotDialect(Protocol):
 
         Returns:
             The circle; radius 0 if it is not reported. None for any other report.
-
         """
         ...

@@ -44,7 +44,6 @@ class MissionLayout:
 
         Args:
             index: Number of the first item still needed.
-
         """
         return replace(self, first=index) if index in self else self
 
@@ -56,7 +55,6 @@ class MissionLayout:
 
         Returns:
             The layout; its first item is the start of the next path.
-
         """
         fits = len(line) <= self.first - self.head
         first = self.head if fits else self.end
@@ -74,6 +72,5 @@ class MissionLayout:
 
         Args:
             tail: The items.
-
         """
         return replace(self, items=(*self.items, *tail))

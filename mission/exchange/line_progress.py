@@ -27,7 +27,6 @@ def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: f
 
     Returns:
         Number of the item, at most that of the circle.
-
     """
     for seq in range(layout.first, layout.end - 1):
         east_m, north_m = _place(layout.items[seq], plane)
@@ -51,7 +50,6 @@ def flown_after(
 
     Returns:
         Number of the item.
-
     """
     index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
     if aircraft is None or index == layout.end - 1:
@@ -70,7 +68,6 @@ def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: 
         aircraft: Where the aircraft is.
         plane: Local plane.
         flown_m: How far it may have flown since it passed that waypoint.
-
     """
     if seq - 1 not in layout or seq not in layout:
         return False

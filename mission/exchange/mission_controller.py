@@ -106,7 +106,6 @@ class MissionController:
 
         Returns:
             The resulting outputs, in order.
-
         """
         self._outputs = []
         if not isinstance(event, _FREQUENT) and isinstance(event, ExchangeEvent):

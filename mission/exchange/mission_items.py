@@ -106,7 +106,6 @@ class MissionItemBackend:
 
         Raises:
             UnflyableError: No waypoints lead along the plan.
-
         """
         head = self._dialect.head(self._settings.home)
         first = len(head) + len(lead_in)
@@ -121,7 +120,6 @@ class MissionItemBackend:
 
         Args:
             round_trip_s: Round-trip time of the link, s.
-
         """
         self._read = MissionRead(self._outbox, self._dialect.quirks, self._outbox.link_s + _READ_S, round_trip_s)
 
@@ -172,7 +170,6 @@ class MissionItemBackend:
 
         Raises:
             UnflyableError: No waypoints lead along the plan.
-
         """
         settings = self._settings
         tracking = self._dialect.tracking(settings.airspeed_m_s, wind)
@@ -190,7 +187,6 @@ class MissionItemBackend:
 
         Args:
             command: The plan with its number.
-
         """
         change = self._change
         busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
@@ -207,7 +203,6 @@ class MissionItemBackend:
 
         Args:
             command: Number of the plan.
-
         """
         change = self._change
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
@@ -331,7 +326,6 @@ class MissionItemBackend:
         Args:
             aircraft: State of the aircraft.
             mode: Flight mode by the autopilot's name.
-
         """
         self._aircraft = aircraft
         change = self._change
@@ -344,7 +338,6 @@ class MissionItemBackend:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self._read is not None:
             self._read.receive(report)

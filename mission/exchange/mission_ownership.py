@@ -82,7 +82,6 @@ class MissionOwnership:
 
         Args:
             round_trip_s: Round-trip time, s.
-
         """
         self._reports.round_trip_s = self._contents.round_trip_s = round_trip_s
 
@@ -91,7 +90,6 @@ class MissionOwnership:
 
         Args:
             report: The report of the autopilot.
-
         """
         self._identity.ours.add((report.total, report.mission_id))
 
@@ -100,7 +98,6 @@ class MissionOwnership:
 
         Args:
             items: Number of its items.
-
         """
         self._identity.writing = items - self._quirks.home_at_zero
 
@@ -111,7 +108,6 @@ class MissionOwnership:
             items: The items on board afterwards.
             mission_id: Id that the autopilot reported; 0 if unknown.
             accepted: Whether the autopilot confirmed it.
-
         """
         self._call_off()
         self._flown = -1  # a list that is taken whole begins at the item that was marked
@@ -132,7 +128,6 @@ class MissionOwnership:
 
         Args:
             report: What the autopilot reports.
-
         """
         replaced = report.mission_id != self._latest_id and report.mission_id in self.mission_ids
         recent = report.link_s - self._latest_s < _LATE_S
@@ -147,7 +142,6 @@ class MissionOwnership:
             report: What the autopilot reports.
             present: The line that is flown. An item before one that was flown already is another station's choice.
             left: The line before, while late reports of it may come.
-
         """
         lines = (present, left)
         self._identified = self._identified or bool(report.total or report.mission_id)
@@ -179,7 +173,6 @@ class MissionOwnership:
         Args:
             report: What the autopilot reports.
             lines: Those that may be flown.
-
         """
         if not self._begun or self._identified:
             return
@@ -197,7 +190,6 @@ class MissionOwnership:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self._read is not None:
             self._read.receive(report)
@@ -229,7 +221,6 @@ class MissionOwnership:
         Args:
             report: The report of the autopilot.
             layout: The mission that should be on board.
-
         """
         if not self._begun or report.seq not in layout:
             return
@@ -244,7 +235,6 @@ class MissionOwnership:
 
         Args:
             seq: Number of the item; None if unknown.
-
         """
         if self._outbox.link_s < self._audit_s:
             return

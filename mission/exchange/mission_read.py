@@ -56,7 +56,6 @@ class MissionRead:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self.done:
             return

@@ -50,7 +50,6 @@ class MissionUpload:
 
         Args:
             items: All items on board.
-
         """
         self._onboard = items
 
@@ -61,7 +60,6 @@ class MissionUpload:
             layout: The items to upload.
             bound_s: Time limit, s.
             marked: Returns the number of the item to fly once the mission is accepted.
-
         """
         items = layout.closed_by(self._tail).items
         self._layout, self._result = layout, None
@@ -93,7 +91,6 @@ class MissionUpload:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self._write is not None:
             self._write.receive(report)

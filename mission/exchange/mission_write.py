@@ -58,7 +58,6 @@ class MissionWrite:
         doubt_before: Whether the acknowledgement of an upload of unknown id may still arrive.
         loses: Whether an earlier upload lost items. Then, or after the first loss, items are sent twice if allowed.
         result: None while the upload runs. ACCEPTED: verified. TIMEOUT, DENIED: the items at ``changed`` are unknown.
-
     """
 
     def __init__(
@@ -108,7 +107,6 @@ class MissionWrite:
 
         Args:
             report: The report of the autopilot.
-
         """
         if self.result is not None:
             return

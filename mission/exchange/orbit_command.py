@@ -70,7 +70,6 @@ class OrbitCommandBackend:
 
         Returns:
             The command that does so.
-
         """
         order = self._order(first.circle, first)
         return CommandExchange(self._outbox, self._dialect.fly_circle(order, take_over=True))
@@ -85,7 +84,6 @@ class OrbitCommandBackend:
 
         Args:
             command: The plan with its number.
-
         """
         self._plan = command
         self._outbox.report(PlanStatus(self._outbox.time_s, command.number, "ready", by_command=True))
@@ -95,7 +93,6 @@ class OrbitCommandBackend:
 
         Args:
             command: Number of the plan.
-
         """
         plan = self._plan
         if plan is None or plan.number != command.number or self._closed:
@@ -114,7 +111,6 @@ class OrbitCommandBackend:
         Args:
             aircraft: State of the aircraft.
             mode: Flight mode by the autopilot's name.
-
         """
         self._aircraft, self._mode = aircraft, mode
         if self._flown is not None and self._command is None and aircraft.time_s >= self._due_s:
@@ -136,7 +132,6 @@ class OrbitCommandBackend:
 
         Args:
             report: The report of the autopilot.
-
         """
         if isinstance(report, CommandAcknowledged) and self._command is not None:
             self._command.receive(report)

@@ -58,7 +58,6 @@ class Outbox:
         Args:
             time_s: Time on the vehicle's clock, s.
             link_s: Present time on the link's clock, s.
-
         """
         self.time_s, self.link_s = time_s, link_s
         if math.isfinite(time_s) and (self._began is None or time_s < self._began[0]):
@@ -72,7 +71,6 @@ class Outbox:
 
         Returns:
             Duration on the vehicle's clock, s.
-
         """
         if self._began is None or self.link_s - self._began[1] < _RATE_KNOWN_S:
             return link_s
@@ -84,7 +82,6 @@ class Outbox:
         Args:
             name: Name of the MAVLink message.
             fields: Its fields.
-
         """
         self.sent.append(SendMessage(self.time_s, name, fields))
 
@@ -94,7 +91,6 @@ class Outbox:
         Args:
             name: Name of the MAVLink message.
             fields: Its fields.
-
         """
         self.send(name, **fields, mission_type=MISSION)
 
@@ -110,7 +106,6 @@ class Outbox:
             seq: Number of the item.
             item: The item.
             current: Whether it becomes the current item.
-
         """
         self.send("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item), mission_type=MISSION)
 
@@ -119,6 +114,5 @@ class Outbox:
 
         Args:
             event: An event for the control step, or an announcement for the operator.
-
         """
         self.derived.append(event)

@@ -33,7 +33,6 @@ class Suspicion:
 
         Returns:
             Whether it proves that another operator is in command.
-
         """
         self.active = True
         while self._reports_s and link_s - self._reports_s[0] > _REMEMBERED_S:
@@ -69,7 +68,6 @@ class MissionIdentity:
             total: Number of its items.
             mission_id: Its id; 0 while unknown.
             accepted: Whether the autopilot confirmed it.
-
         """
         self.writing = self.expected = None
         if not accepted:
@@ -87,7 +85,6 @@ class MissionIdentity:
         Args:
             total: Reported number of items.
             mission_id: Reported id; 0 if the autopilot reports none.
-
         """
         unknown = mission_id != 0 and (total, mission_id) not in self.ours
         return unknown and self.writing is None and total in self.doubtful
@@ -98,7 +95,6 @@ class MissionIdentity:
         Args:
             total: Reported number of items.
             mission_id: Reported id; 0 if the autopilot reports none.
-
         """
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True

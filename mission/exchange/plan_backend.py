@@ -34,7 +34,6 @@ class BackendSettings:
         Args:
             circle: The circle.
             plan: The plan.
-
         """
         height_m = plan.circle_height_m(self.height_m)
         return CircleOrder(
@@ -71,7 +70,6 @@ class PlanBackend(Protocol):
 
         Args:
             command: The plan with its number.
-
         """
         ...
 
@@ -80,7 +78,6 @@ class PlanBackend(Protocol):
 
         Args:
             command: Number of the plan.
-
         """
         ...
 
@@ -93,7 +90,6 @@ class PlanBackend(Protocol):
 
         Args:
             report: The report of the autopilot.
-
         """
         ...
 
@@ -103,7 +99,6 @@ class PlanBackend(Protocol):
         Args:
             aircraft: State of the aircraft.
             mode: Flight mode by the autopilot's name.
-
         """
         ...
 

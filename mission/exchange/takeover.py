@@ -97,7 +97,6 @@ class Takeover:
 
         Args:
             request: The request, with the first plan.
-
         """
         self._mode, self._arm_period_s = request.mode, request.arm_period_s
         self._round_trip_s = request.round_trip_s
@@ -110,7 +109,6 @@ class Takeover:
         Args:
             aircraft: State of the aircraft.
             height_m: Height above home, m.
-
         """
         self._aircraft, self._height_m = aircraft, height_m
 
@@ -119,7 +117,6 @@ class Takeover:
 
         Args:
             mode: Flight mode by the autopilot's name.
-
         """
         self._mode = mode
 
@@ -128,7 +125,6 @@ class Takeover:
 
         Args:
             report: The report of the autopilot.
-
         """
         if isinstance(report, CommandAcknowledged) and self._command is not None:
             self._command.receive(report)

@@ -42,7 +42,6 @@ def describe_result(result: int | None) -> str:
 
     Args:
         result: The result; None: no answer received.
-
     """
     return "no answer" if result is None else _RESULTS.get(result, f"result {result}")
 
@@ -53,7 +52,6 @@ class CommandExchange:
     Attributes:
         done: Whether it has ended.
         result: MAV_RESULT once ``done``; None: no answer; 5: in progress for longer than is waited for.
-
     """
 
     def __init__(self, outbox: Outbox, command: VehicleCommand) -> None:
@@ -90,7 +88,6 @@ class CommandExchange:
 
         Args:
             report: The acknowledgement.
-
         """
         if self.done or report.command != self._command.command:
             return

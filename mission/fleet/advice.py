@@ -26,6 +26,16 @@ def advice_to(
     """Return an aircraft's advice at mission time ``now_s``; wanted, course_rad: side and course of its target.
 
     separation: which other aircraft is too near, in words.
+
+    Args:
+        vehicle: The aircraft.
+        now_s: Mission time, s.
+        wanted: Required side of the target.
+        estimate: Estimate of the target; None if there is none.
+        fleet: All aircraft of the fleet.
+        foreign: Aircraft that do not belong to the fleet.
+        course_rad: Course of the target whose sides count, rad; None if unknown.
+        separation: Which other aircraft is too near, in words.
     """
     by_s = -vehicle.clock.offset_s
     announced = (vehicle.role, vehicle.target)
@@ -56,7 +66,13 @@ def advice_to(
 
 
 def announced_plans(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
-    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known."""
+    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known.
+
+    Args:
+        listener: The aircraft that is informed.
+        other: The aircraft whose plans are reported.
+        now_s: Mission time, s.
+    """
     if listener.report is None or other.report is None or other.plans is None:
         return None
     announced, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s

@@ -31,7 +31,6 @@ def spread_over(
     Returns:
         The target of each aircraft, and the gain over the present assignment in seconds off the required side. The
         gain is infinite if the aircraft are spread unevenly now, or one has no target.
-
     """
     each, odd = divmod(len(costs), len(targets))
     places = [(k, row) for k in range(len(targets)) for row in range(each + (odd > 0))]

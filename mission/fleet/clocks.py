@@ -26,7 +26,6 @@ class VehicleTime:
         sigma_s: One standard deviation of it at ``at_s``, s.
         at_s: Time of the latest report on the vehicle's clock, s.
         step_s: Size of the step kept aside, s; 0 where the latest report agreed.
-
     """
 
     offset_s: float = math.nan
@@ -44,7 +43,6 @@ class VehicleTime:
             mission_time_s: Mission time at that moment, s.
             sigma_s: One standard deviation of it, s.
             discard: Whether to discard earlier reports because the source has changed.
-
         """
         offset_s, sigma_s = mission_time_s - time_s, max(sigma_s, 1e-6)
         known_s, restarted = self.sigma_at(time_s), time_s < self.at_s - _RESTARTED_S
@@ -79,26 +77,49 @@ class VehicleTime:
         return math.isfinite(self.offset_s)
 
     def sigma_at(self, time_s: float) -> float:
-        """Return one standard deviation of the offset at the vehicle's time."""
+        """Return one standard deviation of the offset at the vehicle's time.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+        """
         return self.sigma_s if not self.known else self.sigma_s + _DRIFT_S_PER_S * max(time_s - self.at_s, 0.0)
 
     def mission_s(self, time_s: float) -> float:
-        """Return the mission time of a vehicle's."""
+        """Return the mission time of a vehicle's.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+        """
         return time_s + self.offset_s
 
 
 def shifted_state(state: AircraftState, by_s: float) -> AircraftState:
-    """Return the state on another clock."""
+    """Return the state on another clock.
+
+    Args:
+        state: State of the aircraft.
+        by_s: Offset added to all times, s.
+    """
     return replace(state, time_s=state.time_s + by_s)
 
 
 def shifted_plan(plan: Plan | None, by_s: float) -> Plan | None:
-    """Return the plan on another clock."""
+    """Return the plan on another clock.
+
+    Args:
+        plan: The plan; None if there is none.
+        by_s: Offset added to all times, s.
+    """
     return plan if plan is None else replace(plan, departure_s=plan.departure_s + by_s)
 
 
 def shifted_estimate(estimate: TargetEstimate | None, by_s: float) -> TargetEstimate | None:
-    """Return the estimate on another clock."""
+    """Return the estimate on another clock.
+
+    Args:
+        estimate: Estimate of the target; None if there is none.
+        by_s: Offset added to all times, s.
+    """
     if estimate is None:
         return None
     return replace(estimate, time_s=estimate.time_s + by_s, last_sighting_s=estimate.last_sighting_s + by_s)

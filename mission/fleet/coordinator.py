@@ -143,20 +143,36 @@ class FleetCoordinator:
     # -- what a display wants -------------------------------------------------------------------------------
 
     def requirement(self, target: str) -> Requirement:
-        """Return how a target is to be watched now."""
+        """Return how a target is to be watched now.
+
+        Args:
+            target: Name of the target.
+        """
         return self._targets[target].requirement
 
     def offset_s(self, name: str) -> float | None:
-        """Return what is added to an aircraft's time to make it mission time, s; None before it is known."""
+        """Return what is added to an aircraft's time to make it mission time, s; None before it is known.
+
+        Args:
+            name: Name.
+        """
         clock = self._vehicles[name].clock
         return clock.offset_s if clock.known else None
 
     def estimate(self, target: str) -> TargetEstimate | None:
-        """Return the joint estimate of a target at the mission's present time."""
+        """Return the joint estimate of a target at the mission's present time.
+
+        Args:
+            target: Name of the target.
+        """
         return self._estimate_of(target, self._now_s)
 
     def primary(self, target: str) -> str | None:
-        """Return the aircraft that holds the required side of a target; None before there is one."""
+        """Return the aircraft that holds the required side of a target; None before there is one.
+
+        Args:
+            target: Name of the target.
+        """
         return self._assignments[target].holder
 
     @property
@@ -167,7 +183,14 @@ class FleetCoordinator:
     # -- the step ---------------------------------------------------------------------------------------------
 
     def step(self, event: FleetEvent) -> tuple[FleetCommand, ...]:
-        """Take one event; return what it led to, in order. KeyError: no aircraft of the fleet has that name."""
+        """Process one event and return the commands that it leads to, in order.
+
+        Args:
+            event: The event.
+
+        Raises:
+            KeyError: No aircraft of the fleet has that name.
+        """
         self._out = []
         match event:
             case Tick():

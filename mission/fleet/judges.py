@@ -20,11 +20,23 @@ class RoleJudge(Protocol):
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """Return what this aircraft would pay in each role."""
+        """Return what this aircraft would pay in each role.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time until a new plan can depart, s.
+        """
         ...
 
     def presume(self, course_rad: float) -> None:
-        """Count by this course of the target until it has been seen to move."""
+        """Count by this course of the target until it has been seen to move.
+
+        Args:
+            course_rad: Course of the target, rad.
+        """
         ...
 
 
@@ -41,14 +53,25 @@ class RoleJudges:
         self._courses: dict[str, WatchedCourse] = {}
 
     def ask(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
-        """Judge by this requirement of a target from now on."""
+        """Judge by this requirement of a target from now on.
+
+        Args:
+            target: Name of the target.
+            wanted: Required band and side.
+            fleet: All aircraft of the fleet.
+        """
         self._wanted[target] = wanted
         self._courses.setdefault(target, WatchedCourse(wanted))
         for one in fleet:
             self._judges[one.member.name, target] = self._make_judge(one.member.name, one.member.aircraft, wanted)
 
     def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
-        """Take the targets' estimates, in the order of time."""
+        """Take the targets' estimates, in the order of time.
+
+        Args:
+            estimates: Estimates by the name of the target.
+            fleet: All aircraft of the fleet.
+        """
         for name, estimate in estimates.items():
             if estimate is not None and estimate.quality is not TrackQuality.LOST:
                 watching = [one for one in fleet if one.takes_part and one.target == name]
@@ -56,11 +79,21 @@ class RoleJudges:
                 self._courses[name].update(estimate, None if first is None else first.state)
 
     def course_rad(self, target: str) -> float | None:
-        """Return the course of a target whose sides count."""
+        """Return the course of a target whose sides count.
+
+        Args:
+            target: Name of the target.
+        """
         return self._courses[target].course_rad
 
     def costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
-        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
+        """Return what an aircraft would pay from its next departure on; None before its plan is known.
+
+        Args:
+            vehicle: The aircraft.
+            target: Name of the target.
+            estimate: Estimate of the target.
+        """
         report = vehicle.report
         present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
         if report is None or present is None:
@@ -71,12 +104,24 @@ class RoleJudges:
         return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
 
     def way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
-        """Return how long an aircraft needs to a target, 0 where it is at it."""
+        """Return how long an aircraft needs to a target, 0 where it is at it.
+
+        Args:
+            vehicle: The aircraft.
+            target: Name of the target.
+            estimate: Estimate of the target.
+        """
         at_it = vehicle.range_m(estimate) <= self._wanted[target].range_max_m
         return 0.0 if at_it else vehicle.way_s(estimate)
 
     def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
-        """Return what an aircraft would pay in each role at a target, the flight there included."""
+        """Return what an aircraft would pay in each role at a target, the flight there included.
+
+        Args:
+            vehicle: The aircraft.
+            target: Name of the target.
+            estimate: Estimate of the target.
+        """
         costs = self.costs(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
         way_s = self.way_s(vehicle, target, estimate)
         return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)

@@ -60,7 +60,13 @@ class Proximity:
     def watch(
         self, now_s: float, fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]
     ) -> dict[str, str]:
-        """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to."""
+        """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to.
+
+        Args:
+            now_s: Mission time, s.
+            fleet: All aircraft of the fleet.
+            foreign: Aircraft that do not belong to the fleet.
+        """
         flying = [one for one in _all_of(fleet, foreign) if one.height_m >= _AIRBORNE_M]
         flying.sort(key=lambda one: (one.vehicle is None, -one.height_m, one.name))
         for upper, lower in combinations(flying, 2):

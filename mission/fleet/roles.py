@@ -50,7 +50,6 @@ class Candidate:
         costs: Its expected cost in each role.
         on_station: It watches from the required side now.
         under_way: A plan for it is on its way to the autopilot.
-
     """
 
     costs: RoleCosts
@@ -78,7 +77,13 @@ class RoleAssignment:
     def assign(
         self, time_s: float, candidates: Mapping[str, Candidate], *, course_known: bool = True
     ) -> dict[str, Role]:
-        """Return every aircraft's role at ``time_s``; candidates: by name, those that take part only."""
+        """Return every aircraft's role at ``time_s``; candidates: by name, those that take part only.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            candidates: Aircraft that take part, by name.
+            course_known: Whether the target's course is known.
+        """
         if not candidates:
             self.holder = None
             return {}
@@ -128,7 +133,11 @@ class RoleAssignment:
 
 
 def course_is_known(target: TargetEstimate) -> bool:
-    """Return whether a target's course is known well enough to say which side of it is which, or it stands."""
+    """Return whether a target's course is known well enough to say which side of it is which, or it stands.
+
+    Args:
+        target: Estimate of the target.
+    """
     if target.speed_m_s < _STANDING_M_S:
         return True
     across = (math.cos(target.course_rad), -math.sin(target.course_rad))
@@ -143,6 +152,12 @@ def is_on_station(
     """Return whether an aircraft is on the required side of a target and in the band.
 
     course_rad: the one whose sides count; None where the target has none yet: any place is on either side then.
+
+    Args:
+        aircraft: State of the aircraft.
+        target: Estimate of the target.
+        requirement: Required band and side.
+        course_rad: Course of the target whose sides count, rad; None if unknown.
     """
     east_m, north_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m
     in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m

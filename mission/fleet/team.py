@@ -16,9 +16,16 @@ _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 
 def team_of(table: ValueTable, wanted: Side) -> Team:
-    """Return what the loops decide with. Raises ValueError for a table of a sector.
+    """Return what the loops decide with.
 
     Fast targets lower ``price`` and raise ``opposite``; wide circles raise ``own``.
+
+    Args:
+        table: Value table.
+        wanted: Required side of the target.
+
+    Raises:
+        ValueError: The table is that of a sector.
     """
     configuration = table.configuration
     if not configuration.follows_course:
@@ -45,5 +52,9 @@ def team_of(table: ValueTable, wanted: Side) -> Team:
 
 
 def next_to_standing(team: Team) -> Team:
-    """Return what to decide with while the target stands: it may set out into any direction."""
+    """Return what to decide with while the target stands: it may set out into any direction.
+
+    Args:
+        team: Constants of the joint decision.
+    """
     return team._replace(turns_rad=_DIRECTIONS_RAD, chances=np.full(_DIRECTIONS_RAD.size, 1.0 / _DIRECTIONS_RAD.size))

@@ -65,7 +65,11 @@ class TeamPlanner:
         self._plans: dict[str, NeighbourPlanned] = {}
 
     def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
-        """See :class:`sidelong.mission.core.fleet.CooperativePlanner`."""
+        """See :class:`sidelong.mission.core.fleet.CooperativePlanner`.
+
+        Args:
+            news: Advice, or plans of another aircraft.
+        """
         if isinstance(news, NeighbourPlanned):
             self._plans[news.name] = news
         else:
@@ -77,11 +81,19 @@ class TeamPlanner:
                 self.presume(news.course_rad)
 
     def presume(self, course_rad: float) -> None:
-        """Take the target's course as the fleet knows it: it counts until this one has seen the target move."""
+        """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
+
+        Args:
+            course_rad: Course of the target, rad.
+        """
         self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """See :class:`sidelong.mission.core.plan.WindPlanner`."""
+        """See :class:`sidelong.mission.core.plan.WindPlanner`.
+
+        Args:
+            wind_speed_m_s: Wind speed, m/s.
+        """
         self._alone.prepare(wind_speed_m_s)
         if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
             self._teams.append(team_of(self._table_at(wind_speed_m_s), self._side))
@@ -89,14 +101,30 @@ class TeamPlanner:
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """Return what this aircraft would pay alone in each role, from its next departure on."""
+        """Return what this aircraft would pay alone in each role, from its next departure on.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time until a new plan can depart, s.
+        """
         looker, team = self._for(wind)
         return RoleCosts(*kernel.role_values(situation(aircraft, target, present, wind, latency_s), looker, team))
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
+        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time until a new plan can depart, s.
+        """
         others = self._others(aircraft.time_s)
         unseen_s = aircraft.time_s - target.last_sighting_s
         lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s

@@ -28,7 +28,12 @@ class WatchedCourse:
         self.course_rad: float | None = None
 
     def update(self, target: TargetEstimate, first: AircraftState | None) -> None:
-        """Take an estimate, in the order of time. first: the aircraft that began to watch first, None before."""
+        """Take an estimate, in the order of time. first: the aircraft that began to watch first, None before.
+
+        Args:
+            target: Estimate of the target.
+            first: State of the first aircraft that watched; None before.
+        """
         self._policy.viewpoint(target.east_m, target.north_m, target)
         if first is not None and self._presumed_rad is None:
             away_rad = math.atan2(first.east_m - target.east_m, first.north_m - target.north_m)

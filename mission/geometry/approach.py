@@ -33,6 +33,12 @@ def approach(aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft
 
     If no way keeps it (the aircraft is already inside), the way whose least range is greatest is returned. The
     target is taken to move on at its present velocity until the aircraft arrives.
+
+    Args:
+        aircraft: State of the aircraft.
+        target: Estimate of the target.
+        airframe: Limits of the aircraft.
+        requirement: Required band and side.
     """
     arrival_s = 0.0
     plan = _plan_to(aircraft, target, airframe, requirement, arrival_s)
@@ -97,6 +103,11 @@ def turn_straight_turn(aircraft: AircraftState, circle: Circle, first_radius_m: 
     """Return the line from the aircraft to ``circle``: a turn (positive radius: right), a straight, and the entry.
 
     None where the two circles overlap so far that they have no common tangent of this kind.
+
+    Args:
+        aircraft: State of the aircraft.
+        circle: The circle.
+        first_radius_m: Radius of the first turn, m; positive to the right.
     """
     radius_m = abs(first_radius_m)
     first = Circle.tangent_to(

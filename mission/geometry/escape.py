@@ -31,7 +31,6 @@ def escapes(
         present: The circle that is flown.
         airframe: Gives the radius and the airspeed.
         requirement: Gives band and side.
-
     """
     for circle in _circles(target, present, airframe, requirement):
         paths = (turn_straight_turn(start, circle, turn * airframe.radius_m) for turn in (1.0, -1.0))

@@ -18,7 +18,11 @@ _NO_LINE = np.empty((5, 0))
 
 
 def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
-    """Return a plan as the loops see it."""
+    """Return a plan as the loops see it.
+
+    Args:
+        plan: The plan.
+    """
     path, circle = plan.transition, plan.circle
     circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
     if path is None:
@@ -31,17 +35,33 @@ def nearest_arc_m(plan: Plan, aircraft: AircraftState) -> float:
 
     Arc 0 is the start of the transition; the circle follows, and there the arc stays within one lap. For a plan
     that is only a circle, arc 0 is the aircraft's own place on it.
+
+    Args:
+        plan: The plan.
+        aircraft: State of the aircraft.
     """
     return line_kernel.nearest_arc_m(*line_of(plan), aircraft.east_m, aircraft.north_m, aircraft.course_rad)
 
 
 def point_at(plan: Plan, arc_m: float, aircraft: AircraftState) -> LinePoint:
-    """Return the plan's point at an arc counted as :func:`nearest_arc_m` counts it for that aircraft."""
+    """Return the plan's point at an arc counted as :func:`nearest_arc_m` counts it for that aircraft.
+
+    Args:
+        plan: The plan.
+        arc_m: Arc length along the plan, m.
+        aircraft: State of the aircraft.
+    """
     return line_kernel.point_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m)
 
 
 def line_at(plan: Plan, arc_m: FloatArray, aircraft: AircraftState) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (east, north, course) along the plan at many arcs (k,): :func:`point_at` to some centimetres."""
+    """Return (east, north, course) along the plan at many arcs (k,): :func:`point_at` to some centimetres.
+
+    Args:
+        plan: The plan.
+        arc_m: Arc lengths along the plan (k,), m.
+        aircraft: State of the aircraft.
+    """
     found = np.empty((3, arc_m.size))
     line_kernel.line_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m, found)
     return found[0], found[1], found[2]
@@ -53,7 +73,14 @@ def off_track(
     cross_track_m: float = OFF_TRACK_M,
     course_error_rad: float = OFF_TRACK_RAD,
 ) -> bool:
-    """Return whether an aircraft is too far from the nearest point of its plan to be following it."""
+    """Return whether an aircraft is too far from the nearest point of its plan to be following it.
+
+    Args:
+        aircraft: State of the aircraft.
+        point: Nearest point of the plan.
+        cross_track_m: Greatest cross-track distance, m.
+        course_error_rad: Greatest course error, rad.
+    """
     off_m = math.hypot(aircraft.east_m - point.east_m, aircraft.north_m - point.north_m)
     off_rad = math.remainder(aircraft.course_rad - point.course_rad, 2.0 * math.pi)
     return off_m > cross_track_m or abs(off_rad) > course_error_rad
@@ -63,6 +90,11 @@ def dead_reckoned(aircraft: AircraftState, duration_s: float, curvature_max_per_
     """Return where the aircraft is after ``duration_s`` on its present curvature, limited to that of a plan.
 
     There is no wind.
+
+    Args:
+        aircraft: State of the aircraft.
+        duration_s: Duration, s.
+        curvature_max_per_m: Limit of the curvature, 1/m.
     """
     curvature_per_m = min(max(aircraft.curvature_per_m, -curvature_max_per_m), curvature_max_per_m)
     step_m = aircraft.ground_speed_m_s * duration_s

@@ -29,7 +29,6 @@ class Reach:
         north_m: The same, north.
         radius_m: Of the disk now.
         speed_m_s: How fast the disk grows.
-
     """
 
     east_m: float
@@ -45,7 +44,6 @@ class Reach:
             airspeed_m_s: Of the aircraft.
             hold_s: Time on the circle, s.
             from_m: Where on the plan the aircraft is.
-
         """
         circle, path, left_m, path_m = plan.circle, plan.transition, 0.0, math.inf
         if path is not None and from_m < path.length_m:
@@ -59,7 +57,11 @@ class Reach:
         return min(path_m, abs(centre_m - circle.radius_m) - self.radius_m - grown_m)
 
     def after(self, seconds: float) -> Reach:
-        """Return the disk some seconds later."""
+        """Return the disk some seconds later.
+
+        Args:
+            seconds: Duration, s.
+        """
         return replace(self, radius_m=self.radius_m + self.speed_m_s * seconds)
 
 
@@ -75,7 +77,6 @@ def retreats(start: AircraftState, reach: Reach, clockwise: bool, airframe: Airc
         clockwise: Sense of flight of the circles.
         airframe: Gives the radius and the airspeed.
         keep_m: Distance to keep from the disk.
-
     """
     radius_m, airspeed_m_s = airframe.radius_m, airframe.airspeed_m_s
     farthest_m = keep_m + reach.radius_m + radius_m + reach.speed_m_s * HOLD_S

@@ -38,11 +38,19 @@ class Separation:
     _plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
 
     def note(self, neighbours: tuple[Neighbour, ...]) -> None:
-        """Replace the list of the other aircraft."""
+        """Replace the list of the other aircraft.
+
+        Args:
+            neighbours: The other aircraft.
+        """
         self._others = {one.name: one for one in neighbours}
 
     def planned(self, neighbour: NeighbourPlanned) -> None:
-        """Take what another one flies."""
+        """Take what another one flies.
+
+        Args:
+            neighbour: Plans of the other aircraft.
+        """
         self._plans[neighbour.name] = neighbour
 
     def breach(
@@ -54,7 +62,16 @@ class Separation:
         wind: Wind,
         airspeed_m_s: float,
     ) -> str | None:
-        """Return in words which aircraft a plan comes too near to, or None. height_m: the own one now."""
+        """Return in words which aircraft a plan comes too near to, or None. height_m: the own one now.
+
+        Args:
+            plan: The plan.
+            present: The plan that is flown; None before the takeover.
+            aircraft: State of the aircraft; None if unknown.
+            height_m: Height of the own aircraft now, m.
+            wind: Estimate of the wind.
+            airspeed_m_s: Airspeed, m/s.
+        """
         if not self._others or aircraft is None or height_m is None:
             return None
         heights = {height_m, *_heights_of(plan)}
@@ -84,7 +101,6 @@ class Separation:
         Args:
             present: The plan that is flown.
             height_m: The own height above home, m.
-
         """
         for name, other in self._others.items():
             neighbour, vertical_m = self._plans.get(name), height_m - other.height_m
@@ -139,7 +155,17 @@ def flown_places(
     step_s: float,
     count: int,
 ) -> FloatArray:
-    """Return (east, north, course) (3, count) every step_s from a state on: along its plans, at an airspeed."""
+    """Return (east, north, course) (3, count) every step_s from a state on: along its plans, at an airspeed.
+
+    Args:
+        state: State of the aircraft.
+        present: The plan that is flown.
+        coming: The next plan; None if there is none.
+        wind: Estimate of the wind.
+        airspeed_m_s: Airspeed, m/s.
+        step_s: Time between positions, s.
+        count: Number of positions.
+    """
     found = np.empty((3, count))
     kernel.flown_places(
         (state.time_s, state.east_m, state.north_m, state.course_rad),
@@ -165,7 +191,12 @@ def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
 
 
 def airspeed_of(state: AircraftState, wind: Wind) -> float:
-    """Return the airspeed of an aircraft with this ground speed in this wind."""
+    """Return the airspeed of an aircraft with this ground speed in this wind.
+
+    Args:
+        state: State of the aircraft.
+        wind: Estimate of the wind.
+    """
     east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
     north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
     return math.hypot(east_m_s, north_m_s)
@@ -186,6 +217,11 @@ def _gap_m(a: set[float], b: set[float]) -> float:
 
 
 def circles_apart_m(a: Circle, b: Circle) -> float:
-    """Return the least distance between points of two circles, m; 0 where they cross."""
+    """Return the least distance between points of two circles, m; 0 where they cross.
+
+    Args:
+        a: One circle.
+        b: The other circle.
+    """
     centres_m = math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
     return max(centres_m - a.radius_m - b.radius_m, abs(a.radius_m - b.radius_m) - centres_m, 0.0)

@@ -27,7 +27,13 @@ from sidelong.mission.geometry import line_kernel
 
 
 def turn_radius_m(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float) -> float:
-    """Return the tightest radius of a transition: turn_share of the circle's, with 30 degrees of bank at most."""
+    """Return the tightest radius of a transition: turn_share of the circle's, with 30 degrees of bank at most.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        ground_speed_m_s: Ground speed, m/s.
+        turn_share: Tightest turn, in radii of the aircraft's circle.
+    """
     craft = line_kernel.craft_of(aircraft, turn_share)
     return line_kernel.turn_radius_m(aircraft.radius_m, ground_speed_m_s, craft)
 
@@ -36,6 +42,10 @@ def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> Floa
     """Return the change of curvature per metre (n,) that keeps the roll rate within its share at each ground speed.
 
     tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        ground_speed_m_s: Ground speeds (n,), m/s.
     """
     ramps = np.empty_like(ground_speed_m_s)
     line_kernel.sharpnesses_per_m2(ground_speed_m_s, line_kernel.craft_of(aircraft), ramps)
@@ -43,7 +53,13 @@ def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> Floa
 
 
 def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float = 1.0) -> float:
-    """Return one of :func:`sharpnesses_per_m2`, for transitions that turn as tightly as that."""
+    """Return one of :func:`sharpnesses_per_m2`, for transitions that turn as tightly as that.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        ground_speed_m_s: Ground speed, m/s.
+        turn_share: Tightest turn, in radii of the aircraft's circle.
+    """
     return line_kernel.sharpness_per_m2(ground_speed_m_s, line_kernel.craft_of(aircraft, turn_share))
 
 
@@ -61,7 +77,15 @@ class Trapezoids:
         final_per_m: npt.ArrayLike,
         ramp: float,
     ) -> Trapezoids:
-        """Build one trapezoid for each element; hold, hold length and final broadcast against each other."""
+        """Build one trapezoid for each element; hold, hold length and final broadcast against each other.
+
+        Args:
+            start_per_m: Curvature at the start, 1/m; positive to the right.
+            hold_per_m: Curvature between the ramps, 1/m.
+            hold_length_m: Length between the ramps, m.
+            final_per_m: Curvature at the end, 1/m.
+            ramp: Change of curvature per metre, 1/m^2.
+        """
         each = np.broadcast(np.asarray(hold_per_m), np.asarray(hold_length_m), np.asarray(final_per_m))
         shapes = [
             line_kernel.trapezoid(start_per_m, float(hold), float(length), float(final), ramp)
@@ -75,7 +99,12 @@ class Trapezoids:
         return self.shapes[:, 5]
 
     def displaced_m(self, arc_m: FloatArray, course_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (east, north, turned rad) since the start at ascending arcs (n, k), for steps up to about 10 m."""
+        """Return (east, north, turned rad) since the start at ascending arcs (n, k), for steps up to about 10 m.
+
+        Args:
+            arc_m: Ascending arcs (n, k), m.
+            course_rad: Course at the start, rad.
+        """
         found = np.empty((3, *arc_m.shape))
         line_kernel.displaced_m(self.shapes, np.ascontiguousarray(arc_m), course_rad, found)
         return found[0], found[1], found[2]
@@ -84,6 +113,12 @@ class Trapezoids:
         """Return trapezoid ``index`` from that place, densely sampled, with samples at every corner of curvature.
 
         It ends where the circle begins; a trapezoid of no length gets one fine step of its circle.
+
+        Args:
+            index: Number of the trapezoid.
+            east_m: East of the start, m.
+            north_m: North of the start, m.
+            course_rad: Course at the start, rad.
         """
         a, b, c, d, e, f = self.shapes[index].tolist()
         return Path(*line_kernel.laid_out((a, b, c, d, e, f), east_m, north_m, course_rad))
@@ -94,7 +129,12 @@ class Trapezoids:
 
 
 def end_circle(path: Path, radius_m: float) -> Circle:
-    """Return the circle that continues a trapezoid's path with the sign of its last curvature."""
+    """Return the circle that continues a trapezoid's path with the sign of its last curvature.
+
+    Args:
+        path: The path.
+        radius_m: Radius of the circle, m.
+    """
     return Circle.tangent_to(
         float(path.east_m[-1]),
         float(path.north_m[-1]),

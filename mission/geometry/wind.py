@@ -23,7 +23,13 @@ class WindError(ValueError):
 def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -> FloatArray:
     """Return the ground speed on each course: the long side of the wind triangle.
 
-    Raises WindError when a course cannot be held, or only by drifting backwards along it.
+    Args:
+        course_rad: Courses over the ground, rad, any shape.
+        airspeed_m_s: Airspeed, m/s.
+        wind: Estimate of the wind.
+
+    Raises:
+        WindError: A course cannot be held, or only by drifting backwards along it.
     """
     speed_m_s = np.empty(course_rad.size)
     course = np.ascontiguousarray(course_rad, np.float64).ravel()
@@ -34,12 +40,27 @@ def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -
 
 
 def ground_speed_m_s(course_rad: float, airspeed_m_s: float, wind: Wind) -> float:
-    """Return the ground speed on one course. Raises WindError as :func:`ground_speeds_m_s` does."""
+    """Return the ground speed on one course.
+
+    Args:
+        course_rad: Course over the ground, rad.
+        airspeed_m_s: Airspeed, m/s.
+        wind: Estimate of the wind.
+
+    Raises:
+        WindError: The course cannot be held, or only by drifting backwards along it.
+    """
     return float(ground_speeds_m_s(np.asarray(course_rad), airspeed_m_s, wind))
 
 
 def path_times_s(path: Path, airspeed_m_s: float, wind: Wind) -> FloatArray:
-    """Return the time of flight from the start of the path to each of its samples, shape (n,)."""
+    """Return the time of flight from the start of the path to each of its samples, shape (n,).
+
+    Args:
+        path: The path.
+        airspeed_m_s: Airspeed, m/s.
+        wind: Estimate of the wind.
+    """
     slowness_s_m = 1.0 / ground_speeds_m_s(path.course_rad, airspeed_m_s, wind)
     steps_s = np.diff(path.arc_m) * (slowness_s_m[1:] + slowness_s_m[:-1]) / 2.0
     return np.concatenate(([0.0], np.cumsum(steps_s)))
@@ -67,16 +88,30 @@ class LapClock:
         self.lap_s = float(self._times_s[-1])
 
     def time_s(self, turn_rad: float) -> float:
-        """Return the time at a turn counted from north, any number of laps."""
+        """Return the time at a turn counted from north, any number of laps.
+
+        Args:
+            turn_rad: Turn counted from north, rad.
+        """
         laps, within_rad = divmod(turn_rad, 2.0 * math.pi)
         return laps * self.lap_s + float(np.interp(within_rad, self._turns_rad, self._times_s))
 
     def turn_rad(self, time_s: float) -> float:
-        """Return the turn from north at a time: the inverse of :meth:`time_s`."""
+        """Return the turn from north at a time: the inverse of :meth:`time_s`.
+
+        Args:
+            time_s: Time since north was passed, s.
+        """
         laps, within_s = divmod(time_s, self.lap_s)
         return laps * 2.0 * math.pi + float(np.interp(within_s, self._times_s, self._turns_rad))
 
 
 def min_radius_m(airspeed_m_s: float, wind: Wind, bank_max_rad: float) -> float:
-    """Return the tightest circle over the ground whose bank stays within the limit where the wind is astern."""
+    """Return the tightest circle over the ground whose bank stays within the limit where the wind is astern.
+
+    Args:
+        airspeed_m_s: Airspeed, m/s.
+        wind: Estimate of the wind.
+        bank_max_rad: Greatest bank, rad.
+    """
     return (airspeed_m_s + wind.speed_m_s) ** 2 / (GRAVITY_M_S2 * math.tan(bank_max_rad))

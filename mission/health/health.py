@@ -88,7 +88,6 @@ class Health:
         payload: the check of laser and gimbal.
         reports: the state of every input that was ever received.
         unknown: why it is not known how well the target is watched; empty while it is.
-
     """
 
     def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
@@ -111,7 +110,6 @@ class Health:
         Args:
             event: as it was received.
             now_s: the vehicle's clock.
-
         """
         one = self._by_kind.get(type(event))
         if one is not None and now_s > -math.inf:
@@ -136,7 +134,6 @@ class Health:
         Args:
             event: the report.
             now_s: the vehicle's clock.
-
         """
         self._connected = event.connected
         if event.connected:
@@ -158,7 +155,6 @@ class Health:
 
         Args:
             one: The input.
-
         """
         return self._inputs[one].state not in (InputState.STALE, InputState.INCONSISTENT)
 
@@ -195,7 +191,6 @@ class Health:
             refused_lasers: those that spoke in place of a silent one and contradict the track.
             refused_gimbals: the same of gimbals.
             clock_fault: why the vehicle's clock is not trusted; empty while it is.
-
         """
         self._evaluate_s = now_s + _EVALUATE_EVERY_S
         if not self._connected:

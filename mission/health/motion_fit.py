@@ -69,7 +69,6 @@ class Verdict:
     Attributes:
         frame: the gimbal's true frame where its flags are wrong, else None.
         factor: what the range has to be multiplied with, 1 where its unit is right.
-
     """
 
     frame: str | None
@@ -108,7 +107,6 @@ class MotionFit:
         changed_s: When the apparent target jumped, last.
         jumped_s: When it jumped farther than a target can drive, last.
         off_level: How far the target is off the ground, as a share of the aircraft's height over it; NaN: unknown.
-
     """
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
@@ -142,7 +140,6 @@ class MotionFit:
             gimbal: the line of sight as reported.
             slant_range_m: as reported.
             turned_rad: how far the aircraft has turned since the flight began, either way.
-
         """
         own_m = position.east_m, position.north_m, position.height_m
         sighted_m = _apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
@@ -191,7 +188,6 @@ class MotionFit:
 
         Args:
             established: what was found to be wrong before; it holds until what is reported fits clearly better.
-
         """
         samples = self._samples
         if established == SOUND and samples and samples[-1].time_s - self.changed_s < WINDOW_S:

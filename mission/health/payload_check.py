@@ -55,7 +55,6 @@ class _Repeats:
 
     Args:
         same: By how much the value may differ.
-
     """
 
     def __init__(self, same: float) -> None:
@@ -73,7 +72,6 @@ class _Repeats:
             values: the value, a tuple of numbers.
             time_s: of the reading.
             travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
-
         """
         before, off = self.found, max(map(abs, map(operator.sub, self._anchor, values)))
         if off <= self._same:
@@ -101,7 +99,6 @@ class PayloadCheck:
         terrain_fault: how the elevation data contradicts laser and gimbal, while these agree with each other.
         is_news: whether a fault may have come or gone since ``faults`` was called last.
         wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
-
     """
 
     def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
@@ -130,7 +127,6 @@ class PayloadCheck:
 
         Args:
             ground: Returns the height of the ground at a position.
-
         """
         self._fit.ground = ground
 
@@ -139,7 +135,6 @@ class PayloadCheck:
 
         Args:
             reading: The attitude.
-
         """
         self._attitude = reading
 
@@ -148,7 +143,6 @@ class PayloadCheck:
 
         Args:
             reading: The position.
-
         """
         before, self._position = self._position, reading
         east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
@@ -182,7 +176,6 @@ class PayloadCheck:
 
         Args:
             time_s: The vehicle's clock.
-
         """
         return 0.0 <= time_s - self._fit.jumped_s < SUSPECT_S
 
@@ -195,7 +188,6 @@ class PayloadCheck:
 
         Args:
             reading: The range.
-
         """
         if self._range is not None and reading.source != self._range.source:
             self._expect_another_laser()
@@ -211,7 +203,6 @@ class PayloadCheck:
 
         Args:
             reading: The line of sight.
-
         """
         if reading.source != self._gimbal_source:
             self._gimbal_source = reading.source
@@ -250,7 +241,6 @@ class PayloadCheck:
         Args:
             time_s: Time on the vehicle's clock, s.
             outcomes: What the tracker returned.
-
         """
         second = math.floor(time_s)
         rejected = sum(not one.accepted for one in outcomes)

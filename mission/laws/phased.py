@@ -41,7 +41,6 @@ def phased(
         clockwise: Sense of flight.
         airspeed_m_s: The middle one; it is changed by a fifth at most.
         constant_speed: The circular formation in place of the phased field.
-
     """
     found = []
     for state, behind_rad in zip(aircraft, behind(aircraft, target, clockwise), strict=True):
@@ -59,6 +58,11 @@ def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise:
     """Return by how much each is behind its place between those before and after it, rad; they keep their order.
 
     Alone, no aircraft is behind.
+
+    Args:
+        aircraft: States of the aircraft.
+        target: Estimate of the target.
+        clockwise: Sense of flight, as seen from above.
     """
     n, sense = len(aircraft), 1.0 if clockwise else -1.0
     phase_rad = [sense * math.atan2(one.east_m - target.east_m, one.north_m - target.north_m) for one in aircraft]

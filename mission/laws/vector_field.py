@@ -22,7 +22,12 @@ class VectorField:
     course_gain_per_s: float
 
     def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
-        """Return the curvature to fly now: the field's own turn, and a correction towards its course."""
+        """Return the curvature to fly now: the field's own turn, and a correction towards its course.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+        """
         speed = aircraft.ground_speed_m_s
         course_rad = self._course_rad(aircraft.east_m, aircraft.north_m, speed, target, 0.0)
         # The field's turn is felt by looking a moment ahead along the present course.

@@ -34,14 +34,23 @@ class Situation:
     latency_s: float
 
     def target_after(self, wait_s: float) -> Vector:
-        """Return (east, north) of the target after ``wait_s`` at its present velocity, m."""
+        """Return (east, north) of the target after ``wait_s`` at its present velocity, m.
+
+        Args:
+            wait_s: Time from now, s.
+        """
         return (
             self.target_m[0] + self.velocity_m_s[0] * wait_s,
             self.target_m[1] + self.velocity_m_s[1] * wait_s,
         )
 
     def min_range_m(self, path: Path, wait_s: float) -> float:
-        """Return the least range while ``path`` is flown from ``wait_s`` on."""
+        """Return the least range while ``path`` is flown from ``wait_s`` on.
+
+        Args:
+            path: The path.
+            wait_s: Time from now to the departure, s.
+        """
         time_s = wait_s + path_times_s(path, self.airspeed_m_s, self.wind)
         east_m = path.east_m - self.target_m[0] - self.velocity_m_s[0] * time_s
         north_m = path.north_m - self.target_m[1] - self.velocity_m_s[1] * time_s
@@ -70,6 +79,11 @@ def next_move(situation: Situation, place: Callable[[Vector], Circle], lead_rad:
 
     Where the move leads depends on where the target is by then, and A on where it leads: found by repetition,
     which converges as the target is much slower than the aircraft.
+
+    Args:
+        situation: Aircraft, target, circle and wind.
+        place: Returns the circle for a position of the target.
+        lead_rad: Turn before the bearing of the move at which the aircraft leaves, rad.
     """
     circle, clock = situation.circle, situation.clock
     sense = 1.0 if circle.clockwise else -1.0

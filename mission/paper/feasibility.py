@@ -22,6 +22,10 @@ def infeasible(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = 
         The changes that would help, none if it is feasible. Each cures its own cause alone; where two causes are
         named, one change of each is needed.
 
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     return (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
 

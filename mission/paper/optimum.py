@@ -61,6 +61,11 @@ def max_range_m(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float =
     """Return the greatest range around the longest move d_max: in the lap before it and on the way.
 
     A move too short for ABCD counts as the shortest that exists.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     speed_m_s, target_m_s, radius_m = aircraft.airspeed_m_s, requirement.target_speed_max_m_s, aircraft.radius_m
     move_m = max(scope(aircraft, requirement, psi_c_rad).longest_move_m, min_move_m(radius_m, psi_c_rad))
@@ -81,7 +86,13 @@ def max_range_m(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float =
 def threshold_bounds(
     aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2
 ) -> ThresholdBounds | None:
-    """Return which thresholds C work for this aircraft, and the best; None where none does."""
+    """Return which thresholds C work for this aircraft, and the best; None where none does.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        psi_c_rad: Turn of each transition end, psi_c, rad.
+    """
     if not fits_band(aircraft, requirement) or requirement.target_speed_max_m_s >= aircraft.airspeed_m_s:
         return None
 
@@ -113,6 +124,12 @@ def optimise(
 
     Faster means shorter laps, until the bank limit widens the circle: the best speed is where the circle takes all
     of the bank, sqrt(R g tan bank), or the end of the range. None where no speed has a threshold.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        airspeed_range_m_s: Least and greatest airspeed, m/s.
+        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     best: Optimum | None = None
     limit_m_s = math.sqrt(aircraft.radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
@@ -130,7 +147,13 @@ def optimise(
 
 
 def fastest_target_m_s(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> float:
-    """Return the top speed of a straight target up to which a threshold exists, by bisection; 0 if none does."""
+    """Return the top speed of a straight target up to which a threshold exists, by bisection; 0 if none does.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        psi_c_rad: Turn of each transition end, psi_c, rad.
+    """
     low_m_s, high_m_s = 0.0, aircraft.airspeed_m_s
     while high_m_s - low_m_s > 1e-3:
         middle_m_s = (low_m_s + high_m_s) / 2.0

@@ -17,7 +17,12 @@ class RelativePosition:
 
     @staticmethod
     def of(east_m: float, north_m: float) -> RelativePosition:
-        """Return the polar form of target minus aircraft; the bearing of a target right below is 0."""
+        """Return the polar form of target minus aircraft; the bearing of a target right below is 0.
+
+        Args:
+            east_m: East of the target from the aircraft, m.
+            north_m: North of the target from the aircraft, m.
+        """
         return RelativePosition(math.hypot(east_m, north_m), bearing_rad(east_m, north_m))
 
     @property
@@ -35,10 +40,19 @@ class RelativePosition:
 
         This is the exact integral of l' = -v cos(theta - psi), theta' = (v / l) sin(theta - psi) (1-4) over any
         course and speed, wind included, so it does not drift with the step.
+
+        Args:
+            east_m: Distance flown to the east, m.
+            north_m: Distance flown to the north, m.
         """
         return RelativePosition.of(self.east_m - east_m, self.north_m - north_m)
 
 
 def displacement_m(measured: RelativePosition, reference: RelativePosition) -> tuple[float, float]:
-    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8)."""
+    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8).
+
+    Args:
+        measured: Measured relative position.
+        reference: Relative position of a stationary target.
+    """
     return measured.east_m - reference.east_m, measured.north_m - reference.north_m

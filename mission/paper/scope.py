@@ -43,6 +43,11 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
 
     The range at A is taken from A itself, D + R cos psi_c across the target's line; the paper's psi_c = pi/2 makes
     the second term zero. A threshold below D counts as D: the circle would have to move at once.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     lap_travel_m = requirement.target_speed_max_m_s * aircraft.lap_s
     ahead_m = aircraft.radius_m * math.sin(psi_c_rad)  # A lags the centre by this much
@@ -64,7 +69,11 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
 
 
 def min_psi_c_rad(aircraft: Aircraft) -> float:
-    """Return the least psi_c, at most pi/2: the roll begins at v^3 / (g R^2 psi_c), and the aircraft's is limited."""
+    """Return the least psi_c, at most pi/2: the roll begins at v^3 / (g R^2 psi_c), and the aircraft's is limited.
+
+    Args:
+        aircraft: Limits of the aircraft.
+    """
     rolling_m_s3 = GRAVITY_M_S2 * aircraft.radius_m**2 * aircraft.roll_rate_max_rad_s
     return min(aircraft.airspeed_m_s**3 / rolling_m_s3, math.pi / 2)
 
@@ -73,6 +82,10 @@ def largest_psi_c_rad(aircraft: Aircraft, requirement: Requirement) -> float:
     """Return the paper's psi_c = pi/2 where the requirement is feasible with it, else the largest that is.
 
     A smaller one shortens the transition. Where none is feasible, the least one comes nearest.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
     """
 
     def straight_left_m(psi_c_rad: float) -> float:

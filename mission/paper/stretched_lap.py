@@ -22,7 +22,14 @@ def stretched_lap(
 ) -> Path:
     """Return the stretched part of the lap, from ``half_width_rad`` before the move's bearing to as much after it.
 
-    Raises TransitionError when the circles differ in radius or direction or W is not in (0, pi).
+    Args:
+        present: The circle that is flown.
+        new: The circle to fly next.
+        half_width_rad: Half of the stretched turn W, rad.
+        step_m: Greatest distance between samples, m.
+
+    Raises:
+        TransitionError: The circles differ in radius or direction, or W is not in (0, pi).
     """
     if present.clockwise != new.clockwise or not math.isclose(present.radius_m, new.radius_m):
         raise TransitionError("a stretched lap joins circles of one radius and one direction")

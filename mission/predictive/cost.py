@@ -45,7 +45,15 @@ class WatchCost:
         wind_speed_m_s: float = 0.0,
         target_speed_max_m_s: float = 0.0,
     ) -> WatchCost:
-        """Return the cost of a required band, with the planner's margins: wider in wind, and near a fast target."""
+        """Return the cost of a required band, with the planner's margins: wider in wind, and near a fast target.
+
+        Args:
+            range_min_m: Least range of the band, m.
+            range_max_m: Greatest range of the band, m.
+            half_width_rad: Half of the sector, rad; pi/2 for a side.
+            wind_speed_m_s: Wind speed, m/s.
+            target_speed_max_m_s: Greatest speed of the target, m/s.
+        """
         margin_m = _MARGIN_M + min(_MARGIN_IN_WIND_S * wind_speed_m_s, _MARGIN_M)
         near_m = max(margin_m, _MARGIN_OF_TARGET_S * target_speed_max_m_s)
         return WatchCost(range_min_m + near_m, range_max_m - margin_m, half_width_rad)
@@ -57,6 +65,12 @@ class WatchCost:
 
         It is the chance of being off the side, 0..1, and the walls at the edges of the band. widened_m moves both
         edges inwards, never beyond a half of the band's width; the sides' border is blurred over +-side_blur_m (> 0).
+
+        Args:
+            x_m: Right of the target in the watch frame, m.
+            y_m: Ahead of the target in the watch frame, m.
+            widened_m: Distance by which both edges move inwards, m.
+            side_blur_m: Half width of the blurred border between the sides, m.
         """
         every = np.broadcast_arrays(x_m, y_m, widened_m, side_blur_m)
         rate = np.empty(every[0].shape)

@@ -25,6 +25,12 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
     """Return the first breach of the requirement on the line of ``seen``; None when there is none.
 
     lead_s: from now to the outlook's time 0.
+
+    Args:
+        seen: Positions relative to the target along the flown line.
+        side: Required side.
+        requirement: Required band and side.
+        lead_s: Time from now to the outlook's start, s.
     """
     x_m, time_s = seen.x_m, seen.time_s
     range_m = np.hypot(x_m, seen.y_m)
@@ -46,6 +52,10 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
 
 
 def describe_range(seen: Outlook) -> str:
-    """Return the ranges met along the line of ``seen``."""
+    """Return the ranges met along the line of ``seen``.
+
+    Args:
+        seen: Positions relative to the target along the flown line.
+    """
     range_m = np.hypot(seen.x_m, seen.y_m)
     return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[-1]:.0f} s"

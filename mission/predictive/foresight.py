@@ -41,7 +41,6 @@ def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: F
         own: Value table of the planner.
         c: Its configuration, or that of a table for another wind.
         progress: Memory of the progress filter, which tables for several winds share.
-
     """
     classes = len(own.values)
     layers = math.ceil(HORIZON_S / layer_s(c.airspeed_m_s, c.radius_m)) + 1

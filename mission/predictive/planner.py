@@ -81,7 +81,12 @@ class PredictiveSettings:
 
 
 def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free."""
+    """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+    """
     share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
     min_share = _MIN_SHARE if requirement.fleet_size == 1 else _MIN_SHARE_IN_FLEET
     return _PRICE_S * float((min(max(share, min_share), _MAX_SHARE) / _PRICE_SHARE) ** _PRICE_POWER)
@@ -92,6 +97,9 @@ def turn_share(requirement: Requirement) -> float:
 
     One aircraft alone gains little by tighter ones than the circle, and comes nearer to the target. Of several one
     gets back to the side sooner where a turn of the target has put all of them off it.
+
+    Args:
+        requirement: Required band and side.
     """
     return 1.0 if requirement.fleet_size == 1 else _TURN_SHARE_IN_FLEET
 
@@ -99,7 +107,13 @@ def turn_share(requirement: Requirement) -> float:
 def table_configuration(
     aircraft: Aircraft, requirement: Requirement, wind_speed_m_s: float = 0.0
 ) -> TableConfiguration:
-    """Return the configuration of the value table that a planner for this aircraft and requirement needs."""
+    """Return the configuration of the value table that a planner for this aircraft and requirement needs.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+        wind_speed_m_s: Wind speed, m/s.
+    """
     sector = requirement.sector
     simple = sector is None and wind_speed_m_s == 0.0
     half_width_rad = math.pi / 2 if sector is None else sector.half_width_rad
@@ -184,13 +198,22 @@ class PredictivePlanner:
         return foresight_along(self._route, table, configuration, self._progress)
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
+        """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind.
+
+        Args:
+            wind_speed_m_s: Wind speed, m/s.
+        """
         known = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
         if self._table_at is not None and self._requirement.sector is None and not known:
             self.lookers.append(self._looker(self._table_at(wind_speed_m_s)))
 
     def follow(self, route: Route, progress: FloatArray) -> None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
+        """See :class:`sidelong.mission.route.progress.RoutePlanner`.
+
+        Args:
+            route: The route.
+            progress: Hypotheses of the progress along the route.
+        """
         self._route, self._progress = route, progress
         for k, looker in enumerate(self.lookers):
             self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self._tables[0].configuration))
@@ -202,7 +225,6 @@ class PredictivePlanner:
         Args:
             aircraft: Limits of the aircraft.
             requirement: How the target is to be observed.
-
         """
         from sidelong.mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
 
@@ -211,7 +233,15 @@ class PredictivePlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
+        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time until a new plan can depart, s.
+        """
         unseen_s = aircraft.time_s - target.last_sighting_s
         if target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"
@@ -227,7 +257,12 @@ class PredictivePlanner:
         return self._look_ahead(now, present, looker._replace(prices=prices))
 
     def outlook(self, now: Situation, looker: Looker) -> tuple[Scene, Sight]:
-        """Return what is to be decided about, and from where the target is seen."""
+        """Return what is to be decided about, and from where the target is seen.
+
+        Args:
+            now: Aircraft, target and plan now.
+            looker: Constants and memory of the planner.
+        """
         scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
         return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
 
@@ -270,6 +305,13 @@ def cheapest_allowed(
     """Return the cheapest move that costs less than the bar and passes the check, and its plan.
 
     Where there is none, the move is the cheapest of all, without a plan; last why the cheapest below the bar failed.
+
+    Args:
+        scene: The scene of the decision.
+        looker: Constants and memory of the planner.
+        costs: Cost of each move.
+        bar: Cost that a move must stay below.
+        check: Returns why a plan is rejected; None: accepted.
     """
     order, broken = np.argsort(costs, kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():

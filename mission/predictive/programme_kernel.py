@@ -92,7 +92,6 @@ def resample(
         cell_m: Cell of the result.
         turn_rad: Course of the table's frame in the frame of the result.
         found: Result (HEADINGS, SIZE, SIZE).
-
     """
     sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
     for h in range(HEADINGS):
@@ -230,7 +229,6 @@ def fill_layers(
         after_turn: Expected cost after a turn of the target, for each of HEADINGS courses before it:
             (HEADINGS, HEADINGS, SIZE, SIZE).
         found: Result (layers, HEADINGS, SIZE, SIZE).
-
     """
     layers, n = len(found), SIZE + 2 * _PAD
     dt_s, turn_step_rad = layer_s(air.airspeed_m_s, radius_m), 2.0 * math.pi / HEADINGS

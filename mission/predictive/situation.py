@@ -13,7 +13,15 @@ from sidelong.mission.viewpoint.course_hold import known
 def situation(
     aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
 ) -> Situation:
-    """Return what an aircraft on its present plan knows, with what :class:`mission.core.plan.Planner` is given."""
+    """Return what an aircraft on its present plan knows, with what :class:`mission.core.plan.Planner` is given.
+
+    Args:
+        aircraft: State of the aircraft.
+        target: Estimate of the target.
+        present: The plan that is flown.
+        wind: Estimate of the wind.
+        latency_s: Time until a new plan can depart, s.
+    """
     return Situation(
         aircraft.time_s,
         aircraft.east_m,

@@ -44,7 +44,12 @@ _NODES, _NODE_WEIGHTS = (
 
 
 def compute(configuration: TableConfiguration, progress: Progress = lambda _share: None) -> ValueTable:
-    """Return the table. ``progress`` is called with the share 0..1 of the work that is done."""
+    """Return the table. ``progress`` is called with the share 0..1 of the work that is done.
+
+    Args:
+        configuration: Configuration of the table.
+        progress: Called with the share 0..1 of the work that is done.
+    """
     half_m, cells = configuration.half_width_m, configuration.cells
     coarse_improvements, fine_improvements = configuration.improvements
     shares = np.array([coarse_improvements + 2.0, 5.0 * (fine_improvements + 2.0)])

@@ -125,6 +125,10 @@ class ValueTable:
         """Return the table for velocities of target and wind in the watch frame, interpolated between the classes.
 
         Of the wind only the direction counts: its speed is the configuration's.
+
+        Args:
+            target_m_s: Velocity of the target in the watch frame, m/s.
+            wind_m_s: Wind in the watch frame, m/s.
         """
         classes, share, turn_share = np.empty(4, np.int64), np.empty(4), np.empty(4)
         fill_classes(self.motions, *target_m_s, *wind_m_s, classes, share, turn_share)
@@ -156,11 +160,23 @@ class MotionTable:
     turn_share: FloatArray
 
     def value(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> FloatArray:
-        """Return V at places and headings of the watch frame; beyond the grid that of its edge."""
+        """Return V at places and headings of the watch frame; beyond the grid that of its edge.
+
+        Args:
+            x_m: Right of the target in the watch frame, m.
+            y_m: Ahead of the target in the watch frame, m.
+            heading_rad: Heading in the watch frame, rad.
+        """
         return self._looked_up(self.table.values, self.share, x_m, y_m, heading_rad)
 
     def expected_after_turn(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> FloatArray:
-        """Return the expected V if the target turned now."""
+        """Return the expected V if the target turned now.
+
+        Args:
+            x_m: Right of the target in the watch frame, m.
+            y_m: Ahead of the target in the watch frame, m.
+            heading_rad: Heading in the watch frame, rad.
+        """
         return self._looked_up(self.table.after_turn, self.turn_share, x_m, y_m, heading_rad)
 
     def _looked_up(self, values: Float32, share: FloatArray, *place: npt.ArrayLike) -> FloatArray:
@@ -173,7 +189,15 @@ class MotionTable:
 
 
 def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:
-    """Return the table of stored values. Raises ValueError when they are not of this configuration."""
+    """Return the table of stored values.
+
+    Args:
+        configuration: Configuration of the table.
+        values: Stored values.
+
+    Raises:
+        ValueError: The values are not of this configuration.
+    """
     shape = configuration.shape
     if values.shape != shape or not np.isfinite(values).all():
         raise ValueError(f"values: expected finite numbers of shape {shape}, found shape {values.shape}")
@@ -181,7 +205,12 @@ def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:
 
 
 def expected_after_turn(configuration: TableConfiguration, values: Float32) -> Float32:
-    """Return the expectation of V over the target's next leg, for each class: same shape as ``values``."""
+    """Return the expectation of V over the target's next leg, for each class: same shape as ``values``.
+
+    Args:
+        configuration: Configuration of the table.
+        values: Values, one array for each class of motion.
+    """
     habits = configuration.habits
     weights = habits.speed_weights()
     if configuration.follows_course:

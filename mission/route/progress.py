@@ -40,7 +40,6 @@ class RouteProgress:
         speed_m_s: Speed along the route, negative against its direction, m/s; NaN where it is unknown.
         probability: Probability that the target follows the route, 0..1.
         to_end_s: Time to the end of the route at this speed, s; NaN for a lap, and where it is unknown.
-
     """
 
     route: Route
@@ -51,7 +50,11 @@ class RouteProgress:
     to_end_s: float
 
     def places_m(self, in_s: FloatArray) -> FloatArray:
-        """Return where (n, 2) the target is expected after times (n,) at its present speed; NaN where unknown."""
+        """Return where (n, 2) the target is expected after times (n,) at its present speed; NaN where unknown.
+
+        Args:
+            in_s: Times from now (n,), s.
+        """
         return self.route.points_m(self.along_m + self.speed_m_s * in_s)
 
 
@@ -65,13 +68,16 @@ class RoutePlanner(Planner, Protocol):
         Args:
             route: The route.
             progress: Memory of the progress filter, of :func:`fresh_progress`; decisions update it.
-
         """
         ...
 
 
 def way_of(route: Route) -> Way:
-    """Return a route as the loops see it."""
+    """Return a route as the loops see it.
+
+    Args:
+        route: The route.
+    """
     points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
     direction = _DIRECTIONS[route.direction]
     return Way(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
@@ -92,7 +98,6 @@ class RouteFollower:
 
         Returns:
             The progress; None if less than a second has passed since the last one.
-
         """
         if target.time_s < self._at_s + _UPDATE_S:
             return None
@@ -102,7 +107,11 @@ class RouteFollower:
 
 
 def follower_of(given: RouteGiven) -> RouteFollower | None:
-    """Return the follower of a flight's route; None where the flight could not use it."""
+    """Return the follower of a flight's route; None where the flight could not use it.
+
+    Args:
+        given: The event with the route.
+    """
     try:
         return RouteFollower(route_from(given))
     except ValueError:
@@ -118,7 +127,6 @@ def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
 
     Returns:
         The progress; off route before the filter's first update.
-
     """
     on_route = bool(memory[ON_ROUTE] > 0.0)
     along_m = speed_m_s = to_end_s = math.nan
@@ -134,7 +142,6 @@ def describe(progress: RouteProgress) -> str:
 
     Args:
         progress: The target's progress along the route.
-
     """
     if not progress.on_route:
         return "off route"

@@ -36,7 +36,6 @@ class Route:
         tolerance_m: One standard deviation of the target's lateral offset from the route.
         speed_m_s: Expected speed along the route; NaN: unknown.
         direction: Direction in which the target follows the points.
-
     """
 
     east_m: FloatArray
@@ -53,7 +52,11 @@ class Route:
         return self.spacing_m * (self.east_m.size - (0 if self.lap else 1))
 
     def points_m(self, along_m: FloatArray) -> FloatArray:
-        """Return the points (n, 2), east and north, at positions along the route (n,); clipped to its ends."""
+        """Return the points (n, 2), east and north, at positions along the route (n,); clipped to its ends.
+
+        Args:
+            along_m: Positions along the route (n,), m.
+        """
         count = self.east_m.size + (1 if self.lap else 0)
         at_m = np.mod(along_m, self.length_m) if self.lap else along_m
         arc_m = self.spacing_m * np.arange(count)
@@ -61,7 +64,11 @@ class Route:
         return np.stack([np.interp(at_m, arc_m, row) for row in rows], axis=1)
 
     def outline_m(self, points_max: int) -> FloatArray:
-        """Return points (n, 2) of the route for a drawing, n <= points_max; the first one is repeated for a lap."""
+        """Return points (n, 2) of the route for a drawing, n <= points_max; the first one is repeated for a lap.
+
+        Args:
+            points_max: Greatest number of points.
+        """
         drawn = self.points_m(np.linspace(0.0, self.length_m, min(points_max, self.east_m.size + 1)))
         return np.concatenate([drawn[:-1], drawn[:1]]) if self.lap else drawn
 
@@ -90,7 +97,6 @@ def route_of(
 
     Raises:
         ValueError: There are fewer than two different points, or a coordinate is not finite.
-
     """
     points_m = np.stack([np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)])
     if not np.isfinite(points_m).all():
@@ -110,14 +116,26 @@ def route_of(
 
 
 def event_of(route: Route, time_s: float) -> RouteGiven:
-    """Return a route as the event that :func:`route_from` reads."""
+    """Return a route as the event that :func:`route_from` reads.
+
+    Args:
+        route: The route.
+        time_s: Time of the event, vehicle's clock, s.
+    """
     way = tuple(route.east_m.tolist()), tuple(route.north_m.tolist())
     speed_m_s = None if math.isnan(route.speed_m_s) else route.speed_m_s
     return RouteGiven(time_s, *way, route.lap, route.tolerance_m, speed_m_s, route.direction.value)
 
 
 def route_from(given: RouteGiven) -> Route:
-    """Return the route of an event. Raises ValueError as :func:`route_of`."""
+    """Return the route of an event.
+
+    Args:
+        given: The event with the route.
+
+    Raises:
+        ValueError: The points are not a route; see :func:`route_of`.
+    """
     return route_of(
         np.array(given.east_m),
         np.array(given.north_m),

@@ -47,7 +47,6 @@ class HeightRules:
         height_m: Height above the reference, m.
         above: The reference: home, or the ground below.
         margin_m: The ground within this distance of a path counts as being below it, m.
-
     """
 
     height_m: float
@@ -74,7 +73,6 @@ class FlightHeights:
 
         Args:
             height_m: Height above the reference of the rules, m.
-
         """
         other = copy(self)
         other._rules, other._carried = replace(self._rules, height_m=height_m), True
@@ -91,7 +89,6 @@ class FlightHeights:
 
         Returns:
             The plan with heights above home, or in words why it cannot be flown.
-
         """
         rules = self._rules
         ring = _ring(plan.circle)
@@ -133,7 +130,6 @@ class FlightHeights:
         Args:
             flown_m:  None|Present height above home, m; None before the first circle.
             target_m: Target's position (east, north), m.
-
         """
         rules = self._rules
         if rules.above == "home":
@@ -149,7 +145,6 @@ class FlightHeights:
             east_m: East in the local plane, m.
             north_m: North in the local plane, m.
             height_m: Height above home, m.
-
         """
         return height_m - highest_at(self._highest, self._grid, east_m, north_m)
 

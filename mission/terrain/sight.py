@@ -46,7 +46,6 @@ class SightField:
             velocity_east_m_s: Target's velocity to the east, m/s.
             velocity_north_m_s: Target's velocity to the north, m/s.
             height_m: Height of the aircraft above home, m.
-
         """
         if math.isnan(self._ground.height_m(east_m, north_m)):
             return NOTHING_HIDDEN

@@ -56,7 +56,6 @@ class Fences:
 
         Returns:
             In words; None if no fence is broken.
-
         """
         if self._floor_m is not None and height_m < self._floor_m:
             return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"
@@ -76,7 +75,6 @@ class Fences:
 
         Args:
             height_m: Height above home of plans without heights, m.
-
         """
 
         def rejection(plan: Plan) -> str | None:

@@ -36,7 +36,6 @@ def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> MissionIt
         circle: The circle.
         plane: The local plane of the mission.
         height_m: Height above home, m.
-
     """
     signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
     x, y = e7(plane.latitude_longitude_deg(circle.east_m, circle.north_m))
@@ -59,7 +58,6 @@ def plan_items(
 
     Raises:
         UnflyableError: The flown path would leave the transition by more than ``tolerance_m``.
-
     """
     circle = circle_item(plan.circle, plane, plan.circle_height_m(height_m))
     if plan.transition is None:

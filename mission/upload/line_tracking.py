@@ -63,7 +63,6 @@ class LineTracking:
 
         Args:
             ground_speed_m_s: Ground speed, m/s.
-
         """
         return 4.0 * math.pi * self.damping / (self.period_s * ground_speed_m_s)
 
@@ -72,7 +71,6 @@ class LineTracking:
 
         Args:
             ground_speed_m_s: Ground speed, m/s.
-
         """
         return self.damping * self.period_s * ground_speed_m_s / math.pi
 
@@ -97,7 +95,6 @@ class LineTracking:
 
         Returns:
             Rows of (time s, east m, north m), (n, 3).
-
         """
         at, leg = start, 0
         previous: Point | None = start if self.first_is_line else None
@@ -135,7 +132,6 @@ class LineTracking:
             speed_m_s: its ground speed.
             previous: where the leg begins; None: the goal itself is steered for.
             goal: the waypoint at the end of the leg, or the circle to fly.
-
         """
         if isinstance(goal, Circle):
             return self._to_circle(at, course_rad, goal, speed_m_s)
@@ -156,7 +152,6 @@ class LineTracking:
             at: Position (east, north), m.
             previous: The waypoint before; None on the first leg.
             waypoint: The waypoint of the leg.
-
         """
         if math.dist(at, waypoint) <= self.switch_m:
             return True

@@ -23,7 +23,6 @@ class MissionItem:
         y: Longitude, 1e-7 degrees.
         z: Altitude in ``frame``, m.
         autocontinue: Whether the next item follows.
-
     """
 
     command: int
@@ -48,7 +47,6 @@ def e7(latitude_longitude_deg: tuple[float, float]) -> tuple[int, int]:
 
     Args:
         latitude_longitude_deg: Latitude and longitude, degrees.
-
     """
     latitude_deg, longitude_deg = latitude_longitude_deg
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
@@ -61,7 +59,6 @@ def at_place(x: int, y: int, item: MissionItem) -> bool:
         x: Field x of MISSION_ITEM_INT.
         y: Field y of MISSION_ITEM_INT.
         item: The item they belong to.
-
     """
     return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
 
@@ -72,7 +69,6 @@ def same_item(a: MissionItem, b: MissionItem) -> bool:
     Args:
         a: One item.
         b: The other item.
-
     """
     return (
         a.command == b.command
@@ -91,6 +87,5 @@ def same_items(sent: Sequence[MissionItem], onboard: Sequence[MissionItem]) -> b
     Args:
         sent: The items that were sent.
         onboard: The items read from the vehicle.
-
     """
     return len(sent) == len(onboard) and all(map(same_item, sent, onboard))

@@ -36,7 +36,6 @@ def plan_file(
         mav_autopilot: MAV_AUTOPILOT of the vehicle.
         keep_in: Outlines of inclusion fences, (east, north) m.
         keep_out: Outlines of exclusion fences, (east, north) m.
-
     """
     document = {
         "fileType": "Plan",

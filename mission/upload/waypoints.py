@@ -51,7 +51,6 @@ def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_
 
     Returns:
         The layout; if none keeps the tolerance, the one with the least deviation.
-
     """
     problem = _Problem(transition, circle, tracking)
     best = Layout((), problem.deviations_m(np.empty((0, 2)))[1])  # straight to the circle

@@ -20,7 +20,6 @@ def known(target: TargetEstimate) -> Known:
 
     Args:
         target: Estimate of the target.
-
     """
     return Known(
         target.time_s,
@@ -46,7 +45,6 @@ class CourseHold:
 
         Returns:
             Course to watch from, rad; None until the target has moved.
-
         """
         kernel.held_course_rad(known(target), self._memory)
         return self.course_rad
@@ -68,6 +66,5 @@ def course_sigma_rad(target: TargetEstimate) -> float:
 
     Args:
         target: Estimate of the target.
-
     """
     return kernel.course_sigma_rad(known(target))

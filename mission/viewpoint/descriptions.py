@@ -15,7 +15,6 @@ def compass_word(bearing_rad: float) -> str:
 
     Args:
         bearing_rad: Bearing, clockwise from north, rad.
-
     """
     return _WINDS[round(bearing_rad / (math.pi / 4)) % 8]
 
@@ -26,7 +25,6 @@ def describe_new_circle(old: Circle, new: Circle) -> str:
     Args:
         old: The present circle.
         new: The new circle.
-
     """
     return describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
 
@@ -37,7 +35,6 @@ def describe_move(east_m: float, north_m: float) -> str:
     Args:
         east_m: Shift to the east, m.
         north_m: Shift to the north, m.
-
     """
     if math.hypot(east_m, north_m) < _SAME_PLACE_M:
         return "on to the same circle"

@@ -48,7 +48,6 @@ class SidePolicy:
             east_m: Aircraft's east, m.
             north_m: Aircraft's north, m.
             target: Estimate of the target.
-
         """
         view = kernel.viewpoint(east_m, north_m, known(target), self.wish, self.memory)
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
@@ -59,7 +58,6 @@ def side_words(requirement: Requirement) -> str:
 
     Args:
         requirement: How the target has to be observed.
-
     """
     if requirement.sector is not None:
         return f"{math.degrees(requirement.sector.from_rad):g}-{math.degrees(requirement.sector.to_rad):g}"
@@ -75,7 +73,6 @@ def watching_from(requirement: Requirement, words: str) -> Requirement:
 
     Raises:
         ValueError: The words are none of these; the message is one sentence.
-
     """
     plain = replace(requirement, either_side=False, sector=None)
     if words in (Side.LEFT, Side.RIGHT):

@@ -21,7 +21,6 @@ class Seen:
         bearing_rad: measured direction of the sight, from the aircraft's nose, clockwise.
         elevation_rad: measured direction of the sight above the horizon.
         lean_rad: how far the camera's roll is off the horizon, right side down.
-
     """
 
     range_m: float | None

@@ -63,7 +63,6 @@ class Measurement:
         range_error_m: error of the measured range.
         bearing_error_rad: error of the measured bearing.
         elevation_error_rad: error of the measured elevation.
-
     """
 
     messages: list[Any]

@@ -28,7 +28,6 @@ class Parameters:
         bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float.
         reports_errors: Whether PARAM_ERROR answers a request that is wrong.
         former: Name and unit, in those of the newest release, of the parameters that this release names otherwise.
-
     """
 
     def __init__(

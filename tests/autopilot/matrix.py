@@ -63,7 +63,6 @@ def rows(reports: Iterable[tuple[str, Sequence[tuple[str, Any]]]]) -> Iterator[s
 
     Args:
         reports: Outcome of each test (passed, failed, error) with what it recorded.
-
     """
     outcomes: dict[str, Counter[str]] = defaultdict(Counter)
     versions: dict[str, str] = {}

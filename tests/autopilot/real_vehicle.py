@@ -24,7 +24,6 @@ class Program(str):
     Attributes:
         path: The program; None: there is none, and its tests are skipped.
         label: What it is called before it reports its version.
-
     """
 
     path: Path | None

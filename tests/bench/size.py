@@ -14,6 +14,5 @@ def size(full: int, smoke: int, name: str = "") -> int:
         full: what the benchmark is meant to do.
         smoke: what shows that it runs.
         name: of an environment variable that sets the number; "": there is none.
-
     """
     return int(os.environ.get(name) or (smoke if SMOKE else full))

@@ -53,7 +53,6 @@ class Misled:
         in_band_share: Share of the flight with a wrong claim to be in the band.
         on_side_share: The same of the side, beyond that of the flight without faults.
         nearest_m: Least true distance to the target.
-
     """
 
     alone: bool

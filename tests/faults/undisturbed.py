@@ -145,7 +145,6 @@ def fly(number: int, duration_s: float, hills: Path, hills_home_deg: tuple[float
         duration_s: how long the target is watched.
         hills: folder of elevation data.
         hills_home_deg: where flights over hills begin.
-
     """
     kind = KINDS[number % len(KINDS)]
     flown, rng = Flown(number, kind), np.random.default_rng((number, 41))
