@@ -5,11 +5,16 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from sidelong.sitl.binary import Binary, BinaryError, started
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
+from sidelong.sitl.payload.device import Device
+from sidelong.sitl.payload.device_port import Address, device_port
+from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
 from sidelong.sitl.world.hills import HillsError
@@ -22,7 +27,31 @@ def companions_of(
     """Return a payload for each vehicle, all about the first one's target. Raises TrackError for a wrong track."""
     first = settings[0]
     shared = SharedTarget(target_motion(first.targets[0], first.seed))
-    return [Companion(payload, shared.seen_from(one.home_east_m), one.seed, terrain, vehicle_id) for one in settings]
+    return [
+        Companion(payload, shared.seen_from(one.home_east_m), one.seed, terrain, vehicle_id, _device_of(one))
+        for one in settings
+    ]
+
+
+def _device_of(settings: Settings) -> Device | None:
+    if not settings.device:
+        return None
+    return DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
+
+
+@contextlib.contextmanager
+def served_device(companion: Companion, kind: str, address: Address | None) -> Iterator[Callable[[], None]]:
+    """Open the port of a companion's device; yields a function that exchanges what is due."""
+    if address is None:
+        yield lambda: None
+        return
+    with contextlib.closing(device_port(kind, companion, address)) as port:
+
+        def exchange() -> None:
+            port.receive()
+            port.send()
+
+        yield exchange
 
 
 def ready(vehicle_id: int, url: str) -> None:
@@ -40,10 +69,11 @@ def run_binaries(
     speed: float,
     logs: Path | None,
     stopped: Callable[[], bool],
+    on_turn: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the programs until ``stopped`` or all have ended; report each one that ends early.
 
-    logs: where their folders are kept.
+    logs: where their folders are kept. on_turn: called in each turn of the payloads' loops.
 
     Raises BinaryError where one does not run, or all have ended; CompanionError, HillsError as ``accompany``.
     """
@@ -66,6 +96,7 @@ def run_binaries(
                     straight_to=binary.run.signed_payload if key is not None else None,
                     on_ready=lambda vehicle_id: ready(vehicle_id, url),
                     on_wait=waits,
+                    on_turn=on_turn,
                     stopped=lambda: stopped() or binary.ended or bool(failed),
                 )
             except (CompanionError, HillsError) as error:

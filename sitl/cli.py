@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from sidelong.sitl.binaries import companions_of, ready, run_binaries, waits
+from sidelong.sitl.binaries import companions_of, ready, run_binaries, served_device, waits
 from sidelong.sitl.options import (
     DEFAULT_STATIONS,
     check_programs,
@@ -36,6 +36,7 @@ from sidelong.sitl.options import (
 )
 from sidelong.sitl.pace import Pace
 from sidelong.sitl.payload.companion import Companion, accompany
+from sidelong.sitl.payload.device_port import Address
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.protocol.signing import read_key
@@ -189,9 +190,7 @@ def run(
     if count > 1 and payload_for is not None:
         refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
     check_programs(programs, count, logs)
-    device_kind, device_address = device_of(
-        device, only=count == 1 and payload_for is None and not programs and payload
-    )
+    device_kind, device_address = device_of(device, only=count == 1 and payload)
     check_ranges(
         {
             "--speed": (speed, 0.0, 1000.0, False),
@@ -259,7 +258,7 @@ def run(
             simulations[ids.index(vehicle_id)].lost_s = lost_s
         _write_truth(stack, simulations or companions, truth or [])
         if not alone:
-            _accompany(companions, each, programs, payload_for, speed, logs)
+            _accompany(companions, each, programs, payload_for, speed, logs, device_address)
             return
 
         def report_ready() -> None:
@@ -297,20 +296,23 @@ def _accompany(
     url: str | None,
     speed: float,
     logs: Path | None,
+    device_address: Address | None,
 ) -> None:
     """Run the payloads of vehicles that are not ours: of these programs, or of the vehicle at a URL."""
     stopped = _stop_signal()
-    if url is None:
-        run_binaries(companions, settings, programs, speed, logs, stopped)
-        return
-    accompany(
-        companions[0],
-        url,
-        key=settings[0].signing_key,
-        on_ready=lambda vehicle_id: ready(vehicle_id, url),
-        on_wait=waits,
-        stopped=stopped,
-    )
+    with served_device(companions[0], settings[0].device, device_address) as exchange:
+        if url is None:
+            run_binaries(companions, settings, programs, speed, logs, stopped, exchange)
+            return
+        accompany(
+            companions[0],
+            url,
+            key=settings[0].signing_key,
+            on_ready=lambda vehicle_id: ready(vehicle_id, url),
+            on_wait=waits,
+            on_turn=exchange,
+            stopped=stopped,
+        )
 
 
 def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:

@@ -16,9 +16,9 @@ import typer
 
 from sidelong.sitl.binary import BinaryError
 from sidelong.sitl.payload.companion import CompanionError
+from sidelong.sitl.payload.device_port import Address
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.signing import KeyFileError
-from sidelong.sitl.server import Address
 from sidelong.sitl.settings import DEFAULT_HOMES, NEWEST, OLDEST, STARTS_M, Flavour, Home, Release, TargetSettings
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills, HillsError
@@ -177,7 +177,7 @@ def device_of(text: str | None, *, only: bool) -> tuple[str, Address | None]:
     if text is None:
         return "", None
     if not only:
-        refuse("--device", "goes with one simulated vehicle and its payload")
+        refuse("--device", "goes with one vehicle and its payload")
     kind, _, address = text.partition("@")
     if kind not in DEVICES:
         refuse("--device", f"is KIND@HOST:PORT with a KIND of {', '.join(DEVICES)}, not {text!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import select
 import socket
 import time
@@ -11,11 +10,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from sidelong.sitl.pace import Pace
-from sidelong.sitl.payload.devices import OVER_TCP
+from sidelong.sitl.payload.device_port import Address, DevicePort, device_port
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 from sidelong.sitl.simulation import STEP_S, Simulation
-
-Address = tuple[str, int]
 
 _WAKE_MIN_S = 0.004
 _LAG_MAX_S = 0.25  # of the wall clock; further behind, the simulation goes slower instead of catching up
@@ -70,95 +67,6 @@ class _Port:
             self._inward.put((address, data), now_s, len(data))
 
 
-class _DevicePort:
-    """The port of a vehicle's device: it answers its client, and streams to the latest one."""
-
-    def __init__(self, simulation: Simulation, address: Address) -> None:
-        self.simulation = simulation
-        self._peer: Address | None = None
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(address)
-        self.socket.setblocking(False)
-
-    @property
-    def sockets(self) -> tuple[socket.socket, ...]:
-        """Those that may become readable."""
-        return (self.socket,)
-
-    def send(self) -> None:
-        self._send(self.simulation.take_device())
-
-    def receive(self) -> None:
-        while True:
-            try:
-                data, self._peer = self.socket.recvfrom(_DATAGRAM_MAX)
-            except BlockingIOError:
-                return
-            except ConnectionError:
-                continue  # the client has gone
-            self._send(self.simulation.receive_device(data))
-
-    def close(self) -> None:
-        self.socket.close()
-
-    def _send(self, frames: Sequence[bytes]) -> None:
-        for frame in frames:
-            if self._peer is not None:
-                with contextlib.suppress(BlockingIOError, ConnectionError):
-                    self.socket.sendto(frame, self._peer)
-
-
-class _TcpDevicePort:
-    """The same for a device that is connected to by TCP: one client at a time, the latest."""
-
-    def __init__(self, simulation: Simulation, address: Address) -> None:
-        self.simulation = simulation
-        self._server = socket.create_server(address)
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
-
-    @property
-    def sockets(self) -> tuple[socket.socket, ...]:
-        """Those that may become readable."""
-        return (self._server,) if self._client is None else (self._server, self._client)
-
-    def send(self) -> None:
-        self._send(self.simulation.take_device())
-
-    def receive(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            client, _ = self._server.accept()
-            self._drop()
-            client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._client = client
-        if self._client is None:
-            return
-        with contextlib.suppress(BlockingIOError):
-            try:
-                data = self._client.recv(_DATAGRAM_MAX)
-            except ConnectionError:
-                data = b""
-            if data:
-                self._send(self.simulation.receive_device(data))
-            else:
-                self._drop()
-
-    def close(self) -> None:
-        self._drop()
-        self._server.close()
-
-    def _send(self, frames: Sequence[bytes]) -> None:
-        if self._client is not None:
-            with contextlib.suppress(BlockingIOError, ConnectionError):
-                self._client.sendall(b"".join(frames))
-
-    def _drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-
 def serve(
     served: Sequence[tuple[Simulation, Sequence[Address]]],
     *,
@@ -176,12 +84,11 @@ def serve(
     pace: limits the simulation time. device_address: where the first vehicle's device listens.
     """
     ports: dict[socket.socket, _Port] = {}
-    devices: list[_DevicePort | _TcpDevicePort] = []
+    devices: list[DevicePort] = []
     try:
         if device_address is not None:
             first = served[0][0]
-            port_of = _TcpDevicePort if first.settings.device in OVER_TCP else _DevicePort
-            devices.append(port_of(first, device_address))
+            devices.append(device_port(first.settings.device, first, device_address))
         for simulation, stations in served:
             port = _Port(simulation, stations, faults or LinkFaults())
             ports[port.socket] = port

@@ -12,7 +12,7 @@ import numpy as np
 
 from sidelong.sitl.arduplane.vehicle import ArduPlane
 from sidelong.sitl.autopilot import Autopilot
-from sidelong.sitl.payload.device import Device, Seen
+from sidelong.sitl.payload.device import LEAN, Device, Seen
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, Payload, Sight
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
@@ -32,7 +32,6 @@ _SILENT_S = 60.0  # of the stations' clock: after this silence, a station that w
 _EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
-_LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
 
 
 class Simulation:
@@ -201,7 +200,7 @@ class Simulation:
         elevation_rad = sight.elevation_rad + measured.elevation_error_rad
         self._slants_m.append(sight.slant_range_m)
         range_m = None if measured.range_m is None else self._slants_m[0] + measured.range_error_m
-        self._seen = Seen(range_m, bearing_rad, elevation_rad, _LEAN * craft.roll_rad)
+        self._seen = Seen(range_m, bearing_rad, elevation_rad, LEAN * craft.roll_rad)
         self._streamed += device.stream(self.time_s, self._seen)
 
     def _target_seen(self) -> tuple[float, float]:

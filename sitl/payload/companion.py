@@ -6,6 +6,7 @@ import math
 import os
 import socket
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from functools import partial
@@ -16,7 +17,8 @@ import numpy as np
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.payload import PERIOD_S, Payload, Sight
+from sidelong.sitl.payload.device import LEAN, Device, Seen
+from sidelong.sitl.payload.payload import PERIOD_S, Measurement, Payload, Sight
 from sidelong.sitl.protocol.signing import signing_time
 from sidelong.sitl.settings import PayloadSettings
 from sidelong.sitl.world.geodesy import HomePlane
@@ -27,7 +29,10 @@ from sidelong.sitl.world.truth import TruthRow
 _ASK_AGAIN_S = 2.0
 _SETTLING_S = 2.2  # two heartbeats: what other vehicle is there has spoken by then
 _HEARTBEAT_S = 1.0
-_WAIT_S = 0.05
+_WAIT_S, _DEVICE_WAIT_S = 0.05, 0.005
+_DEVICE_PERIOD_S = (
+    0.02  # a device answers with its present sight: in a turn, that of a tenth of a second ago is 2 degrees off
+)
 _RETRY_S = 0.5
 _SCHEMES = ("tcpout", "udpin", "udpout")
 _ON_GROUND_M = 5.0  # height above home below which the vehicle is on the ground
@@ -54,8 +59,14 @@ class Companion:
         seed: int,
         terrain: Path | None = None,
         vehicle_id: int | None = None,
+        device: Device | None = None,
     ) -> None:
         _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+        self.device = device
+        self._seen: Seen | None = None
+        self._streamed: list[bytes] = []
+        self._measured: tuple[float, Measurement] | None = None  # time, s
+        self._slants_m: deque[float] = deque(maxlen=round(payload.latency_s / _DEVICE_PERIOD_S) + 1)
         self._payload = Payload(payload, sensor_seed)
         self._motion = motion
         self._terrain = terrain
@@ -63,13 +74,29 @@ class Companion:
         self._plane: HomePlane | None = None
         self._begin_s: float | None = None
         self._latest_s = 0.0
-        self._heading_rad = 0.0
+        self._heading_rad = self._roll_rad = 0.0
         self.vehicle_id = vehicle_id
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
 
     @property
     def wants_home(self) -> bool:
         return self._plane is None
+
+    @property
+    def period_s(self) -> float:
+        """How often the vehicle's position and attitude are needed."""
+        return PERIOD_S if self.device is None else _DEVICE_PERIOD_S
+
+    def receive_device(self, data: bytes) -> list[bytes]:
+        """Take bytes at the device's port and return its answers."""
+        if self.device is None or self._seen is None:
+            return []
+        return self.device.receive(data, self._latest_s, self._seen)
+
+    def take_device(self) -> list[bytes]:
+        """Return what the device has sent unasked since the last call."""
+        streamed, self._streamed = self._streamed, []
+        return streamed
 
     def handle(self, message: Any) -> list[Any]:
         """Take one message from the link and return the measurements it leads to."""
@@ -84,7 +111,7 @@ class Companion:
             self._plane = HomePlane(message.latitude / 1e7, message.longitude / 1e7)
             self._hills = Hills(self._terrain, self._plane)
         elif kind == "ATTITUDE":
-            self._heading_rad = message.yaw
+            self._heading_rad, self._roll_rad = message.yaw, message.roll
         elif kind == "GLOBAL_POSITION_INT" and self._plane is not None:
             return self._measure(message, self._plane)
         return []
@@ -105,6 +132,9 @@ class Companion:
         in_sight = hills.sees_target(aircraft_m, target_m)
         # On the ground the payload is tried out on what is about, as in the simulation of our own.
         sight = Sight.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
+        if self.device is not None and self._measured is not None and since_s - self._measured[0] < PERIOD_S:
+            self._see(self.device, sight, self._measured[1])
+            return []
         measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
         row = TruthRow(
             time_s,
@@ -119,7 +149,22 @@ class Companion:
             *hills.reported(aircraft_m, in_sight),
         )
         self.on_truth(row)
-        return measured.messages
+        if self.device is None:
+            return measured.messages
+        self._measured = since_s, measured
+        self._see(self.device, sight, measured)
+        return []
+
+    def _see(self, device: Device, sight: Sight, measured: Measurement) -> None:
+        """Let the device look along the sight, with the errors of the latest measurement."""
+        self._slants_m.append(sight.slant_range_m)
+        self._seen = Seen(
+            None if measured.range_m is None else self._slants_m[0] + measured.range_error_m,
+            sight.bearing_rad + measured.bearing_error_rad - self._heading_rad,
+            sight.elevation_rad + measured.elevation_error_rad,
+            LEAN * self._roll_rad,
+        )
+        self._streamed += device.stream(self._latest_s, self._seen)
 
 
 def accompany(
@@ -130,13 +175,15 @@ def accompany(
     straight_to: tuple[str, int] | None = None,
     on_ready: Callable[[int], None] = lambda _vehicle_id: None,
     on_wait: Callable[[str], None] = lambda _reason: None,
+    on_turn: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
     """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
 
     url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
     that. straight_to: a UDP address that every frame is sent to as well. The function waits for a missing or lost
-    vehicle: on_wait then receives the reason once; on_ready is called after each connection. Raises CompanionError
+    vehicle: on_wait then receives the reason once; on_ready is called after each connection, on_turn in each turn of
+    the loop. Raises CompanionError
     for an unusable URL, and if several vehicles are received and none is selected.
     """
     scheme, _, address = url.partition("://")
@@ -154,7 +201,7 @@ def accompany(
                 if straight_to is not None:
                     straight = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
                     link.mav.set_send_callback(partial(_send_straight, straight, straight_to))
-                _converse(companion, link, on_ready, stopped)
+                _converse(companion, link, on_ready, on_turn, stopped)
         except (ConnectionError, TimeoutError) as error:
             if not reported:
                 on_wait(f"waiting for a vehicle at {url}: {error.strerror or error}")
@@ -184,7 +231,14 @@ def _connected(scheme: str, address: str) -> Any:
     )
 
 
-def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], stopped: Callable[[], bool]) -> None:
+def _converse(
+    companion: Companion,
+    link: Any,
+    on_ready: Callable[[int], None],
+    on_turn: Callable[[], None],
+    stopped: Callable[[], bool],
+) -> None:
+    wait_s = _WAIT_S if companion.device is None else _DEVICE_WAIT_S
     if companion.vehicle_id is None:
         companion.vehicle_id = _only_vehicle(link, stopped)
     if companion.vehicle_id is None:
@@ -193,10 +247,11 @@ def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], 
     on_ready(companion.vehicle_id)
     ask_s = heartbeat_s = -math.inf
     while not stopped():
-        message = link.recv_match(blocking=True, timeout=_WAIT_S)
+        message = link.recv_match(blocking=True, timeout=wait_s)
         if message is not None and message.get_type() != "BAD_DATA":
             for measurement in companion.handle(message):
                 _send(link, measurement)
+        on_turn()
         now_s = time.monotonic()
         if now_s >= heartbeat_s:
             heartbeat_s = now_s + _HEARTBEAT_S
@@ -241,10 +296,10 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
 
 def _ask(companion: Companion, link: Any) -> None:
     """Request positions and attitudes at the payload's rate, and home until it is known."""
-    vehicle_id = companion.vehicle_id
+    vehicle_id, period_us = companion.vehicle_id, companion.period_s * 1e6
     for message_id in (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_ATTITUDE):
         link.mav.command_long_send(
-            vehicle_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, PERIOD_S * 1e6, 0, 0, 0, 0, 0
+            vehicle_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, period_us, 0, 0, 0, 0, 0
         )
     if companion.wants_home:
         home_id = mavlink.MAVLINK_MSG_ID_HOME_POSITION

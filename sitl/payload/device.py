@@ -11,6 +11,8 @@ import numpy as np
 
 from sidelong.sitl.settings import Quirks
 
+LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
+
 
 @dataclass(frozen=True, slots=True)
 class Seen:

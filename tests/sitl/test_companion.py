@@ -8,15 +8,18 @@ import time
 from contextlib import contextmanager
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, _send, accompany
+from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.payload.payload import Payload
 from sidelong.sitl.protocol.signing import signing_time
-from sidelong.sitl.settings import PayloadSettings, TargetSettings
+from sidelong.sitl.settings import PayloadSettings, Quirks, TargetSettings
 from sidelong.sitl.simulation import target_motion
 
+RANGE_REQUEST = bytes.fromhex("5566010000000015d196")  # of SIYI
 EXACT = PayloadSettings(0.0, 0.0, 0.0, 0.0, 0.0)
 WALK = target_motion(TargetSettings(), 1)
 
@@ -58,6 +61,25 @@ def test_it_waits_for_home(simulate, station):
     ground.run(15.0)
     assert companion.wants_home
     assert not [m for message in ground.received for m in companion.handle(message)]
+
+
+def test_its_device_answers_in_place_of_mavlink_and_sees_the_present_position(simulate, station):
+    ground = station(simulate(payload=None))
+    siyi = DEVICES["siyi"](Quirks(), np.random.default_rng(1))
+    companion = Companion(EXACT, WALK, seed=1, device=siyi)
+    rows = []
+    companion.on_truth = rows.append
+    assert companion.receive_device(RANGE_REQUEST) == []
+    ground.run(25.0)
+    ground.command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 2e4)
+    ground.fly(ground.takeoff(80.0), ground.loiter(200.0, 200.0, 80.0, 80.0))
+    ground.run(60.0)
+    assert [m for message in ground.received for m in companion.handle(message)] == []
+    positions = ground.all("GLOBAL_POSITION_INT")
+    assert len(rows) < 0.5 * len(positions)  # measured at 10 Hz, seen at each position
+    (answer,) = companion.receive_device(RANGE_REQUEST)
+    range_m = int.from_bytes(answer[8:10], "little") / 10.0
+    assert range_m == pytest.approx(math.dist(rows[-1].target_m, rows[-1].aircraft_m), abs=3.0)
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:14550", "serial:///dev/ttyS0:57600", "tcpout://127.0.0.1"])
