@@ -80,7 +80,8 @@ def run_binaries(
     with contextlib.ExitStack() as stack:
         running: list[Binary] = []
         for number, (path, own) in enumerate(zip(programs, settings, strict=True)):
-            running.append(stack.enter_context(started(own.flavour, path, speed, own.home, own.wind, number, logs)))
+            binary = started(own.flavour, path, speed, own.home, own.wind, number, logs, own.endurance_s)
+            running.append(stack.enter_context(binary))
         _print_how_to_fly(running, settings)
         if logs is not None:
             print("their own logs:", *(str(binary.folder) for binary in running), flush=True)

@@ -23,10 +23,26 @@ _HEADING_DEG = 353
 _ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
 _PX4_SIGNED_PAYLOAD_UDP = 14640
 _OUTPUT, _LAST_WORDS = "output.log", 400
-# The stock simulators' batteries are half empty after a minute (PX4), or empty after a quarter of an hour.
-_BATTERY_MAH, _BATTERY_S = 100_000, 10_800
+# The stock batteries are half empty after a minute (PX4), or empty after a quarter of an hour. ArduPlane's simulated
+# aeroplane draws about this current at its stock airspeed.
+_BATTERY_S, _ARDUPLANE_A = 10_800.0, 10.0
 # PX4's start script runs the first file of this name in PATH, and has an empty one of its own.
 _PX4_PARAMETERS_FILE = "px4-rc.params"
+# Before 1.16 the stock simulated aeroplane does not fly: its surfaces and its motor are on outputs that the simulator
+# does not read, and aileron and elevator have the wrong sign. With its stock 6 N it then lifts off only now and then.
+_PX4_AEROPLANE_AS_IN_1_16 = {
+    "PWM_MAIN_FUNC1": "201",
+    "PWM_MAIN_FUNC2": "202",
+    "PWM_MAIN_FUNC3": "203",
+    "PWM_MAIN_FUNC4": "101",
+    "PWM_MAIN_FUNC5": "0",
+    "PWM_MAIN_FUNC6": "0",
+    "CA_SV_CS0_TRQ_R": "1",
+    "CA_SV_CS1_TRQ_P": "-1",
+    "CA_ROTOR0_PX": "0.3",
+    "EKF2_GPS_DELAY": "0",
+    "SIH_T_MAX": "8",
+}
 _CALM = Wind()
 
 
@@ -51,9 +67,19 @@ class Run:
 
 
 def run_of(
-    flavour: Flavour, binary: Path, folder: Path, instance: int, speed: float, home: Home | None, wind: Wind = _CALM
+    flavour: Flavour,
+    binary: Path,
+    folder: Path,
+    instance: int,
+    speed: float,
+    home: Home | None,
+    wind: Wind = _CALM,
+    endurance_s: float = _BATTERY_S,
 ) -> Run:
-    """Return the stock command line of an instance that keeps its files, its wind among them, in ``folder``."""
+    """Return the stock command line of an instance that keeps its files, its wind among them, in ``folder``.
+
+    endurance_s: how long its battery lasts; of ArduPlane about.
+    """
     if flavour is Flavour.ARDUPLANE:
         place = home or DEFAULT_HOMES[flavour]
         where = f"{place.latitude_deg},{place.longitude_deg},{place.altitude_m},{_HEADING_DEG}"
@@ -63,7 +89,7 @@ def run_of(
         defaults = binary.parents[min(3, len(binary.parents) - 1)] / "Tools/autotest/models/plane.parm"
         files = [str(defaults)] if defaults.exists() else []
         own = folder / "own.parm"
-        text = f"BATT_CAPACITY {_BATTERY_MAH}\n"
+        text = f"BATT_CAPACITY {endurance_s * _ARDUPLANE_A / 3.6:.0f}\n"
         if wind != _CALM:
             from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s)) % 360.0
             text += f"SIM_WIND_SPD {math.hypot(wind.east_m_s, wind.north_m_s):g}\nSIM_WIND_DIR {from_deg:g}\n"
@@ -79,7 +105,7 @@ def run_of(
         "PX4_SIMULATOR": "sihsim",
         "PX4_SIM_SPEED_FACTOR": f"{speed:g}",
     }
-    parameters = {"SIM_BAT_DRAIN": str(_BATTERY_S)}
+    parameters = {"SIM_BAT_DRAIN": f"{endurance_s:g}", "SIM_BAT_MIN_PCT": "0"}
     if wind != _CALM:  # by where it comes from
         parameters["SIH_WIND_N"], parameters["SIH_WIND_E"] = f"{-wind.north_m_s:.3f}", f"{-wind.east_m_s:.3f}"
     if _takes_parameters_from_the_environment(start_files):
@@ -94,6 +120,7 @@ def run_of(
         parameters["SIH_LOC_LAT0"] = str(round(place.latitude_deg * 1e7))
         parameters["SIH_LOC_LON0"] = str(round(place.longitude_deg * 1e7))
         parameters["SIH_LOC_H0"] = str(place.altitude_m)
+        parameters |= _PX4_AEROPLANE_AS_IN_1_16
         lines = [f"param set {name} {value}\n" for name, value in parameters.items()]
         (folder / _PX4_PARAMETERS_FILE).write_text("".join(lines))
         environment["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
@@ -150,18 +177,19 @@ def started(
     wind: Wind = _CALM,
     instance: int = 0,
     logs: Path | None = None,
+    endurance_s: float = _BATTERY_S,
 ) -> Iterator[Binary]:
     """Run a simulator.
 
     instance: the first that may be taken, and with it the system id. logs: where to keep its folder, which is gone
-    with it otherwise. Raises BinaryError.
+    with it otherwise. endurance_s: of its battery. Raises BinaryError.
     """
     program = binary.resolve()
     if not os.access(program, os.X_OK) or program.is_dir():
         raise BinaryError(f"{binary} is no program that can be run")
     free = _free_instance(flavour, instance)
     with _working_folder(logs, flavour, free) as folder, (folder / _OUTPUT).open("wb") as output:
-        run = run_of(flavour, program, folder, free, speed, home, wind)
+        run = run_of(flavour, program, folder, free, speed, home, wind, endurance_s)
         try:
             process = subprocess.Popen(
                 run.command,

@@ -8,6 +8,7 @@ REAL_SPEED: how many times the clock.
 
 from __future__ import annotations
 
+import csv
 import itertools
 import os
 import signal
@@ -20,7 +21,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
-from sidelong.mission.core.events import ActivatePlan, PlanStatus
+from sidelong.mission.core.events import ActivatePlan, HealthChanged, PlanStatus
+from sidelong.mission.core.inputs import Input
 from sidelong.sitl.protocol.link import LinkFaults
 from tests.autopilot.changing_relay import PAYLOAD, VEHICLE, ChangingRelay, packed, unchanged
 from tests.autopilot.conftest import COMMANDING, PATIENCE_S, Application
@@ -32,6 +34,7 @@ pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(900)]
 WANDERING = (sys.executable, "-m", "tests.bench.wandering")
 SPEED = float(os.environ.get("REAL_SPEED", "3"))
 WATCHED = "watched from now on"
+FAULT_S, REPORTED_WITHIN_S, NEAREST_M = 40.0, 16.0, 80.0  # on the vehicle's clock
 GOES_ON = "the aircraft goes on circling where it is."
 NO_MORE = "commanding nothing more"
 MISSION_MODE = {"arduplane": 10, "px4": 0x04040000}
@@ -49,8 +52,8 @@ PILOTS_MODE = {"arduplane": (12, "LOITER"), "px4": (0x03040000, "LOITER")}
 class Flown:
     """A real autopilot with payload and target, a relay before it, and launches through that."""
 
-    def __init__(self, flavour, relay, folder):
-        self.flavour, self.relay, self._folder = flavour, relay, folder
+    def __init__(self, flavour, relay, folder, truth):
+        self.flavour, self.relay, self._folder, self._truth = flavour, relay, folder, truth
         self._config = configured(folder / "mission.toml", flavour, CONFIG)
         self._launches = 0
 
@@ -65,18 +68,30 @@ class Flown:
         time.sleep(seconds / SPEED)
 
     @property
+    def now_s(self):
+        """Time on the vehicle's clock."""
+        return self.relay.time_boot_ms / 1000.0
+
+    def nearest_m(self, since_s):
+        """Return the least true distance to the target since then."""
+        with self._truth.open() as file:
+            rows = [row for row in csv.DictReader(file) if row["slant_range_m"] and row["bearing_deg"]]
+        return min(float(row["slant_range_m"]) for row in rows if float(row["time_boot_s"]) >= since_s)
+
+    @property
     def commanded(self):
         return sum(self.relay.commanded[kind] for kind in COMMANDING)
 
 
 @pytest.fixture(params=FLAVOURS, scope="module")
 def flown(request, tmp_path_factory):
-    flavour = request.param
+    flavour, folder = request.param, tmp_path_factory.mktemp(request.param)
+    truth = folder / "truth.csv"
     with (
-        RealVehicle(flavour, "--speed", SPEED, "--target", "circle") as vehicle,
+        RealVehicle(flavour, "--speed", SPEED, "--target", "circle", "--truth", truth) as vehicle,
         ChangingRelay(vehicle.urls[0]) as relay,
     ):
-        yield Flown(flavour, relay, tmp_path_factory.mktemp(flavour))
+        yield Flown(flavour, relay, folder, truth)
 
 
 @pytest.fixture
@@ -282,6 +297,72 @@ def reported_as_flown(one):
     print(f"{len(activated)} plans activated, {len(set(activated) & departed)} reported as flown")
     assert activated
     assert set(activated[:-1]) <= departed  # the last may still have been on its way
+
+
+def of_laser(message):
+    """Return whether a message is the payload's range, and not PX4's own distance to the ground."""
+    is_range = message.get_type() == "DISTANCE_SENSOR"
+    return is_range and message.orientation == mavlink.MAV_SENSOR_ROTATION_CUSTOM
+
+
+def of_gimbal(message):
+    return message.get_type() == "GIMBAL_DEVICE_ATTITUDE_STATUS"
+
+
+def of_position(message):
+    return message.get_type() == "GLOBAL_POSITION_INT"
+
+
+def repeated(field):
+    """Return a change that repeats the first value of each device."""
+    first = {}
+    return lambda message: {field: first.setdefault(message.get_srcComponent(), getattr(message, field))}
+
+
+# The messages that change, what becomes of them (None: they are lost), the reported input, and words of the report.
+INPUT_FAULTS = {
+    "stuck range": (of_laser, lambda: repeated("current_distance"), Input.LASER, "it repeats the same range"),
+    "range in a tenth": (
+        of_laser,
+        lambda: lambda message: {"current_distance": round(message.current_distance / 10.0)},
+        Input.LASER,
+        "correct its unit",
+    ),
+    "wrong flags": (of_gimbal, lambda: lambda _message: {"flags": 44}, Input.GIMBAL, "its frame flags are wrong"),
+    "frozen gimbal": (of_gimbal, lambda: repeated("q"), Input.GIMBAL, "its orientation is frozen"),
+    "silent position": (of_position, lambda: None, Input.POSITION, "no position from the autopilot"),
+}
+
+
+@pytest.mark.parametrize("fault", INPUT_FAULTS)
+def test_an_input_fault_is_reported_and_the_range_is_kept(flown, watching, fault):
+    changes, made, kind, words = INPUT_FAULTS[fault]
+    fields_of = made()
+
+    def faulty(message):
+        if not changes(message):
+            yield from unchanged(message)
+        elif fields_of is not None:
+            yield 0.0, packed(message, **fields_of(message))
+
+    watching.wait_for("the target is in sight")
+    flown.wait(60.0)
+    begin_s = flown.now_s
+    flown.relay.change = faulty
+    watching.wait_for(words)
+    flown.wait(FAULT_S)
+    flown.relay.change = unchanged
+    watching.wait_for("is received again" if fault == "silent position" else "agrees again")
+    flown.wait(20.0)
+    nearest_m = flown.nearest_m(begin_s)
+    summary = watching.end()
+    events = JournalReader(watching.run / "journal.jsonl", JOURNAL_TYPES)
+    found_s = [one.time_s for one in events if isinstance(one, HealthChanged) and one.input is kind]
+    reported_s = min(time_s - begin_s for time_s in found_s if time_s > begin_s)
+    print(f"{flown.flavour} {fault}: reported after {reported_s:.1f} s, least true range {nearest_m:.0f} m")
+    assert summary["outcome"] == "interrupted", watching.announced
+    assert reported_s <= REPORTED_WITHIN_S
+    assert nearest_m >= NEAREST_M
 
 
 # -- another station flies -------------------------------------------------------------------------------------

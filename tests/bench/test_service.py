@@ -21,12 +21,13 @@ PATIENCE_S = 120.0
 class Service(Application):
     """``sidelong serve`` on a vehicle, and the commands that speak with it."""
 
-    def __init__(self, url, folder):
-        self._environment = os.environ | {"SIDELONG_SOCKET": str(folder / "serve.sock")}
+    def __init__(self, url, folder, *options):
+        self.socket = str(folder / "serve.sock")
+        self._environment = os.environ | {"SIDELONG_SOCKET": self.socket}
         self.out = folder / "runs"
         self._log = folder / "serve.log"
         with self._log.open("a") as log:
-            command = [SIDELONG, "serve", "--connect", url, "--out", str(self.out)]
+            command = [SIDELONG, "serve", *options, "--connect", url, "--out", str(self.out)]
             self.process = subprocess.Popen(command, stdout=log, stderr=log, env=self._environment)
 
     def ask(self, *request):
@@ -38,7 +39,7 @@ class Service(Application):
     def status(self):
         with socket.socket(socket.AF_UNIX) as client:  # a command takes half a second to start
             try:
-                client.connect(self._environment["SIDELONG_SOCKET"])
+                client.connect(self.socket)
                 client.sendall(b'{"request": "status"}\n')
                 return json.loads(client.makefile().readline())["status"]
             except (OSError, ValueError):

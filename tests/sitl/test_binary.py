@@ -42,14 +42,17 @@ def test_px4_before_1_16_takes_parameters_and_home_from_a_file_in_its_path(tmp_p
     scripts = tmp_path / "etc" / "init.d-posix"
     scripts.mkdir(parents=True)
     (scripts / "rcS").write_text(". px4-rc.params\n")
-    run = run_of(Flavour.PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, HOME)
+    run = run_of(PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, HOME)
     assert run.environment["PATH"].startswith(f"{tmp_path}:")
     assert not any(name.startswith(("PX4_PARAM_", "PX4_HOME_")) for name in run.environment)
-    assert (tmp_path / "px4-rc.params").read_text().splitlines() == [
+    assert (tmp_path / "px4-rc.params").read_text().splitlines()[:7] == [
         "param set SIM_BAT_DRAIN 10800",
+        "param set SIM_BAT_MIN_PCT 0",
         "param set SIH_LOC_LAT0 470000000",
         "param set SIH_LOC_LON0 80000000",
         "param set SIH_LOC_H0 400.0",
+        "param set PWM_MAIN_FUNC1 201",
+        "param set PWM_MAIN_FUNC2 202",
     ]
 
 
@@ -57,10 +60,18 @@ def test_the_wind_is_given_as_each_program_takes_it(tmp_path):
     wind = Wind.blowing_from(4.0, math.radians(270.0))
     arduplane = run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, wind)
     assert arduplane.command[-2:] == ["--defaults", str(tmp_path / "own.parm")]
-    assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 100000\nSIM_WIND_SPD 4\nSIM_WIND_DIR 270\n"
+    assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 30000\nSIM_WIND_SPD 4\nSIM_WIND_DIR 270\n"
     px4 = run_of(PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, None, wind)
     from_m_s = [float(px4.environment[f"PX4_PARAM_SIH_WIND_{axis}"]) for axis in "NE"]
     assert from_m_s == pytest.approx([0.0, -4.0], abs=1e-9)
+
+
+def test_the_battery_lasts_as_long_as_asked_for(tmp_path):
+    run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, endurance_s=1800.0)
+    assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 5000\n"
+    px4 = run_of(PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, None, endurance_s=1800.0)
+    assert px4.environment["PX4_PARAM_SIM_BAT_DRAIN"] == "1800"
+    assert px4.environment["PX4_PARAM_SIM_BAT_MIN_PCT"] == "0"
 
 
 def test_what_cannot_be_run_is_reported(tmp_path):
