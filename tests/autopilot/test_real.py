@@ -5,6 +5,7 @@ SIDELONG_PROGRAMS=/path/to/programs python -m pytest tests/autopilot
 """
 
 import os
+import time
 
 import pytest
 
@@ -14,6 +15,7 @@ from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, configured
 pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(900)]  # they fly in little more than real time
 
 SPEED = float(os.environ.get("REAL_SPEED", "3"))
+WATCHED = "watched from now on"
 DURATION_S, TARGET_SPEED_MAX_M_S = 300, 4
 
 
@@ -44,8 +46,11 @@ def test_a_flight(fly, guidance, record_property):
 
 def test_a_killed_application_is_started_again_and_takes_the_circle_over(fly):
     first = fly()
-    first.wait_for("watched from now on")
+    first.wait_for(WATCHED)
     first.kill()
+    begin_s = time.monotonic()
     again = fly("--duration", "20")
+    again.wait_for(WATCHED)
+    print(f"watching again {time.monotonic() - begin_s:.1f} s after kill -9, load {os.getloadavg()[0]:.0f}")
     assert again.process.wait(120.0) == 0, again.announced
     assert "taking over the circle that is flown" in again.announced
