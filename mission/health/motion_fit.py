@@ -189,7 +189,7 @@ class MotionFit:
         Args:
             established: what was found to be wrong before; it holds until what is reported fits clearly better.
         """
-        samples = self._samples
+        samples, established = self._samples, self._unless_corrected(established)
         if established == SOUND and samples and samples[-1].time_s - self.changed_s < WINDOW_S:
             found = self._continued()
             if found is not None:
@@ -225,6 +225,16 @@ class MotionFit:
         if residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
             return SOUND
         return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
+
+    def _unless_corrected(self, established: Verdict) -> Verdict:
+        """Return ``SOUND`` if the flags now name the frame that was found, else what was found.
+
+        The motion before the correction was that of a wrong target, and is forgotten.
+        """
+        if established.frame != self._flagged:
+            return established
+        self._before = None
+        return SOUND
 
     def _is_enough(self) -> bool:
         """Return whether there are enough samples, and the aircraft has turned meanwhile."""

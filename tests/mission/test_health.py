@@ -56,6 +56,18 @@ def test_contradictory_payload_is_reported_and_not_followed(name):
     assert flown.unknown_s >= DURATION_S - found[0][0] - 1.0
 
 
+@pytest.mark.parametrize("name", PAYLOAD_FAULTS)
+def test_payload_that_is_corrected_is_used_again(name):
+    change, input_, _ = PAYLOAD_FAULTS[name]
+    fault = Fault(name, BEGIN_S, BEGIN_S + 40.0, change)
+    flown = FaultedFlight(Scenario(1, "px4", DURATION_S), [fault]).fly()
+    states = [(at_s, one.state) for at_s, one in flown.health if one.input is input_]
+    assert [state for _, state in states] == [InputState.INCONSISTENT, InputState.OK]
+    assert BEGIN_S + 40.0 <= states[1][0] <= BEGIN_S + 75.0
+    assert flown.yielded is None
+    assert any(decided.time_s > BEGIN_S + 75.0 for decided in flown.decided)
+
+
 @pytest.mark.parametrize(("name", "seed"), [("stuck laser", 3), ("range in a tenth", 3), ("range in feet", 5)])
 def test_aircraft_keeps_away_from_a_target_that_walks_towards_it_unseen(name, seed):
     change = PAYLOAD_FAULTS[name][0]
