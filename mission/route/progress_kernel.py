@@ -19,11 +19,10 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
 # The memory: time of the last update; probability of "off the route"; whether "on route" is reported; position, speed
 # (negative: backward), direction (1, -1) and probability of the most probable part of the route; how often that part
-# has changed; usual speeds on straight parts, bends and turns. Then the probabilities: those of the points in their
-# order, and in the reverse order for the backward direction.
+# has changed; usual speed. Then the probabilities: those of the points in their order, and in the reverse order for
+# the backward direction.
 LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S = range(9)
-_BENDS = 3
-_FIRST = USUAL_M_S + _BENDS
+_FIRST = 9
 
 _LEAVES_AFTER_S = 150.0
 # Share of the probability that is moved each second: from "off" to points near the target, from all points to those,
@@ -48,10 +47,7 @@ _GATE = 3.0
 _MIN_CHANCE, _NO_CHANCE = 1e-4, 1e-9
 _ON_ABOVE, _OFF_BELOW = 0.7, 0.5
 _SPEED_S, _USUAL_S = 2.0, 40.0
-# Bends: cosines of the change of course from 12 m before a point to 12 m after it. Before the speeds in bends and
-# turns are known, they are this share of the usual speed on straight parts.
-_BEND_M, _BEND_COS, _TURN_COS, _IN_BENDS, _IN_TURNS = 12.0, 0.85, 0.0, 0.9, 0.7
-_SETTLES_S, _SETTLED = 15.0, 0.5
+_SETTLES_S = 8.0
 
 
 class Way(NamedTuple):
@@ -73,7 +69,7 @@ def fresh_progress(points: int) -> FloatArray:
     """Return the memory before the first update, for a route with a number of points."""
     memory = np.zeros(_FIRST + 2 * points)
     memory[LAST_S], memory[OFF_CHANCE], memory[ALONG_M] = np.nan, 1.0, np.nan
-    memory[USUAL_M_S:_FIRST] = np.nan
+    memory[USUAL_M_S] = np.nan
     return memory
 
 
@@ -117,15 +113,6 @@ def _tangent(way: Way, along_m: float) -> tuple[float, float]:
     if away_m < 1e-6:
         return 0.0, 1.0
     return (to_e - from_e) / away_m, (to_n - from_n) / away_m
-
-
-@compiled
-def _bend(way: Way, along_m: float) -> int:
-    """Return 0 on a straight part of the route, 1 in a bend, and 2 in a turn."""
-    before_e, before_n = _tangent(way, along_m - _BEND_M)
-    after_e, after_n = _tangent(way, along_m + _BEND_M)
-    cosine = before_e * after_e + before_n * after_n
-    return 0 if cosine > _BEND_COS else 1 if cosine > _TURN_COS else 2
 
 
 @inlined
@@ -286,30 +273,22 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
     memory[SPEED_M_S] += (_share(1.0 / _SPEED_S, dt_s) if same else 1.0) * (speed_m_s - memory[SPEED_M_S])
     over_ground_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     if over_ground_m_s > _SLOW_M_S:
-        bend = USUAL_M_S + _bend(way, along_m)
-        usual = memory[bend]
-        new = _share(1.0 / _USUAL_S, dt_s) * (over_ground_m_s - usual)
-        memory[bend] = over_ground_m_s if math.isnan(usual) else usual + new
+        usual_m_s = memory[USUAL_M_S]
+        new_m_s = _share(1.0 / _USUAL_S, dt_s) * (over_ground_m_s - usual_m_s)
+        memory[USUAL_M_S] = over_ground_m_s if math.isnan(usual_m_s) else usual_m_s + new_m_s
 
 
 @compiled
 def forecast(way: Way, memory: FloatArray, time_s: float, found: FloatArray) -> None:
     """Fill in points (k, 2) of the route, one each second from a time on, that the target is expected to pass.
 
-    The speed changes slowly from the present one to the mean of that and the usual one; the usual one is smaller in
-    bends and turns.
+    Its speed changes from the present one to the mean of that and the expected or usual one.
     """
-    now_m_s, direction, usual = abs(memory[SPEED_M_S]), memory[DIRECTION], np.empty(_BENDS)
-    straight = memory[USUAL_M_S] if math.isnan(way.speed_m_s) else way.speed_m_s
-    straight = max(now_m_s, _SLOW_M_S) if math.isnan(straight) else straight
-    for bend in range(_BENDS):
-        usual[bend] = straight * (1.0 if bend == 0 else _IN_BENDS if bend == 1 else _IN_TURNS)
-        if bend > 0 and not math.isnan(memory[USUAL_M_S + bend]):
-            usual[bend] = memory[USUAL_M_S + bend]
-    share = now_m_s / usual[_bend(way, memory[ALONG_M])]
-    settled = _SETTLED + (1.0 - _SETTLED) * share
+    now_m_s = abs(memory[SPEED_M_S])
+    usual_m_s = memory[USUAL_M_S] if math.isnan(way.speed_m_s) else way.speed_m_s
+    settled_m_s = now_m_s if math.isnan(usual_m_s) else 0.5 * (now_m_s + usual_m_s)
     along_m = memory[ALONG_M] + memory[SPEED_M_S] * (time_s - memory[LAST_S])
     for i in range(len(found)):
         found[i, 0], found[i, 1] = point_along(way, along_m)
-        of_usual = settled + (share - settled) * math.exp(-(i + 0.5) / _SETTLES_S)
-        along_m += direction * max(of_usual * usual[_bend(way, along_m)], 0.1)
+        speed_m_s = settled_m_s + (now_m_s - settled_m_s) * math.exp(-(i + 0.5) / _SETTLES_S)
+        along_m += memory[DIRECTION] * max(speed_m_s, 0.1)
