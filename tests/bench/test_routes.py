@@ -1,6 +1,6 @@
 """Flights that know a route of the target: its own way, a wrong one, a road's, and departures at a random moment.
 
-    python tests/bench/test_routes.py FOLDER [--mode MODE] [--airspeed 12|20|30] [--draws 3] [--every 1] [--runs 100]
+    python tests/bench/test_routes.py FOLDER [--mode MODE] [--airspeed 12|20|30] [--draws 3] [--horizon 20]
     python -m pytest -s tests/bench/test_routes.py
 
 Modes: none; own (the track's path simplified to 5 m and displaced by 3 to 8 m, speeds and stops unknown); reversed,
@@ -25,7 +25,7 @@ from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.routes import own_route, route_next_to
 from sidelong.app.study.run import aircraft_on, first_circle, run, scene, sensed_by
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import STUDIED, PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
@@ -39,16 +39,19 @@ from tests.bench.size import size
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 MODES = ("none", "own", "reversed", "shifted", "other", "alongside")
 SHIFT_M, STEP_S, LEAST_M = 60.0, 0.5, 95.0
+HORIZON_S = STUDIED.requirement.course_horizon_s
 # A departure: followed for this long before it, flown on for this long; counted once the target is this far off the
 # route and stays there until the report is due.
 BEFORE_S, AFTER_S, OFF_M, DUE_S = 240.0, 180.0, 20.0, 15.0
 
 
-def settings_of(one: AircraftClass, tracks: tuple[RecordedTarget, ...], draws: int = 1) -> StudySettings:
+def settings_of(
+    one: AircraftClass, tracks: tuple[RecordedTarget, ...], draws: int = 1, horizon_s: float = HORIZON_S
+) -> StudySettings:
     return StudySettings(
         (PlannerName.PREDICTIVE,),
         len(tracks),
-        config=studied(**asdict(one)),
+        config=studied(**asdict(one), course_horizon_s=horizon_s),
         tracks=tracks,
         noise_draws=draws,
     )
@@ -88,14 +91,16 @@ def _routed(target: RecordedTarget, tracks: tuple[RecordedTarget, ...], mode: st
     return replace(target, route=route)
 
 
-def compared(folder: Path, one: AircraftClass, mode: str, draws: int, every: int = 1) -> dict[str, float]:
+def compared(
+    folder: Path, one: AircraftClass, mode: str, draws: int, every: int = 1, horizon_s: float = HORIZON_S
+) -> dict[str, float]:
     """Print one row of results over all tracks of a folder, and return it."""
     tracks = targets_in(folder, one, every)
     rows: dict[str, list[tuple[float, ...]]] = {}
     took_s: list[float] = []
     for draw in range(draws):
         flown = tuple(_routed(target, tracks, mode, draw) for target in tracks)
-        study = settings_of(one, flown, draws)
+        study = settings_of(one, flown, draws, horizon_s)
         table = value_table(table_configuration(study.aircraft(), study.requirement()))
         for k, target in enumerate(flown):
             x = run(study, PlannerName.PREDICTIVE, draw * len(flown) + k, table)
@@ -255,6 +260,7 @@ def main() -> None:
     parser.add_argument("--mode", choices=(*MODES, "departures"), default="departures")
     parser.add_argument("--airspeed", type=float, help="one class only: 12, 20 or 30 m/s")
     parser.add_argument("--draws", type=int, default=3)
+    parser.add_argument("--horizon", type=float, default=HORIZON_S, help="requirement.course_horizon_s")
     parser.add_argument("--every", type=int, default=1, help="fly every n-th track")
     parser.add_argument("--runs", type=int, default=100, help="number of departures")
     given = parser.parse_args()
@@ -263,7 +269,7 @@ def main() -> None:
         return
     for one in CLASSES:
         if given.airspeed in (None, one.airspeed_m_s):
-            compared(given.folder, one, given.mode, given.draws, given.every)
+            compared(given.folder, one, given.mode, given.draws, given.every, given.horizon)
 
 
 if __name__ == "__main__":
