@@ -30,10 +30,10 @@ from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
-    Command,
     ControlAcquired,
     NavigationReported,
     PlanStatus,
+    StepOutput,
     UploadPlan,
     WindReported,
 )
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 _MODE = "as recorded"
 # A set lookup by exact type is enough: only the exchange's own events have derived types.
-_COMMANDS, _DERIVED = frozenset(get_args(Command)), frozenset(DERIVED)
+_COMMANDS, _DERIVED = frozenset(get_args(StepOutput)), frozenset(DERIVED)
 _EXCHANGE = frozenset((*get_args(ExchangeEvent), SendMessage, TakeoverFailed))
 # Between two positions these only feed the filter and the plausibility check: nothing to display or score changes.
 _UNSEEN = frozenset(
@@ -66,7 +66,7 @@ class Replayed(NamedTuple):
     """What one event of the log led to. estimate: the latest."""
 
     event: InboundEvent
-    commands: tuple[Command, ...]
+    commands: tuple[StepOutput, ...]
     estimate: TargetEstimate | None
     snapshot: Callable[[], Snapshot]
     """The state after the event: to be asked for before the next one is taken."""
@@ -148,7 +148,7 @@ def require_sightings(sightings: int, log: Log) -> None:
         raise InputError(f"{log.path}: no target can be seen in it: {log.looked_for()}.")
 
 
-def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
+def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
     """Yield the announcements among the commands."""
     for command in commands:
         if isinstance(command, Announce) and command.kind != "plan":
@@ -252,7 +252,7 @@ class JournalReplay(Comparison):
             outputs = self._step(record)
             if self._compares:
                 self.replayed(record, outputs)
-            commands = tuple(output for output in outputs if isinstance(output, Command)) if outputs else ()
+            commands = tuple(output for output in outputs if isinstance(output, StepOutput)) if outputs else ()
             if commands or kind not in _UNSEEN:
                 yield Replayed(record, commands, controller.estimate, controller.snapshot)
 

@@ -16,7 +16,7 @@ from sidelong.app.records.recorder import TlogWriter
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.records.vehicle_time import VehicleTime
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.core.events import Command, Event
+from sidelong.mission.core.events import Event, StepOutput
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import ExchangeEvent
@@ -28,7 +28,7 @@ _MARKER_V2, _SETUP_SIGNING = 0xFD, (256).to_bytes(3, "little")
 JOURNAL_TYPES: tuple[type, ...] = (
     *get_args(Event),
     *get_args(ExchangeEvent),
-    *get_args(Command),
+    *get_args(StepOutput),
     ExternalControl,
     SendMessage,
     TakeoverFailed,

@@ -21,7 +21,7 @@ from sidelong.estimators.rotations import from_roll_pitch_yaw, rotate
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.tracking.tracker import Tracker
-from sidelong.mission.core.events import Command, Event
+from sidelong.mission.core.events import Event, StepOutput
 
 _EVERY_S = 0.2
 _SEEN_FOR_S = 1.0  # how long a sighting is the sensor's present line of sight
@@ -63,7 +63,7 @@ class KlvLog:
             self._next_s = admitted.time_s + _EVERY_S
             self._file.write(self._encode(self._values(admitted)))
 
-    def command(self, command: Command) -> None:
+    def command(self, command: StepOutput) -> None:
         """Take a command: the metadata has none."""
 
     def close(self) -> None:

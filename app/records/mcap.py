@@ -28,12 +28,12 @@ from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
-    Command,
     ControlAcquired,
     Event,
     HealthChanged,
     PlanStatus,
     RouteGiven,
+    StepOutput,
     UploadPlan,
 )
 from sidelong.mission.core.plan import Plan
@@ -97,7 +97,7 @@ class McapLog:
             case PlanStatus(stage="departed") if admitted.number in self._plans:
                 self._circle(admitted.time_s, self._plans[admitted.number].circle)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: StepOutput) -> None:
         """Take a command."""
         match command:
             case UploadPlan():

@@ -26,7 +26,6 @@ from sidelong.mission.control.mission_change import requirement_after
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
-    Command,
     ControlAcquired,
     End,
     Event,
@@ -35,6 +34,7 @@ from sidelong.mission.core.events import (
     OperatorRequest,
     PlanStatus,
     RouteGiven,
+    StepOutput,
     UploadPlan,
     Yield,
 )
@@ -176,7 +176,7 @@ class HistoryBuilder:
             case OperatorRequest(action="side", side=Side()) | MissionChange() if self._in_hand:
                 self._wishes.append(admitted)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: StepOutput) -> None:
         """Take a command."""
         match command:
             case UploadPlan():

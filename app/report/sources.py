@@ -22,7 +22,7 @@ from sidelong.app.records.run_folder import RunFolder, require_recording
 from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
 from sidelong.app.report.results import read_summary, summary_of
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.core.events import Command, Event
+from sidelong.mission.core.events import Event, StepOutput
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class Sink(Protocol):
 
     def event(self, event: Event) -> None: ...
 
-    def command(self, command: Command) -> None: ...
+    def command(self, command: StepOutput) -> None: ...
 
 
 def feed(path: Path, sink: Sink, progress: Progress = unseen) -> None:
@@ -73,7 +73,7 @@ def feed(path: Path, sink: Sink, progress: Progress = unseen) -> None:
 
 def _feed_journal(journal: JournalReader, sink: Sink) -> None:
     for record in journal:
-        if isinstance(record, Command):
+        if isinstance(record, StepOutput):
             sink.command(record)
         else:
             sink.event(record)

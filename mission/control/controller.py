@@ -61,7 +61,6 @@ from sidelong.mission.core.events import (
     AlarmReported,
     Announce,
     BatteryReported,
-    Command,
     ControlAcquired,
     DecisionRecord,
     End,
@@ -74,6 +73,7 @@ from sidelong.mission.core.events import (
     PlanStatus,
     RoundTripReported,
     RouteGiven,
+    StepOutput,
     UploadPlan,
     WindPrepared,
     WindReported,
@@ -156,7 +156,7 @@ class StandoffController:
         self._low_battery_reports = 0
         self._unseen = UnseenTarget(tracker)
 
-    def step(self, event: Event) -> tuple[Command, ...]:
+    def step(self, event: Event) -> tuple[StepOutput, ...]:
         """Process one event.
 
         Args:
@@ -166,7 +166,7 @@ class StandoffController:
             The resulting commands and announcements, in order.
         """
         self.sighted = ()
-        announced: tuple[Command, ...]
+        announced: tuple[StepOutput, ...]
         admitted, announced = self.door.admit(event)
         due = self.health.received(event, self.door.clock.now_s)
         if due:
@@ -199,7 +199,7 @@ class StandoffController:
             self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
         return changes
 
-    def _admitted(self, event: Event) -> tuple[Command, ...]:
+    def _admitted(self, event: Event) -> tuple[StepOutput, ...]:
         if isinstance(event, _SENSED):  # most of all events
             self._sense(event)
             return ()
@@ -316,7 +316,7 @@ class StandoffController:
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
-    def _position(self, reading: PositionReading) -> tuple[Command, ...]:
+    def _position(self, reading: PositionReading) -> tuple[StepOutput, ...]:
         if self.door.place_is_known:
             self._read(reading)
         self.health.payload.position(reading)
@@ -326,7 +326,7 @@ class StandoffController:
         self.aircraft = _state_of(reading, self._sensor_status.bank_rad)
         if not self.door.dead_reckoned:
             self.changes.observe(self.aircraft)
-        announced: tuple[Command, ...] = ()
+        announced: tuple[StepOutput, ...] = ()
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
@@ -349,7 +349,7 @@ class StandoffController:
 
     # -- deciding ------------------------------------------------------------------------------------------
 
-    def _decide(self) -> tuple[Command, ...]:
+    def _decide(self) -> tuple[StepOutput, ...]:
         aircraft, target, present = self.aircraft, self.estimate, self.present
         if self.phase is not Phase.WATCHING or present is None:
             return ()
@@ -378,14 +378,14 @@ class StandoffController:
 
     def _planned(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, reach: Reach | None
-    ) -> tuple[Command, ...]:
+    ) -> tuple[StepOutput, ...]:
         """Ask the planner, unless the payload is suspect."""
         if self.health.payload.is_suspect(self.time_s):
             self.decision = Decision(self.time_s, None, "holding the circle: the target's position has jumped")
             return ()
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         news = self.planning.route_news()
-        announced: tuple[Command, ...] = (Announce(self.time_s, "route", news),) if news else ()
+        announced: tuple[StepOutput, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
             decision = replace(
                 decision, plan=None, reason="staying: the target is not seen and may be too near there"
@@ -406,7 +406,7 @@ class StandoffController:
         changed = self._circle_as_changed(aircraft, present)
         return (decided, *announced, *(changed if changed or announced else self._corrected_radius(present)))
 
-    def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[Command, ...]:
+    def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...]:
         """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""
         crossed = None if self._height_m is None else self.surroundings.separation.crossed(present, self._height_m)
         self._crossed = 0 if crossed is None else self._crossed + 1
@@ -427,7 +427,7 @@ class StandoffController:
         clear_m = reach.after(self.latency.expected_s).clearance_m(plan, self.settings.aircraft.airspeed_m_s)
         return clear_m >= self.settings.requirement.range_min_m
 
-    def _hold_away(self, aircraft: AircraftState, present: Plan, reach: Reach) -> tuple[Command, ...]:
+    def _hold_away(self, aircraft: AircraftState, present: Plan, reach: Reach) -> tuple[StepOutput, ...]:
         """Return the plan to a circle farther away, if the unseen target may come too near to the present one."""
         settings, latency_s, plan = self.settings, self.latency.expected_s, None
         airspeed_m_s, keep_m = settings.aircraft.airspeed_m_s, settings.requirement.range_min_m
@@ -456,7 +456,7 @@ class StandoffController:
         plan = replace(present, transition=None, departure_s=self.time_s + self.latency.expected_s)
         return Announce(self.time_s, kind, reason), self._upload(plan, reason)
 
-    def _corrected_radius(self, present: Plan) -> tuple[Command, ...]:
+    def _corrected_radius(self, present: Plan) -> tuple[StepOutput, ...]:
         wanted_m = self.changes.wanted_radius_m()
         if wanted_m is None:
             return ()
@@ -499,7 +499,7 @@ class StandoffController:
 
     # -- reports of the vehicle and of the exchange --------------------------------------------------------
 
-    def _control_acquired(self, event: ControlAcquired) -> tuple[Command, ...]:
+    def _control_acquired(self, event: ControlAcquired) -> tuple[StepOutput, ...]:
         self.phase, self._own_mode, self._acquired_s = Phase.WATCHING, event.mode, event.time_s
         self.resuming = False
         begun = Plan(event.circle, None, event.time_s)
@@ -510,13 +510,13 @@ class StandoffController:
             return self._yield(event.time_s, self.door.two_vehicles)
         return ()
 
-    def _mode_reported(self, event: ModeReported) -> tuple[Command, ...]:
+    def _mode_reported(self, event: ModeReported) -> tuple[StepOutput, ...]:
         self._mode = event.mode
         if self.phase in _FLYING and event.mode != self._own_mode:
             return self._yield(event.time_s, f"the flight mode was changed to {event.mode}")
         return ()
 
-    def _yield(self, time_s: float, reason: str) -> tuple[Command, ...]:
+    def _yield(self, time_s: float, reason: str) -> tuple[StepOutput, ...]:
         if self.phase not in _FLYING and not self.resuming:
             return ()
         self._end(Phase.YIELDED, reason)
@@ -539,14 +539,14 @@ class StandoffController:
         self.phase, self._over, self.resuming = phase, reason, False
         self.changes.withdraw()
 
-    def _link_reported(self, event: LinkReported | RoundTripReported) -> tuple[Command, ...]:
+    def _link_reported(self, event: LinkReported | RoundTripReported) -> tuple[StepOutput, ...]:
         if isinstance(event, RoundTripReported):
             self.latency.note_round_trip(event.round_trip_s)
             return ()
         self._sensor_status.connected = event.connected
         return (self.health.link_changed(event, event.time_s),)
 
-    def _battery_reported(self, event: BatteryReported) -> tuple[Command, ...]:
+    def _battery_reported(self, event: BatteryReported) -> tuple[StepOutput, ...]:
         low = event.left_s <= LOW_BATTERY * event.home_s
         self._low_battery_reports = self._low_battery_reports + 1 if low else 0
         wanted = self.phase in _FLYING and self.settings.at_low_battery == "return"
@@ -556,7 +556,7 @@ class StandoffController:
         self._end(Phase.ENDED, reason)
         return (End(event.time_s, "return", reason),)
 
-    def _planning_input(self, event: WindReported | WindPrepared | RouteGiven) -> tuple[Command, ...]:
+    def _planning_input(self, event: WindReported | WindPrepared | RouteGiven) -> tuple[StepOutput, ...]:
         if isinstance(event, RouteGiven):
             return (Announce(event.time_s, "route", self.planning.follow(event)),)
         if isinstance(event, WindReported):
@@ -566,7 +566,7 @@ class StandoffController:
             return ()
         return (Announce(event.time_s, "decision", f"ready for a wind of {event.speed_m_s:g} m/s"),)
 
-    def _advised(self, advice: FleetAdvice | NeighbourPlanned) -> tuple[Command, ...]:
+    def _advised(self, advice: FleetAdvice | NeighbourPlanned) -> tuple[StepOutput, ...]:
         before = self.planning.target
         self.planning.advise(advice)
         if isinstance(advice, NeighbourPlanned):
@@ -592,7 +592,7 @@ class StandoffController:
 
     # -- what a person asks for ----------------------------------------------------------------------------
 
-    def _operator(self, event: OperatorRequest) -> tuple[Command, ...]:
+    def _operator(self, event: OperatorRequest) -> tuple[StepOutput, ...]:
         if self.phase is Phase.YIELDED and event.action == "resume":
             objection = self.resume_objection()
             text = f"resume refused: {objection}" if objection else "operator: resume; the vehicle is checked again"
@@ -622,7 +622,7 @@ class StandoffController:
         self.settings = replace(self.settings, aircraft=aircraft, requirement=requirement)
         self.planning.renew(aircraft, requirement)
 
-    def _mission_changed(self, event: MissionChange) -> tuple[Command, ...]:
+    def _mission_changed(self, event: MissionChange) -> tuple[StepOutput, ...]:
         what, settings = describe_change(event), self.settings
         if self.phase not in _FLYING:
             return (Announce(event.time_s, "operator", f"{what} refused: the mission is {self.phase}"),)
@@ -650,7 +650,7 @@ class StandoffController:
         heights = self.surroundings.heights or OneHeight(ClimbRates(self.settings.aircraft.airspeed_m_s))
         return heights.at(height_m)
 
-    def _circle_as_changed(self, aircraft: AircraftState, present: Plan) -> tuple[Command, ...]:
+    def _circle_as_changed(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...]:
         """Return what sends the present circle with the radius and height that were asked for, once it is reached."""
         if self._changed_s is None or self.changes.flown_since_s > self._changed_s:
             return ()

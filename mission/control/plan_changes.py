@@ -18,7 +18,7 @@ from sidelong.mission.control.flown_radius import FlownRadius
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan
+from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, StepOutput, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
@@ -102,7 +102,7 @@ class PlanChanges:
         """Let go of the plan under way."""
         self.under_way = None
 
-    def activate_due(self, now_s: float, *, watching: bool) -> tuple[Command, ...]:
+    def activate_due(self, now_s: float, *, watching: bool) -> tuple[StepOutput, ...]:
         """Activate the plan that is ready, at its time of departure.
 
         Args:
@@ -130,7 +130,7 @@ class PlanChanges:
 
     def report(
         self, event: PlanStatus, now_s: float, aircraft: AircraftState | None, *, watching: bool
-    ) -> tuple[Command, ...]:
+    ) -> tuple[StepOutput, ...]:
         """Process the status of a plan.
 
         Args:
@@ -168,7 +168,7 @@ class PlanChanges:
         self._departed(change, event.time_s)
         return ()
 
-    def _failed(self, change: PlanChange, event: PlanStatus) -> tuple[Command, ...]:
+    def _failed(self, change: PlanChange, event: PlanStatus) -> tuple[StepOutput, ...]:
         if change.stage == "departing":
             self._not_taken = change
         took_s = event.time_s - (change.activated_s if change.by_command else change.since_s)

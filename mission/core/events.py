@@ -267,7 +267,7 @@ class ActivatePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionRecord:
-    """Nothing to do: what the planner thought at this moment, for the journal and for whoever compares."""
+    """A decision of the planner with the costs behind it, for the journal and for comparisons."""
 
     time_s: float
     moves: bool
@@ -340,4 +340,8 @@ class End:
     reason: str
 
 
-Command = DecisionRecord | UploadPlan | ActivatePlan | Announce | HealthChanged | Yield | End
+Command = UploadPlan | ActivatePlan | Yield | End
+"""What the exchange with the autopilot has to do."""
+
+StepOutput = Command | DecisionRecord | Announce | HealthChanged
+"""What one control step puts out: commands, and records of it for the journal and the operator."""

@@ -17,12 +17,12 @@ from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
-    Command,
     ControlAcquired,
     End,
     Event,
     ModeReported,
     PlanStatus,
+    StepOutput,
     UploadPlan,
     Yield,
 )
@@ -45,7 +45,7 @@ DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
 _FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # skip the slower check for ExchangeEvent
 
 InboundEvent = Event | ExchangeEvent
-Output = Command | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
+Output = StepOutput | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
 
 
 class MissionController:
@@ -112,10 +112,10 @@ class MissionController:
             self._outbox.begin(event.time_s, event.link_s)
             self._exchange(event)
         else:
-            commands = () if self._closing else self.controller.step(event)
+            outputs = () if self._closing else self.controller.step(event)
             self._outbox.time_s = max(self._outbox.time_s, self.controller.time_s)
-            if commands:
-                self._route(commands)
+            if outputs:
+                self._route(outputs)
             self._observe(event)
         self._settle()
         return tuple(self._outputs)
@@ -184,19 +184,19 @@ class MissionController:
                 if isinstance(event, DERIVED) and not self._closing:
                     self._route(self.controller.step(event))
 
-    def _route(self, commands: tuple[Command, ...]) -> None:
-        for command in commands:
-            self._outputs.append(command)
-            if isinstance(command, Yield | End):
+    def _route(self, outputs: tuple[StepOutput, ...]) -> None:
+        for output in outputs:
+            self._outputs.append(output)
+            if isinstance(output, Yield | End):
                 self._fall_silent()
-                if isinstance(command, End) and command.action == "return":
+                if isinstance(output, End) and output.action == "return":
                     self._way_home = CommandExchange(self._outbox, self._dialect.return_home())
             elif self._silent:
                 continue
-            elif isinstance(command, UploadPlan):
-                self._backend.upload(command)
-            elif isinstance(command, ActivatePlan):
-                self._backend.activate(command)
+            elif isinstance(output, UploadPlan):
+                self._backend.upload(output)
+            elif isinstance(output, ActivatePlan):
+                self._backend.activate(output)
 
     def _fall_silent(self) -> None:
         self._silent = True

@@ -23,11 +23,11 @@ from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     ActivatePlan,
-    Command,
     ControlAcquired,
     Event,
     ModeReported,
     PlanStatus,
+    StepOutput,
     UploadPlan,
 )
 from sidelong.mission.core.plan import AircraftState, Plan
@@ -48,7 +48,7 @@ def target_at(time_s: float) -> tuple[float, float]:
 
 def steps(
     controller: StandoffController, config: Config, duration_s: float
-) -> Iterator[tuple[Event, tuple[Command, ...]]]:
+) -> Iterator[tuple[Event, tuple[StepOutput, ...]]]:
     """Fly; yield each event with the commands it led to. Uploads take 0.4 s and always succeed."""
     rng = np.random.default_rng(5)
     airframe = config.aircraft.aircraft()
@@ -80,7 +80,7 @@ def steps(
         slant_m = math.hypot(east_m, north_m, HEIGHT_M) + rng.normal(0.0, 0.8)
         yield RangeReading(time_s, slant_m, LASER, quality=0.9)
 
-    def handled(event: Event) -> tuple[Event, tuple[Command, ...]]:
+    def handled(event: Event) -> tuple[Event, tuple[StepOutput, ...]]:
         commands = controller.step(event)
         for command in commands:
             if isinstance(command, UploadPlan):
@@ -112,7 +112,7 @@ def config() -> Config:
 
 
 @pytest.fixture(scope="session")
-def flight(config) -> Callable[[float], Iterator[tuple[Event, tuple[Command, ...], StandoffController]]]:
+def flight(config) -> Callable[[float], Iterator[tuple[Event, tuple[StepOutput, ...], StandoffController]]]:
     def fly(duration_s: float):
         controller = controller_of(config)
         for event, commands in steps(controller, config, duration_s):
@@ -172,13 +172,13 @@ def recorded(
     duration_s: float,
     more: dict[float, Event],
     kind: PlannerKind | None = None,
-) -> list[Command]:
+) -> list[StepOutput]:
     """Fly and record; ``more`` are events by the time at which they come. Return the commands."""
     controller, recording = controller_of(config, kind=kind), Recording(folder, config, pytest.fail)
     recording.begin(PLANE, (47.4, 8.5))
-    announced: list[Command] = []
+    announced: list[StepOutput] = []
 
-    def note(event: Event, commands: tuple[Command, ...]) -> None:
+    def note(event: Event, commands: tuple[StepOutput, ...]) -> None:
         recording.event(event)
         for command in commands:
             recording.command(command)
