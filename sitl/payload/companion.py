@@ -30,7 +30,7 @@ _ASK_AGAIN_S = 2.0
 _SETTLING_S = 2.2  # two heartbeats: what other vehicle is there has spoken by then
 _HEARTBEAT_S = 1.0
 _WAIT_S, _DEVICE_WAIT_S = 0.05, 0.005
-# A device answers with its present sight: in a turn, that of a tenth of a second ago is 2 degrees off. ArduPlane refuses
+# A device answers with its present sight: in a turn, that of 0.1 s ago is 2 degrees off. ArduPlane refuses
 # an interval below 25 ms, and then stays at one message a second.
 _DEVICE_PERIOD_S = 0.025
 _RETRY_S = 0.5
