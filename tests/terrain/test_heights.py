@@ -164,7 +164,7 @@ def test_items_carry_the_heights_of_the_plan() -> None:
     circle = Circle(600.0, -50.0, 50.0, True)
     plan = Plan(circle, turn_straight_turn(start, circle, 50.0), heights=HeightProfile(100.0, 160.0, 0.14))
     items = plan_items(plan, LocalPlane(*HOME_DEG), 999.0, 30.0)
-    given = [item.height_m for item in items]
+    given = [item.z for item in items]
     assert given[-1] == 160.0
     assert all(100.0 <= height_m <= 160.0 for height_m in given)
     assert given == sorted(given)
