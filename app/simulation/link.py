@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -83,7 +84,7 @@ class Link(Generic[P]):
         return taken
 
     def _send(self, packet: P, now_s: float, size_bytes: int) -> None:
-        if self._is_perfect:
+        if self._is_perfect and self._link.next_s == math.inf:  # nothing that was sent before is still under way
             self._at_once.append(packet)
         else:
             self._link.put(packet, now_s, size_bytes)

@@ -25,6 +25,7 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
         moves=0,
         silent_s=0.0,
         position_age_s=0.0,
+        health=(),
         unknown="",
         requirement=REQUIREMENT,
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
