@@ -220,7 +220,7 @@ class RawLinks:
         return passed, True, troubles
 
     def _signing_note(self, frame: Frame) -> list[str]:
-        """Return what the operator is told once about a vehicle that signs on links that do not."""
+        """Return the note, once, about a vehicle that signs on links that do not."""
         if self._is_signing_noted or not frame.signed or frame.component_id != AUTOPILOT_COMPONENT:
             return []
         self._is_signing_noted = True

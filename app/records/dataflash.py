@@ -2,7 +2,8 @@
 
 pymavlink's reader gives up what follows damage, so only its table of field formats is used. Here every place that
 could begin an entry is judged by what follows: an entry is followed when it ends at another header or at the end of
-the file. One that is not is whole as well, what follows it being damage, unless a followed one begins inside it.
+the file. An entry that is not followed is whole as well, because damage follows it, unless a followed
+one begins inside it.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _AUTOPILOT_COMPONENT = 1
 LOOKS_DOWN = 25
 _CUSTOM_ORIENTATION = 100
 _REFUSED_MAX = 8
-PROVEN_S = 8.0  # the aircraft turns by about half a lap meanwhile
+PROVEN_S = 8.0  # the aircraft turns by about half a lap in that time
 
 Rank = Callable[[Source], int | None]
 

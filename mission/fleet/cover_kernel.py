@@ -1,6 +1,7 @@
 """The inner loops of what the others see: the chance that one of them watches, now and after turns of the target.
 
-Frames are those of :mod:`sidelong.mission.predictive.scene_kernel`; the wanted frame is mirrored for who is opposite.
+Frames are those of :mod:`sidelong.mission.predictive.scene_kernel`; the wanted frame is mirrored for the
+aircraft on the opposite side.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 
 FORESEEN = 111  # seconds, as far as any line leads
 BACK_SHARE = 0.6  # of the airspeed, at which an aircraft comes back over the edge of the side
-IN_BAND_M = 15.0  # outside the band that is planned for, still in the one that is asked for
+IN_BAND_M = 15.0  # outside the band that is planned for, still in the required one
 _OFF_MAX_S = 60.0
 
 
@@ -30,9 +31,9 @@ class Team(NamedTuple):
 
     wanted: the side, 1 left, -1 right. turns_rad, chances (t,): the turns that the target may make. alone_running,
     alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on. opposite: per
-    second, of the share of courses that nobody would cover. turn: weight of what turns would cost. margin: of the
-    side, in radii of the circle. price: share of what changes cost alone. own: weight of what the moves of who holds
-    the wanted side are worth to it alone. futures: 1 for the target's velocity kept alone.
+    second, of the share of courses that no aircraft would cover. turn: weight of what turns would cost. margin: of
+    the side, in radii of the circle. price: share of what changes cost alone. own: weight of what the moves of the
+    primary are worth to it alone. futures: 1 for the target's velocity kept alone.
     """
 
     wanted: float
@@ -50,11 +51,11 @@ class Team(NamedTuple):
 
 
 class Cover(NamedTuple):
-    """What the others cover, foretold in the departure's frame of one aircraft every STEP_S from its departure on.
+    """What the others will cover, in the departure's frame of one aircraft every STEP_S from its departure on.
 
-    off (f, FORESEEN): the chance that none of them is on the wanted side; now (f, FORESEEN): what the one that is
-    best off would pay if the target goes on as it does. after (f, FORESEEN, t): for how long that one which is least
-    long off the side would be after each turn. Infinite where there are none. bearings (f, FORESEEN, m): of each from
+    off (f, FORESEEN): the chance that none of them is on the wanted side; now (f, FORESEEN): what the best
+    placed one would pay if the target goes on as it does. after (f, FORESEEN, t): the shortest time that any of them
+    would be off the side after each turn. Infinite where there are none. bearings (f, FORESEEN, m): of each from
     the target.
     """
 

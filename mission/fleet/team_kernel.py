@@ -1,15 +1,15 @@
 """The inner loops of :mod:`sidelong.mission.fleet.team`: what a move is worth when others watch the same target.
 
-Each line of an aircraft costs, beside the walls of the band:
+Each line of an aircraft costs, in addition to the walls of the band:
 
-- the time in which nobody watches from the wanted side: the chances of all to be off it, multiplied;
+- the time in which no aircraft watches from the required side: the chances of all to be off it, multiplied;
 - the same after each turn that the target may make on the way, and while the aircraft circles after it: of all
   aircraft the one that would be off the wanted side for the shortest time counts. So two aircraft stand opposite each
   other, and not on the line in which a likely turn would put both ahead and astern;
-- the courses of the target for which nobody would be on the wanted side: none while the aircraft stand opposite;
+- the courses of the target for which no aircraft would be on the required side: none while they stand opposite;
 - a share of what the line would cost the aircraft alone on the side of its role, so that it stays near to that;
-- for who holds the wanted side what the move costs it more than staying where it looks two moves ahead, alone: what
-  the others see is foretold along the lines that they have, and a target that winds leaves those behind.
+- for the primary, what the move costs it more than staying where it looks two moves ahead, alone: what the others
+  see is predicted along the lines that they have, and a target that winds leaves those behind.
 
 The two that follow a line's end, turns and courses, are averaged over the lap on the circle after it: two circles in
 step cover each other's swings, two that are not open a gap with every lap.
@@ -55,7 +55,7 @@ from sidelong.mission.predictive.rollout_kernel import (
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
 from sidelong.mission.viewpoint.viewpoint_kernel import SIDE
 
-_TAIL_S = 30.0  # how they stand at the end of a line lasts for so long
+_TAIL_S = 30.0  # duration for which the positions at the end of a line count
 _CIRCLING_S = 60.0  # and the circle that it ends in
 _LAP = 4  # places of a lap
 _WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at again, is out of the question
@@ -188,7 +188,7 @@ def _circling_cost(
     curvature_per_m: float,
     found: FloatArray,
 ) -> tuple[float, float]:
-    """Return what turns of the target cost, and the share of its courses that nobody covers, over a lap."""
+    """Return what turns of the target cost, and the share of its courses that no aircraft covers, over a lap."""
     x_m, y_m, heading_rad = end
     middle_x = x_m + math.cos(heading_rad) / curvature_per_m
     middle_y = y_m - math.sin(heading_rad) / curvature_per_m

@@ -25,7 +25,7 @@ FINE_STEP_M = 2.0
 # Gauss-Legendre on [0, 1]: three nodes make steps of 2 m exact to 1e-12 m, two make steps of 10 m exact to 1 mm.
 _NODE_3 = math.sqrt(0.15)
 _NODE_2 = 0.5 / math.sqrt(3.0)
-# Following a line: curvature for each metre beside it and each radian off its course, critically damped.
+# Following a line: curvature for each metre across track and each radian of course error, critically damped.
 _BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
 
 # Planned lines roll from one turn into the opposite one in this time, with at least and at most these shares of the

@@ -42,7 +42,7 @@ def flown_places(
 
 @compiled
 def min_distance_m(a: FloatArray, b: FloatArray, step_s: float, vertical_m: float, growth_m_s: float) -> float:
-    """Return the least distance of places of the same times, less what grows with time: nobody keeps time.
+    """Return the least distance of places of the same times, less an allowance that grows with time.
 
     a, b: (east, north) and more (2 or 3, n). vertical_m: between their heights.
     """

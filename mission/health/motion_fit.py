@@ -237,7 +237,7 @@ class MotionFit:
         return SOUND
 
     def _is_enough(self) -> bool:
-        """Return whether there are enough samples, and the aircraft has turned meanwhile."""
+        """Return whether there are enough samples, and the aircraft has turned over them."""
         samples = self._samples
         if len(samples) < _SAMPLES_MIN or samples[-1].turned_rad - samples[0].turned_rad < _TURNED_MIN_RAD:
             return False

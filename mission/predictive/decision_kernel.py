@@ -32,7 +32,7 @@ from sidelong.mission.predictive.sight_kernel import View, add_sight
 from sidelong.mission.viewpoint.viewpoint_kernel import Wish
 
 UNCERTAIN_M = 10.0
-_WIND_STEP_M_S = 0.5  # second moves are laid out anew when the wind grows by so much
+_WIND_STEP_M_S = 0.5  # second moves are recomputed when the wind grows by this much
 OTHER_WIND = 0.15  # of the airspeed
 MIN_MOVE = 0.4  # of the radius: the length of a transition
 # A transition within this of its end counts as flown.
@@ -42,7 +42,7 @@ NEARLY_FLOWN_S = 0.2
 class Prices(NamedTuple):
     """In seconds off side: of leaving the circle, of changing a plan under way, and of one younger than commit_s.
 
-    A plan that leads out of the cost's band within threat_s binds nobody.
+    A plan that leads out of the cost's band within threat_s has no price.
     """
 
     leave: float
@@ -53,7 +53,7 @@ class Prices(NamedTuple):
 
 
 class Depth(NamedTuple):
-    """How deep to look: so many of the best moves, 0 for none, over horizon_s at least.
+    """How deep to look: number of the best moves, 0 for none, over horizon_s at least.
 
     min_values (classes,), min_after_turn: the least that the table says, by which lines are passed over.
     """
@@ -140,7 +140,7 @@ def flown_on(scene: Scene, now: Situation, length_m: float) -> tuple[FloatArray,
 
 @compiled
 def doubtful(scene: Scene, motions: Motions) -> bool:
-    """Tell whether there is much of what the table does not know: uncertainty, or another wind than its own."""
+    """Return whether there is much of what the table does not know: uncertainty, or another wind than its own."""
     wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
     other_wind = abs(wind_m_s - motions.wind_speed_m_s) > OTHER_WIND * scene.air.airspeed_m_s
     return other_wind or scene.doubt.position_m > UNCERTAIN_M
@@ -176,7 +176,7 @@ def alternatives(scene: Scene, now: Situation, looker: Looker, beyond_m: float) 
 
 @compiled
 def add_prices(among: Alternatives, radius_m: float, leave: float, change: float, costs: FloatArray) -> None:
-    """Add what moves cost by themselves. One that hardly leaves the circle is infinitely dear.
+    """Add the prices of the moves; the price is infinite for a move that hardly leaves the circle.
 
     "Back to the circle" is staying, and so is hardly leaving it: the table is not that fine.
     """
@@ -230,9 +230,9 @@ def look_deeper(
 ) -> float:
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
-    All other moves become infinitely dear. That look is spared where staying would be cheaper than every move even
-    if moves were free, and where the ground hides something: second moves know nothing of it. What gains less than
-    min_gain may be given any cost above that.
+    The cost of all other moves becomes infinite. That look is spared where staying would be cheaper than every move
+    even if moves were free, and where the ground hides something: second moves know nothing of it. What gains less
+    than min_gain may be given any cost above that.
     """
     # Turns that the target may begin only matter with a second move; a likely repetition of its trail does at once.
     repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]

@@ -118,7 +118,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
     if not on_route:
         state[COMPUTED_S] = -np.inf
         return scene, f, looker
-    # The route tells where the target goes: the uncertainty of its velocity does not grow into one of its position.
+    # The route is where the target goes: the uncertainty of its velocity does not grow into one of its position.
     sure = Doubt(scene.doubt.position_m, 0.0, scene.doubt.course_rad)
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
     layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)

@@ -24,7 +24,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
 )
 
 FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
-_SLOW_M_S = 0.5  # the course of so slow a target tells nothing
+_SLOW_M_S = 0.5  # the course of such a slow target is meaningless
 _SPEED_RINGS = 3  # of the table's classes: standing, half and full speed
 
 
@@ -179,7 +179,7 @@ def _watch(
     horizon_s, place, facing, course = wish.course_horizon_s, found.place, found.facing, found.course
     air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
-    # Where it was so long before each of the first steps.
+    # Where it was one horizon before each of the first steps.
     for i in range(len(past)):
         east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
         past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)

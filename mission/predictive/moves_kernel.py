@@ -87,7 +87,7 @@ def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
 
 @compiled
 def unit_m(hold: int, radius_m: float, turn_radius_m: float) -> float:
-    """Return the radius that a hold's curvature and lengths are told in."""
+    """Return the radius that a hold's curvature and lengths are multiples of."""
     return turn_radius_m if hold == 0 else radius_m
 
 

@@ -1,7 +1,7 @@
 """The inner loops of the roll-out: many lines that share their beginnings, against futures of the target.
 
 Lines are sampled every step_m and at their ends, in the frame of the departure: its origin is where the target is
-then, x is to the right of the watch course, y along it. A future tells where the target is from then on, which course
+then, x is to the right of the watch course, y along it. A future holds where the target is from then on, which course
 to watch from, and which course and velocity the table is to be asked for: all may change on the way.
 
 What lines share is computed once: all moves that hold one curvature follow one trunk until their last ramps begin.
@@ -38,8 +38,8 @@ class Futures(NamedTuple):
     """What the target may do: f futures, sampled k times every step_s from the departure on, k >= 1.
 
     weight (f,) sums to 1. place (f, k, 4): x, y, and the velocity that carries on from there to the next sample (from
-    the last one for ever). facing (f, k, 3): sine and cosine of the watch course in the frame of the departure, and
-    one standard deviation of it.
+    the last one indefinitely). facing (f, k, 3): sine and cosine of the watch course in the frame of the departure,
+    and one standard deviation of it.
     course (f, k, 3): sine, cosine and angle of the course that the table's frame follows. classes (f, k, 4): the
     table's classes for the velocities there; share, turn_share (f, k, 4): what each counts in V, and after a turn.
     """

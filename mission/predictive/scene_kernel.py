@@ -30,7 +30,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
     viewpoint,
 )
 
-# Autopilots fly another airspeed than they are told, by up to a tenth. It is found out over some laps, so that an
+# The flown airspeed differs from the commanded one by up to a tenth. It is estimated over several laps, so that an
 # error of the wind averages out, and taken in steps, since lines are kept for an airspeed.
 _AIRSPEED_S, _AIRSPEED_GAP_S, _AIRSPEED_STEP, _AIRSPEED_OFF = 60.0, 2.0, 0.02, 0.16
 
@@ -140,8 +140,8 @@ def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wi
         start = point_at(line, circle, arc_m, now.east_m, now.north_m)
     departure_s = now.time_s + now.latency_s
     view = viewpoint(start.east_m, start.north_m, target, wish, memory)
-    # An estimate overshoots when the target turns: it is not believed to be faster than the target can be, unless it
-    # is sure of it.
+    # An estimate overshoots when the target turns: a speed beyond the greatest of the target counts only
+    # if it is certain.
     sigma_m_s = velocity_sigma_m_s(target)
     target_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     share = min(1.0, max(target_speed_max_m_s, target_m_s - 2.0 * sigma_m_s) / max(target_m_s, 1e-6))

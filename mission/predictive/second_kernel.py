@@ -52,11 +52,11 @@ from sidelong.mission.predictive.second_moves_kernel import (
 
 MOVE_BRANCHES = np.array([4, 8, 14])
 STAY_BRANCHES = np.array([1, 2, 4, 6, 9, 12])
-# A circle that is flown on may be valued after so many seconds.
+# A circle that is flown on may be valued after one of these durations, s.
 _VALUED = np.array([15, 22, 30])
 _STRIDE = 4  # of looking at what a turn of the target would cost
 
-# Rows of what is foretold, each at whole seconds.
+# Rows of the prediction, each at whole seconds.
 _X, _Y, _SIN, _COS, _BESIDE, _TABLE_SIN, _TABLE_COS, _TABLE_RAD = range(8)
 
 
@@ -157,7 +157,7 @@ def room_for(f: Futures, air: Air) -> Room:
 def staying_ahead(scene: Scene, now: Situation, under_way: bool) -> tuple[FloatArray, int]:
     """Return the present plan (x, y, heading, curvature) (4, k), and the second from which it is on its circle.
 
-    The circle is flown from where the aircraft departs, be it beside it.
+    The circle is flown from where the aircraft departs, also if that is not on it.
     """
     line, circle = now.line, now.circle
     length_m, arc_m, from_east_m, from_north_m = 0.0, 0.0, scene.start.east_m, scene.start.north_m

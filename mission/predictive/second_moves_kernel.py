@@ -74,7 +74,7 @@ def lay_out_seconds(s: Seconds, radius_m: float, turn_radius_m: float, ramp: flo
 
 @compiled
 def speeds_over_ground(air: Air) -> FloatArray:
-    """Return the speed over the ground on so many headings from 0 to a whole turn, in airspeeds.
+    """Return the speed over the ground on evenly spaced headings from 0 to a whole turn, in airspeeds.
 
     The wind triangle takes too long for each sample.
     """
@@ -89,7 +89,7 @@ class Fan(NamedTuple):
     """Second moves from one start, of a level of curvature; sin_h, cos_h: of the heading there.
 
     flown (k, lines): as :func:`stretch` has it, of no length in still air. placed (3, lines, k): x, y, heading: all
-    of a line that is laid (lines,), else its end alone. last (lines,): so many seconds of each, 0 for none.
+    of a line that is laid (lines,), else its end alone. last (lines,): number of seconds of each, 0 for none.
     """
 
     start: Pose

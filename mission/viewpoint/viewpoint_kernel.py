@@ -13,9 +13,9 @@ from sidelong.mission.viewpoint.trail_kernel import TRAIL_SIZE, remember
 
 _STOPPED_BELOW_M_S = 0.9
 _MOVING_ABOVE_M_S = 1.0
-_SIGMAS = 2.0  # a speed below so many of its standard deviations is no motion either
+_SIGMAS = 2.0  # a speed below this many of its standard deviations is no motion either
 _BEFORE_STOP_S = 3.0
-MIN_WAY_M = 10.0  # a shorter way tells no course
+MIN_WAY_M = 10.0  # a shorter path has no course
 COURSE_SIGMA_MAX_RAD = 0.8
 # An estimate that is further than this from where its velocity led has jumped: a target that is found again after
 # coasting. Half of MIN_WAY_M, so that a smaller step alone makes no course.
@@ -47,7 +47,7 @@ class Known(NamedTuple):
 class Wish(NamedTuple):
     """From where to watch: a side (SIDE of the memory), either side, or a fixed course, NaN for none.
 
-    course_horizon_s: the sides are those of the course made good over so long; 0: of the present course.
+    course_horizon_s: the sides are those of the course made good over this time, s; 0: of the present course.
     """
 
     either_side: bool
@@ -66,7 +66,7 @@ class View(NamedTuple):
 
 @compiled
 def fresh_memory(side: float) -> FloatArray:
-    """Return the memory of one who has not seen the target yet. side: 1 left, -1 right."""
+    """Return the memory before the first estimate of the target. side: 1 left, -1 right."""
     memory = np.zeros(MEMORY_SIZE)
     memory[STANDING], memory[COURSE], memory[PRESUMED], memory[SIDE] = 1.0, np.nan, np.nan, side
     memory[MADE_GOOD], memory[AIRSPEED_SHARE], memory[AIRSPEED_S] = np.nan, 1.0, np.nan

@@ -43,7 +43,7 @@ export const metresOfLength = (length) => length * LENGTHS[display.units][1];
 export const length = (metres, digits = 0) => `${lengthOf(metres).toFixed(digits)} ${lengthUnit()}`;
 export const speed = (metresPerS) => `${(metresPerS / SPEEDS[display.units][1]).toFixed(1)} ${SPEEDS[display.units][0]}`;
 
-// A scale bar of a round length, at most so many metres long: [metres, text].
+// A scale bar of a round length, at most this many metres long: [metres, text].
 export function roundLength(most) {
   const [unit, one, longUnit, long] = LENGTHS[display.units];
   const [name, metres] = most >= long ? [longUnit, long] : [unit, one];
