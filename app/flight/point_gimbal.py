@@ -21,6 +21,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import Announce
 from sidelong.mission.exchange.vehicle_command import describe_result
+from sidelong.mission.upload.mission_item import e7
 
 _EVERY_S = 1.0  # of the vehicle's time
 _ONE_SIGMA = 1.0 - math.exp(-0.5)
@@ -77,8 +78,7 @@ class GimbalPointer:
         self._sending = None
 
     async def _send(self, estimate: TargetEstimate, east_m: float, north_m: float, range_m: float) -> None:
-        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(east_m, north_m)
-        x, y, z = round(latitude_deg * 1e7), round(longitude_deg * 1e7), self._ground_altitude_m
+        (x, y), z = e7(self._plane.latitude_longitude_deg(east_m, north_m)), self._ground_altitude_m
         try:
             await self._vehicle.link.send("CAMERA_TRACKING_GEO_STATUS", _geo_status(estimate, x, y, z, range_m))
             if not self._points:

@@ -28,6 +28,7 @@ from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.upload.items import circle_item
 from sidelong.mission.upload.line_tracking import LineTracking, Point
+from sidelong.mission.upload.mission_item import e7
 from sidelong.sitl.arduplane.mission import ArduPlaneMission
 from sidelong.sitl.arduplane.vehicle import QUIRKS as ARDUPLANE_QUIRKS
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, UNSUPPORTED, Command
@@ -202,7 +203,7 @@ class KinematicVehicle:
         if not self._one_by_one:
             return Px4Mission(lambda: self._begin_leg(self.mission.index, from_here=True))
         home = self._start.home
-        place = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+        place = e7((home.latitude_deg, home.longitude_deg))
         item = Item(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0,) * 4, *place, home.altitude_m)
         return ArduPlaneMission(item, lambda *_: None, lambda *_: None, lambda: True)
 
@@ -373,8 +374,7 @@ class KinematicVehicle:
         circle = self._goal
         if self.mode != self._autopilot.circle_mode or not isinstance(circle, Circle):
             return
-        latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(circle.east_m, circle.north_m)
-        x, y = round(latitude_deg * 1e7), round(longitude_deg * 1e7)
+        x, y = e7(self._start.plane.latitude_longitude_deg(circle.east_m, circle.north_m))
         if self._one_by_one:
             self._say("POSITION_TARGET_GLOBAL_INT", lat_int=x, lon_int=y)
         else:

@@ -28,12 +28,7 @@ class TargetEkf(TargetImm):
         return Densities(density, density, 0.0)
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """See :meth:`sidelong.estimators.filters.imm.TargetImm.update`.
-
-        Args:
-            sighting: The sighting.
-            gate_nis: Greatest normalized innovation squared that is accepted.
-        """
+        """See :meth:`sidelong.estimators.filters.imm.TargetImm.update`."""
         mean, residual, by_columns = kernel.innovation(self.state, 0, seen(sighting))
         n, first = len(mean), errors_of(0, len(mean))[0]
         jacobian = np.zeros((3, n))

@@ -65,11 +65,7 @@ class TeamPlanner:
         self._plans: dict[str, NeighbourPlanned] = {}
 
     def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
-        """See :class:`sidelong.mission.core.fleet.CooperativePlanner`.
-
-        Args:
-            news: Advice, or plans of another aircraft.
-        """
+        """See :class:`sidelong.mission.core.fleet.CooperativePlanner`."""
         if isinstance(news, NeighbourPlanned):
             self._plans[news.name] = news
         else:
@@ -89,11 +85,7 @@ class TeamPlanner:
         self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """See :class:`sidelong.mission.core.plan.WindPlanner`.
-
-        Args:
-            wind_speed_m_s: Wind speed, m/s.
-        """
+        """See :class:`sidelong.mission.core.plan.WindPlanner`."""
         self._alone.prepare(wind_speed_m_s)
         if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
             self._teams.append(team_of(self._table_at(wind_speed_m_s), self._side))
@@ -116,15 +108,7 @@ class TeamPlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan can depart, s.
-        """
+        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
         others = self._others(aircraft.time_s)
         unseen_s = aircraft.time_s - target.last_sighting_s
         lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s

@@ -73,15 +73,7 @@ class PaperPlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at the switching heading of each lap; see :class:`sidelong.mission.core.plan.Planner`.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan can depart, s.
-        """
+        """Decide at the switching heading of each lap; see :class:`sidelong.mission.core.plan.Planner`."""
         now_s = aircraft.time_s
         interval_s = min(now_s - self._last.time_s, _LONGEST_INTERVAL_S) if self._last else _LONGEST_INTERVAL_S
         target_m = target.position_m(now_s)

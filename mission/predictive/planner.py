@@ -198,22 +198,13 @@ class PredictivePlanner:
         return foresight_along(self._route, table, configuration, self._progress)
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind.
-
-        Args:
-            wind_speed_m_s: Wind speed, m/s.
-        """
+        """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
         known = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
         if self._table_at is not None and self._requirement.sector is None and not known:
             self.lookers.append(self._looker(self._table_at(wind_speed_m_s)))
 
     def follow(self, route: Route, progress: FloatArray) -> None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`.
-
-        Args:
-            route: The route.
-            progress: Hypotheses of the progress along the route.
-        """
+        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, looker in enumerate(self.lookers):
             self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self._tables[0].configuration))
@@ -233,15 +224,7 @@ class PredictivePlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan can depart, s.
-        """
+        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
         unseen_s = aircraft.time_s - target.last_sighting_s
         if target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"

@@ -26,7 +26,7 @@ from tests.faults.flight_faults import GIMBAL, LASER, Change, Fault, flagged, ot
 
 DURATION_S = 240.0
 _NORTH, _WEST = [1.0, 0.0, 0.0, 0.0], [math.sqrt(0.5), 0.0, 0.0, -math.sqrt(0.5)]
-FAULTS = {  # made anew for each flight: some remember what they repeat
+FAULTS = {  # made again for each flight: some remember what they repeat
     "stuck laser": lambda: repeated(LASER, "current_distance"),
     "stuck laser, 1 cm of noise": lambda: repeated(LASER, "current_distance", 1),
     "flags: vehicle frame": lambda: flagged(44),
