@@ -44,8 +44,7 @@ class PresentWatch:
         estimate, aircraft, requirement = snapshot.estimate, snapshot.aircraft, snapshot.requirement
         if estimate is None or aircraft is None:
             return Watch()
-        velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
-        self._course.take(snapshot.time_s, velocity_m_s, requirement.course_horizon_s)
+        self._course.take_estimate(snapshot.time_s, estimate, requirement.course_horizon_s)
         made_good_rad, present_rad = self._course.made_good_rad, self._course.present_rad
         course_rad = present_rad if made_good_rad is None else made_good_rad
         target_m = estimate.position_m(snapshot.time_s)

@@ -1,8 +1,8 @@
 """The courses of a target: the course made good, which defines its sides, and the present course.
 
-The course made good is the direction in which the target moved over a horizon. Its motion is the integral of its
-velocity, not a difference of positions: when an estimate that coasted re-acquires the target, its position jumps, and
-the jump is a correction of the estimate, not a motion of the target.
+The course made good is the direction in which the target moved over a horizon. A jump of the estimated position is a
+correction, not a motion of the target. The motion while an estimate coasts is assumed; once the target is seen again,
+it has moved straight from where it was last seen.
 """
 
 from __future__ import annotations
@@ -13,11 +13,15 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
+from sidelong.estimators.estimate import TargetEstimate
+
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[float, float]
 
 MIN_WAY_M = 10.0  # a target that moved less keeps its last course made good
 _GAP_MAX_S = 5.0  # the motion between two samples further apart is unknown and counts as none
+_SEEN_S, _SETTLES_S = 1.5, 3.0  # the greatest age of a sighting; how long an estimate settles after it has coasted
+_JUMP_M = 5.0  # what a turn of the target does not explain
 
 
 def made_good_rad(time_s: FloatArray, velocity_m_s: FloatArray, horizon_s: float | FloatArray) -> FloatArray:
@@ -77,7 +81,10 @@ class TargetCourse:
         self._standing_m_s = standing_m_s
         self.made_good_rad: float | None = None
         self.present_rad: float | None = None
-        self._window: deque[tuple[float, float, float]] = deque()  # time, velocity east and north
+        self._window: deque[tuple[float, float, float]] = deque()  # time, place east and north
+        self._velocity_m_s = 0.0, 0.0
+        self._seen_s: float | None = None
+        self._settled_s = -math.inf
 
     def take(self, time_s: float, velocity_m_s: Pair, horizon_s: float) -> None:
         """Take the target's velocity at a time.
@@ -87,15 +94,66 @@ class TargetCourse:
             velocity_m_s: (east, north).
             horizon_s: time over which the course made good is taken; at 0 it is the present course.
         """
+        self._take_place(time_s, self._expected_m(time_s, velocity_m_s), velocity_m_s, horizon_s)
+
+    def take_estimate(self, time_s: float, estimate: TargetEstimate, horizon_s: float) -> None:
+        """Take the estimate at a time.
+
+        Args:
+            time_s: not before the last one.
+            estimate: the newest one.
+            horizon_s: time over which the course made good is taken; at 0 it is the present course.
+        """
+        place_m = estimate.position_m(time_s)
+        velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
+        if time_s - estimate.last_sighting_s <= _SEEN_S:
+            if self._seen_s is not None and time_s - self._seen_s > _SEEN_S:
+                self._straighten_since(self._seen_s, time_s, place_m)
+                self._settled_s = time_s + _SETTLES_S
+            self._seen_s = time_s
+        if time_s >= self._settled_s:
+            self._follow_jump(self._expected_m(time_s, velocity_m_s), place_m)
+        self._take_place(time_s, place_m, velocity_m_s, horizon_s)
+
+    def _take_place(self, time_s: float, place_m: Pair, velocity_m_s: Pair, horizon_s: float) -> None:
+        self._velocity_m_s = velocity_m_s
         if math.hypot(*velocity_m_s) >= self._standing_m_s:
             self.present_rad = math.atan2(*velocity_m_s)
+        self._window.append((time_s, *place_m))
+        while len(self._window) > 1 and self._window[1][0] <= time_s - horizon_s + 1e-9:
+            self._window.popleft()
         if horizon_s == 0.0:
             self.made_good_rad = self.present_rad
             return
-        self._window.append((time_s, *velocity_m_s))
-        while len(self._window) > 1 and self._window[1][0] <= time_s - horizon_s:
-            self._window.popleft()
-        window = np.array(self._window)
-        east_m, north_m = _way_m(window[:, 0], window[:, 1:], horizon_s)[:, -1].tolist()
-        if math.hypot(east_m, north_m) > MIN_WAY_M:
-            self.made_good_rad = math.atan2(east_m, north_m)
+        _, east_m, north_m = self._window[0]
+        if math.dist(place_m, (east_m, north_m)) > MIN_WAY_M:
+            self.made_good_rad = math.atan2(place_m[0] - east_m, place_m[1] - north_m)
+
+    def _expected_m(self, time_s: float, velocity_m_s: Pair) -> Pair:
+        """Return where the last place and the velocities lead."""
+        if not self._window:
+            return 0.0, 0.0
+        last_s, *last_m = self._window[-1]
+        step_s = time_s - last_s if time_s - last_s <= _GAP_MAX_S else 0.0
+        east_m, north_m = (
+            place_m + 0.5 * step_s * (before + now)
+            for place_m, before, now in zip(last_m, self._velocity_m_s, velocity_m_s, strict=True)
+        )
+        return east_m, north_m
+
+    def _follow_jump(self, expected_m: Pair, place_m: Pair) -> None:
+        """Let the places before a jump jump along."""
+        if self._window and math.dist(expected_m, place_m) > _JUMP_M:
+            east_m, north_m = place_m[0] - expected_m[0], place_m[1] - expected_m[1]
+            self._window = deque((one_s, x_m + east_m, y_m + north_m) for one_s, x_m, y_m in self._window)
+
+    def _straighten_since(self, seen_s: float, now_s: float, now_m: Pair) -> None:
+        """Put the places of a time without sightings on the line from the last seen one to the present one."""
+        seen_m = next(((east_m, north_m) for one_s, east_m, north_m in self._window if one_s >= seen_s), now_m)
+        for k, (one_s, *_) in enumerate(self._window):
+            if one_s > seen_s:
+                share = (one_s - seen_s) / (now_s - seen_s)
+                east_m, north_m = (
+                    then_m + share * (here_m - then_m) for then_m, here_m in zip(seen_m, now_m, strict=True)
+                )
+                self._window[k] = one_s, east_m, north_m

@@ -12,6 +12,7 @@ import pytest
 
 from sidelong.app.analysis.score import Moment, judge_moments, score
 from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
@@ -111,6 +112,21 @@ def test_the_page_follows_the_same_course_as_the_judge():
         course.take(one.time_s, (one.target_velocity_east_m_s, one.target_velocity_north_m_s), 20.0)
         followed.append(math.nan if course.made_good_rad is None else course.made_good_rad)
     np.testing.assert_allclose(followed, judge_moments(seen, LEFT).course_rad, atol=1e-9)
+
+
+def test_a_target_that_turned_back_unseen_has_its_true_course_once_it_is_seen_again():
+    """It drives north at 3 m/s, turns back at 30 s, and is not seen from then until 35 s."""
+    course, covariance = TargetCourse(0.3), np.eye(4)
+    for time_s in np.arange(0.0, 42.5, 0.5).tolist():
+        unseen = 30.0 < time_s < 35.0
+        assumed_m, true_m = 3.0 * time_s, 3.0 * (time_s if time_s <= 30.0 else 60.0 - time_s)
+        north_m, velocity_m_s = (assumed_m, 3.0) if time_s < 35.0 else (true_m, -3.0)
+        seen_s = 30.0 if unseen else time_s
+        estimate = TargetEstimate(time_s, 0.0, north_m, 0.0, velocity_m_s, covariance, TrackQuality.GOOD, seen_s)
+        course.take_estimate(time_s, estimate, 20.0)
+        if time_s == 34.5:
+            assert course.made_good_rad == pytest.approx(0.0)
+    assert abs(course.made_good_rad) == pytest.approx(math.pi)
 
 
 def test_moves_and_reversals_are_counted_from_the_first_judged_moment():
