@@ -69,6 +69,7 @@ class _Received:
         "rated_s",
         "since_s",
         "since_tick",
+        "source",
         "state",
         "text",
         "tick",
@@ -78,6 +79,7 @@ class _Received:
         self.last_s = self.rated_s = -math.inf
         self.count = self.rated_count = self.tick = self.since_tick = 0
         self.rate_hz = math.nan
+        self.source: Source | None = None  # the device in use; another one does not make the input fresh
         self.state, self.since_s, self.text = InputState.MISSING, -math.inf, ""
 
 
@@ -101,7 +103,6 @@ class Health:
         self._ticks, self._moved_tick = 0, 0  # and when the vehicle's clock last went on
         self._connected = True
         self._is_news = True  # whether the reports have to be made again
-        self._sources: dict[Input, Source | None] = {Input.LASER: None, Input.GIMBAL: None}
         self._refused: set[Source] = set()
 
     def received(self, event: Event, now_s: float) -> bool:
@@ -113,7 +114,7 @@ class Health:
         """
         one = self._by_kind.get(type(event))
         if one is not None and now_s > -math.inf:
-            if not isinstance(event, RangeReading | GimbalReading) or self._is_in_use(event):
+            if one.source is None or event.source is one.source or event.source == one.source:  # type: ignore[union-attr]
                 one.last_s, one.tick = now_s, self._ticks
                 one.count += 1
         elif isinstance(event, ClockTick):
@@ -122,11 +123,6 @@ class Health:
                 return True
             self._moved_tick, self._now_s = self._ticks, now_s
         return now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
-
-    def _is_in_use(self, reading: RangeReading | GimbalReading) -> bool:
-        """Return whether a reading comes from the device in use: another one does not make that one fresh."""
-        source = self._sources[_KINDS[type(reading)]]
-        return source is None or reading.source is source or reading.source == source
 
     def link_changed(self, event: LinkReported, now_s: float) -> HealthChanged:
         """Note that the link is lost or back; return its change of state.
@@ -204,9 +200,11 @@ class Health:
 
     def _changes(self, now_s: float, faults: Mapping[Input, str]) -> tuple[HealthChanged, ...]:
         changed: list[HealthChanged] = []
+        silent_s = self.silent_s
         for kind in _KINDS.values():
-            self._rate(self._inputs[kind], now_s)
-            self._judge_age(kind, now_s, changed)
+            if self._inputs[kind].count:
+                self._rate(self._inputs[kind], now_s)
+                self._judge_age(kind, now_s, silent_s, changed)
         for kind, fault in faults.items():
             one = self._inputs[kind]
             if kind in _OF_PAYLOAD and one.state in (InputState.STALE, InputState.MISSING):
@@ -238,7 +236,7 @@ class Health:
 
     def _made_reports(self) -> tuple[InputReport, ...]:
         return tuple(
-            InputReport(kind, one.state, one.since_s, _device(self._sources.get(kind)), one.rate_hz, one.text)
+            InputReport(kind, one.state, one.since_s, _device(one.source), one.rate_hz, one.text)
             for kind, one in self._inputs.items()
             if one.state is not InputState.MISSING
         )
@@ -250,15 +248,13 @@ class Health:
             one.rated_s, one.rated_count = now_s, one.count
             self._is_news = True
 
-    def _judge_age(self, kind: Input, now_s: float, changed: list[HealthChanged]) -> None:
+    def _judge_age(self, kind: Input, now_s: float, silent_s: float, changed: list[HealthChanged]) -> None:
         one, limit_s = self._inputs[kind], _AGE_MAX_S[kind]
-        if not one.count:
-            return
         ticks = self._ticks - one.tick
         age_s = now_s - one.last_s
         # On a vehicle's clock that runs faster than ours a tick is long, so that both have to be over the limit,
         # unless the vehicle's clock stands still.
-        stands = self.silent_s >= limit_s
+        stands = silent_s >= limit_s
         if (age_s > limit_s and ticks > _TICKS_MARGIN) or (stands and ticks > limit_s + _TICKS_MARGIN):
             if one.state is not InputState.STALE:
                 text = _STALE[kind].format(age=max(age_s, float(ticks) if stands else 0.0))
@@ -269,12 +265,12 @@ class Health:
             changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} is received again"))
 
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
-        before, self._sources[kind] = self._sources[kind], source
+        one = self._inputs[kind]
+        before, one.source = one.source, source
         self._is_news |= before is None and source is not None
         if before is None or source is None or before == source:
             return
         self._refused.discard(source)
-        one = self._inputs[kind]
         text = f"{_WORDS[kind]} in use is now {_device(source)}, before it was {_device(before)}"
         one.last_s, one.tick = now_s, self._ticks
         state = one.state if one.state is InputState.INCONSISTENT else InputState.SWITCHED

@@ -18,7 +18,6 @@ drive makes the payload suspect for ``SUSPECT_S``, in which rules 1 to 3 come to
 from __future__ import annotations
 
 import math
-import operator
 from collections import deque
 from collections.abc import Sequence
 
@@ -73,14 +72,16 @@ class _Repeats:
             time_s: of the reading.
             travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
         """
-        before, off = self.found, max(map(abs, map(operator.sub, self._anchor, values)))
-        if off <= self._same:
+        before, same = self.found, self._same
+        for then, now in zip(self._anchor, values, strict=False):
+            if abs(now - then) > same:
+                break
+        else:
             self._count += 1
             self._moved = 0
-            lasts = self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S
-            self.found |= lasts and any(
-                abs(now - then) >= 1.0 for now, then in zip(travelled, self._travelled, strict=True)
-            )
+            if not before and self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S:
+                moves = zip(travelled, self._travelled, strict=True)
+                self.found = any(abs(now - then) >= 1.0 for now, then in moves)
             return self.found is not before
         self._moved += 1
         if not before or self._moved >= _MOVES_AGAIN:
@@ -120,7 +121,7 @@ class PayloadCheck:
         self._agreeing = 0
         self._verdict = self._established = SOUND
         self._frame_fault = self._unit_fault = ""
-        self._rejected: deque[tuple[float, int, int]] = deque()  # second, sightings, rejected
+        self._rejected: deque[list[int]] = deque()  # second, sightings, rejected
 
     def stand_on(self, ground: GroundHeight) -> None:
         """Compare heights with this ground.
@@ -243,12 +244,15 @@ class PayloadCheck:
             outcomes: What the tracker returned.
         """
         second = math.floor(time_s)
-        rejected = sum(not one.accepted for one in outcomes)
-        if self._rejected and self._rejected[-1][0] == second:
-            _, count, before = self._rejected[-1]
-            self._rejected[-1] = (second, count + len(outcomes), before + rejected)
+        is_new = not self._rejected or self._rejected[-1][0] != second
+        if is_new:
+            self._rejected.append([second, 0, 0])
+        counts = self._rejected[-1]
+        counts[1] += len(outcomes)
+        for one in outcomes:
+            counts[2] += not one.accepted
+        if not is_new:
             return
-        self._rejected.append((second, len(outcomes), rejected))
         while self._rejected[0][0] < second - _WINDOW_S or self._rejected[0][0] > second:
             self._rejected.popleft()
         total = sum(count for _, count, _ in self._rejected)
