@@ -13,6 +13,7 @@ from sidelong.mission.core.events import Announce
 _AFTER_S = 8.0
 _DELAY_STEP_S = 0.1  # a smaller change of a delay is not announced
 _YAW_STEP_RAD = math.radians(5.0)  # nor of the gimbal's mounting
+_YAW_LASTS_S = 30.0
 
 
 class DelayNews:
@@ -38,10 +39,14 @@ class DelayNews:
 
 
 class MountNews:
-    """Announces a yaw error of the gimbal that no setting expects: until it is found, the target is elsewhere."""
+    """Announces a yaw error of the gimbal that no setting expects: until it is found, the target is elsewhere.
+
+    The error has to last: that of a target which drives in circles, as the aircraft does, comes and goes.
+    """
 
     def __init__(self) -> None:
         self._announced_rad = 0.0
+        self._since_s = math.inf
 
     def announce(self, time_s: float, yaw_rad: float) -> tuple[Announce, ...]:
         """Return an announcement if the error differs clearly from the one that was announced last.
@@ -52,6 +57,10 @@ class MountNews:
         """
         limit_rad = _YAW_STEP_RAD if self._announced_rad else 0.0
         if yaw_rad == 0.0 or abs(yaw_rad - self._announced_rad) <= limit_rad:
+            self._since_s = math.inf
+            return ()
+        self._since_s = min(self._since_s, time_s)
+        if time_s - self._since_s < _YAW_LASTS_S:
             return ()
         self._announced_rad = yaw_rad
         text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees: check its mounting, "

@@ -25,6 +25,7 @@ _AGE_MAX_S = {
     Input.NEIGHBOURS: 5.0,
 }
 _TICKS_MARGIN = 1  # a tick may come right after a reading
+_IN_USE_AFTER = 10  # readings; a device that gave fewer was not yet in use, and its replacement is no news
 _EVALUATE_EVERY_S, _RATE_OVER_S = 1.0, 5.0
 _KINDS: dict[type, Input] = {
     PositionReading: Input.POSITION,
@@ -65,6 +66,7 @@ class _Received:
         "count",
         "last_s",
         "rate_hz",
+        "of_source",
         "rated_count",
         "rated_s",
         "since_s",
@@ -77,7 +79,7 @@ class _Received:
 
     def __init__(self) -> None:
         self.last_s = self.rated_s = -math.inf
-        self.count = self.rated_count = self.tick = self.since_tick = 0
+        self.count = self.of_source = self.rated_count = self.tick = self.since_tick = 0
         self.rate_hz = math.nan
         self.source: Source | None = None  # the device in use; another one does not make the input fresh
         self.state, self.since_s, self.text = InputState.MISSING, -math.inf, ""
@@ -267,8 +269,11 @@ class Health:
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
         one = self._inputs[kind]
         before, one.source = one.source, source
-        self._is_news |= before is None and source is not None
-        if before is None or source is None or before == source:
+        if before == source:
+            return
+        given, one.of_source = one.count - one.of_source, one.count
+        self._is_news |= source is not None
+        if before is None or source is None or given < _IN_USE_AFTER:
             return
         self._refused.discard(source)
         text = f"{_WORDS[kind]} in use is now {_device(source)}, before it was {_device(before)}"

@@ -36,6 +36,7 @@ _CLOSED_M, _PASSED_RAD = 40.0, 0.25
 _SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
 _MARGIN_S = 1.0
 _FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
+_CORRECTED_AFTER = 5  # readings in a row
 _FLYING_M_S = 5.0
 SUSPECT_S, _CHANGED_S = 15.0, 30.0
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
@@ -104,7 +105,7 @@ class PayloadCheck:
 
     def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
         self.laser_fault = self.gimbal_fault = self.sightings_fault = self.terrain_fault = ""
-        self._off_ground = 0  # judgements in a row
+        self._off_ground = self._corrected = 0  # judgements, and readings with other flags, in a row
         self.wrong_since_s = math.inf
         self.is_news = False
         self._fit = MotionFit(parent_from_mount)
@@ -209,6 +210,11 @@ class PayloadCheck:
             self._gimbal_source = reading.source
             self._sight_repeats = _Repeats(_SAME_SIGHT)
             self._begin_fit()
+        if self._frame_fault:
+            self._corrected = self._corrected + 1 if reading.frame == self._established.frame else 0
+            if self._corrected >= _CORRECTED_AFTER:  # at once: on a straight leg no motion could show it
+                self._begin_fit()
+                self._settle()
         travelled = self._turned_rad / _TURNED_RAD, self._passed
         if self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, travelled):
             self._settle()
