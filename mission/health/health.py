@@ -65,8 +65,8 @@ class _Received:
     __slots__ = (
         "count",
         "last_s",
-        "rate_hz",
         "of_source",
+        "rate_hz",
         "rated_count",
         "rated_s",
         "since_s",

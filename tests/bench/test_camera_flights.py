@@ -2,14 +2,18 @@
 
 ``python -m pytest tests/bench/test_camera_flights.py -s`` flies the same targets with each, over flat ground and over
 hills. What the filter does not know differs from flight to flight as much as its settings say: the biases of the
-gimbal's yaw and pitch, and by how much the ground is off its data. CAMERA_FLIGHTS: targets over each ground.
-CAMERA_FLIGHT_S: length of each flight, s.
+gimbal's yaw and pitch, and by how much the ground is off its data.
+
+CAMERA_FLIGHTS: targets over each ground. CAMERA_FLIGHT_S: length of each flight, s. SIDELONG_TARGETS: a folder of
+recorded tracks; without it targets are random.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
+from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
@@ -18,6 +22,7 @@ import pytest
 from sidelong.app.assembly import settle
 from sidelong.app.config import Config
 from sidelong.app.simulation.payload import Payload, PayloadErrors
+from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.flat import flat_ground
@@ -32,6 +37,7 @@ from tests.terrain.conftest import SIDE, hills
 FLIGHTS, DURATION_S = size(24, 1, "CAMERA_FLIGHTS"), float(size(600, 60, "CAMERA_FLIGHT_S"))
 _CHI2_95 = 5.991
 _SIGMA_M = {"flat": 2.0, "hills": 4.0}  # of the ground
+_TRACK_SPEED_MAX_M_S = 3.5
 _FLATTER = 4  # than the real hills: the aircraft flies 100 m above home
 
 
@@ -106,11 +112,22 @@ def worlds(kind: str, folder) -> list[World]:
     return [World(terrain, ground, *map(float, one)) for one in drawn]
 
 
+def tracks() -> list[RecordedTarget] | None:
+    """Return one recorded track for each flight, of all those in the folder; None: targets are random."""
+    folder = os.environ.get("SIDELONG_TARGETS")
+    if folder is None:
+        return None
+    flown = recorded_targets([Path(folder)], _TRACK_SPEED_MAX_M_S).flown
+    return [flown[k] for k in np.linspace(0, len(flown) - 1, FLIGHTS).astype(int)]
+
+
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("kind", _SIGMA_M)
-def test_side_without_a_laser_is_within_three_points_of_the_lasers(kind, tmp_path):
-    rows = []
+def test_side_without_a_laser_is_within_three_points_of_the_lasers(kind, tmp_path, monkeypatch):
+    rows, recorded = [], tracks()
     for k, world in enumerate(worlds(kind, tmp_path)):
+        if recorded is not None:
+            monkeypatch.setattr(faults, "RandomTarget", lambda *_drawn, track=recorded[k]: track)
         scenario = Scenario(seed=1 + k, flavour="arduplane" if k % 2 else "px4", duration_s=DURATION_S)
         for errors in (CAMERA, faults.ERRORS):
             flight = _Flight(scenario, errors, world)
