@@ -6,6 +6,8 @@ of the folder therefore contains a digest of all kernels and of the modules that
 The folder is below ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache (``XDG_CACHE_HOME`` or ``~/.cache``).
 If it cannot be written, a folder for this user below the system's temporary folder is used; where another user made
 that one, a new folder for each process.
+
+Source: <https://numba.readthedocs.io/en/stable/developer/caching.html>; docs/decisions/0005-compiled-kernels.md.
 """
 
 from __future__ import annotations

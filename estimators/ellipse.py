@@ -1,4 +1,7 @@
-"""The ellipse that holds the truth with a stated probability."""
+"""The ellipse that holds the truth with a stated probability.
+
+Source: Johnson and Wichern, *Applied Multivariate Statistical Analysis*, section 4.2.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The target estimate: the only value about the target that planning reads."""
+"""The target estimate: the only value about the target that planning reads.
+
+Source: docs/explanation/filter.md#motion.
+"""
 
 from __future__ import annotations
 

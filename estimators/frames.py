@@ -1,4 +1,4 @@
-"""The local plane, compass angles."""
+"""The local plane; compass angles. Source: EPSG Guidance Note 7-2, methods 9602 and 9840."""
 
 from __future__ import annotations
 

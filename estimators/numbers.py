@@ -1,4 +1,4 @@
-"""Conversion of the numbers that a caller gives a value type into floats."""
+"""Conversion of a value type's numbers into floats. Source: docs/decisions/0005-compiled-kernels.md."""
 
 from __future__ import annotations
 

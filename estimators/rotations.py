@@ -1,6 +1,9 @@
 """Rotations of three axes: quaternions (w, x, y, z), aerospace angles, and the direction they send a sight along.
 
 Plain floats and tuples: at one vector a call they are five times faster than arrays.
+
+Source: Diebel, "Representing attitude: Euler angles, unit quaternions, and rotation vectors", Stanford University,
+2006.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings of the estimation: sensor errors and mounting, source selection, and timeouts."""
+"""Settings of the estimation. Source: docs/how-to/troubleshooting.md."""
 
 from __future__ import annotations
 

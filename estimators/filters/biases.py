@@ -2,6 +2,8 @@
 
 Seen from one side all the time, a yaw error looks like a shifted target. From a circle the line of sight swings to
 and fro, the shift turns with it, and a target cannot be in several places at once.
+
+Source: docs/explanation/filter.md#measurement.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Extended Kalman filter of a target that holds its velocity."""
+"""Extended Kalman filter of a target that holds its velocity.
+
+Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, section 10.3;
+Huber, "Robust estimation of a location parameter", Annals of Mathematical Statistics 35(1), 1964.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Interacting multiple model filter: a target that stands, cruises, turns or manoeuvres.
 
-Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients",
-IEEE Transactions on Automatic Control 33(8), 1988.
+Source: Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Transactions on Automatic Control 33(8), 1988; docs/explanation/filter.md#motion.
 
 standing      velocity is zero but for a shuffle, the position stays
 cruising      velocity holds, with a little white acceleration

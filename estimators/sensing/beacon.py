@@ -1,4 +1,8 @@
-"""The errors of a satellite receiver, which stay much the same from one fix to the next."""
+"""The errors of a satellite receiver, which stay much the same from one fix to the next.
+
+Source: Bayley and Hammersley, "The effective number of independent observations in an autocorrelated time series",
+Supplement to the Journal of the Royal Statistical Society 8(2), 1946.
+"""
 
 from __future__ import annotations
 

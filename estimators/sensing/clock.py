@@ -4,6 +4,8 @@ A stamp fits a clock when it is at most ``LATE_S`` behind its latest stamp and `
 three of its steps). The vehicle's clock follows one sequence of stamps. Deviating stamps begin another sequence. It
 replaces the first one once it has lasted long enough without a stamp of the first: after a link outage or an
 autopilot reboot. Two sequences that alternate repeatedly are two vehicles with one system id.
+
+Source: docs/explanation/input-checks.md#plausibility.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 earth     ned_from_sight = q
 vehicle   ned_from_sight = ned_from_heading @ heading_from_mount @ q
 body      ned_from_sight = ned_from_body @ body_from_mount @ q
+
+Source: MAVLink gimbal protocol v2, <https://mavlink.io/en/services/gimbal_v2.html>.
 """
 
 from __future__ import annotations

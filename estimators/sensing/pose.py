@@ -1,4 +1,7 @@
-"""Where the aircraft was, and how it was turned, at any time of the last seconds."""
+"""Where the aircraft was, and how it was turned, at any time of the last seconds.
+
+Source: piecewise cubic Hermite interpolation, de Boor, *A Practical Guide to Splines*, chapter IV.
+"""
 
 from __future__ import annotations
 

@@ -9,6 +9,8 @@ The target stands on ground of unknown height; the aircraft's altitude may be of
 
 Three numbers are measured (slant range, bearing, depression) and three are sought (east, north, height), so the
 height is measured by the sightings themselves, and horizontal range is slant * cos(depression).
+
+Source: docs/explanation/filter.md#measurement.
 """
 
 from __future__ import annotations

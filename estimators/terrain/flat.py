@@ -1,4 +1,4 @@
-"""Flat ground at the height of home, where there is no elevation data."""
+"""Flat ground at the height of home, used without elevation data. Source: docs/explanation/limits.md."""
 
 from __future__ import annotations
 

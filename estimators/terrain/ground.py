@@ -1,4 +1,7 @@
-"""The ground as an elevation grid in the local plane."""
+"""The ground as an elevation grid in the local plane.
+
+Source: bilinear interpolation and bisection, Press et al., *Numerical Recipes*, 2007, sections 3.6 and 9.1.
+"""
 
 from __future__ import annotations
 

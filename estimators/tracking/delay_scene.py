@@ -4,6 +4,9 @@ Unknown are the path (knots, with a white acceleration whose size is found with 
 delay of the gimbal, the delay of the laser, the yaw bias of the gimbal and the bias of the level range. The normal
 equations of the path are banded; the shared numbers are a border. Errors follow Student's distribution, so that
 outliers of the readings and sudden turns of the target have little weight.
+
+Source: docs/explanation/filter.md#delays; Lange, Little, Taylor, "Robust statistical modeling using the t
+distribution", Journal of the American Statistical Association 84(408), 1989.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ time. While the aircraft circles, the displacement circles with it. A real targe
 On a steady circle about a standing target, a payload whose angles are relative to the aircraft looks the same if it
 is late and if the target is elsewhere, turned about the circle's centre. A change of circle shows the difference, and
 until then the standard deviations of the delays are large.
+
+Source: docs/explanation/filter.md#delays.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 Tracks of the same target share its motion noise, how much is not known. They are compared as if they were
 independent, which calls a few too many agreeing, and none wrong that is right.
+
+Source: docs/explanation/filter.md#several-payloads; Singer and Kanyuck, "Computer control of multiple site track
+correlation", Automatica 7(4), 1971.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 All payloads feed one filter that estimates the errors of each. In addition each payload has its own track. A payload
 whose track disagrees with the largest consistent group is excluded, with the reason in words. It is included again
 after some seconds of agreement. If two payloads contradict each other, the one with the smaller sigma is used.
+
+Source: docs/explanation/filter.md#several-payloads.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 Readings are kept with their stamps; they were made by a delay earlier. A range waits until gimbal and aircraft are
 known on both sides of its time, and takes what lies between. It gives up after ``_WAIT_S``. Over known ground, while
 the laser is silent, a line of sight alone becomes a sighting.
+
+Source: docs/explanation/filter.md#measurement.
 """
 
 from __future__ import annotations

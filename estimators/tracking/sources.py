@@ -12,6 +12,8 @@ more as the autopilot forwards it. Of each kind exactly one source is listened t
   until the first returns; one that contradicts the track is refused until it has agreed for ``PROVEN_S`` on end.
 
 An explicit choice replaces all of these but the last.
+
+Source: fields of DISTANCE_SENSOR, <https://mavlink.io/en/messages/common.html#DISTANCE_SENSOR>.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 Each accepted sighting leaves the filter as it was before it; a late one is taken in by going back to the filter
 before its time and repeating what came after.
+
+Source: docs/explanation/filter.md#gate-and-loss; Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
+Tracking and Navigation*, 2001, section 5.4.
 """
 
 from __future__ import annotations

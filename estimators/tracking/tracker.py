@@ -1,4 +1,4 @@
-"""Readings in, estimate out."""
+"""Readings in, estimate out. Source: docs/explanation/how-it-works.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an operator has to be alarmed about, and when: a pure function of situations in the order of time."""
+"""Alarms for the operator: a pure function of situations in the order of time. Source: docs/health.md#alarms."""
 
 from __future__ import annotations
 

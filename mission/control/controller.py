@@ -26,6 +26,8 @@ Rules
     the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
+
+Source: docs/decisions/0002-pure-step-and-replay.md; docs/watch-endings.md.
 """
 
 from __future__ import annotations

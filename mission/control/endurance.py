@@ -1,4 +1,4 @@
-"""How long the battery lasts, by the consumption that was observed, and how long the way home takes."""
+"""How long the battery lasts, and how long the way home takes. Source: docs/explanation/alarms.md."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 ArduPlane flies 116 m when asked for 100 m: its loiter law has no integral part and scales with altitude. The
 ratio is steady for an aircraft at one speed, so it is measured and divided out.
+
+Source: docs/explanation/exchange.md.
 """
 
 from __future__ import annotations

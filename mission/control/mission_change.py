@@ -1,4 +1,4 @@
-"""What a person's change makes of requirement and aircraft."""
+"""What an operator's change does. Source: docs/how-to/maps.md#change-the-mission-in-flight."""
 
 from __future__ import annotations
 

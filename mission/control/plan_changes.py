@@ -6,6 +6,8 @@ earlier by the autopilot's response time. An activated plan stays pending until 
 confirmation may arrive late.
 
 The circle that is sent has the radius that makes the autopilot fly the planned radius.
+
+Source: docs/retries.md#3-one-plan.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The planner in use: rebuilt when the requirement changes, and updated with wind and fleet data."""
+"""The planner in use, and the data that it needs. Source: docs/explanation/planners.md."""
 
 from __future__ import annotations
 

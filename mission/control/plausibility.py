@@ -19,6 +19,8 @@ Rules
 5. Two alternating clocks, or two alternating positions, mean two vehicles with one system id: Yield, latched.
 
 Rejections, corrections and doubts are reported, each at most once in ``_REPEATED_AFTER_S``.
+
+Source: docs/explanation/input-checks.md#plausibility.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ by dead reckoning. It uses the reported velocity if that continues the last one,
 bank angle. If the last accepted reading was the outlier, readings that follow from the one before it are accepted.
 A new position that persists for ``_PROOF_S`` while GPS and EKF report no fault is accepted.
 Positions that alternate between two places come from two vehicles.
+
+Source: docs/explanation/input-checks.md#plausibility.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The latest reports of the vehicle and its payload, for the operator."""
+"""The latest reports of the vehicle and its payload, for the operator. Source: docs/health.md#inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mission status for displays and summaries."""
+"""Mission status for displays and summaries. Source: docs/watch-endings.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fences, ground and other aircraft: whether a plan can be flown among them, and at which heights."""
+"""Fences, ground and other aircraft: where and how high a plan can be flown. Source: docs/explanation/safety.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Announcements about the target (in view, not seen for some time, lost) and about errors of the payload."""
+"""Announcements about the target and errors of the payload. Source: docs/how-to/read-the-terminal.md."""
 
 from __future__ import annotations
 

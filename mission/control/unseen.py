@@ -1,4 +1,4 @@
-"""Where a target that is not seen can be."""
+"""Where a target that is not seen can be. Source: docs/health.md#the-target-is-not-seen."""
 
 from __future__ import annotations
 

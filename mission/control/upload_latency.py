@@ -1,4 +1,4 @@
-"""How long the next plan is expected to take from its decision until it is flown: uploaded, or commanded."""
+"""How long the next plan is expected to take until it is flown. Source: docs/explanation/exchange.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A circle in the local plane, flown one way round."""
+"""A circle in the local plane, flown one way round. Source: docs/explanation/how-it-works.md#frames-and-units."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 Events and commands are plain frozen values: the journal writes both, and a replay feeds the events again
 and must get the same commands.
+
+Source: docs/decisions/0002-pure-step-and-replay.md.
 """
 
 from __future__ import annotations

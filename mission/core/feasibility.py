@@ -1,4 +1,8 @@
-"""What no planner can help: a requirement that the aircraft cannot meet, and which number to change."""
+"""What no planner can help: a requirement that the aircraft cannot meet, and which number to change.
+
+Source: Liao et al., Defence Technology 16(4), 2020, equation 19; Beard and McLain, *Small Unmanned Aircraft*, 2012,
+chapter 9 (coordinated turn).
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 All positions are in the local plane that the whole fleet shares, all heights above the same home, and all times on
 the clock of the receiving vehicle.
+
+Source: docs/decisions/0012-fleet-as-a-layer.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How high plans are flown: what gives them their heights, and the way from one height to another."""
+"""Heights of plans, and the way from one height to another. Source: docs/how-to/hills.md."""
 
 from __future__ import annotations
 

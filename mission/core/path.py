@@ -1,4 +1,4 @@
-"""A flown line over the ground, sampled densely: what every kind of transition comes down to."""
+"""A flown line over the ground, sampled densely. Source: docs/explanation/how-it-works.md#frames-and-units."""
 
 from __future__ import annotations
 

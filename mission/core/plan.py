@@ -1,4 +1,4 @@
-"""What the aircraft is to fly, and the contract of whoever decides it."""
+"""What the aircraft is to fly, and the contract of a planner. Source: docs/how-to/own-planner.md."""
 
 from __future__ import annotations
 

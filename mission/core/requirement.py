@@ -1,4 +1,8 @@
-"""The requirement of a watch, and the limits of the aircraft."""
+"""The requirement of a watch, and the limits of the aircraft.
+
+Source: Beard and McLain, *Small Unmanned Aircraft*, 2012, chapter 9 (coordinated turn);
+docs/explanation/how-it-works.md#the-geometry.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The switch to a plan that is on board: an open question until the autopilot or the track answers it."""
+"""The switch to a plan on board, until the autopilot or the track answers it. Source: docs/retries.md#3-one-plan."""
 
 from __future__ import annotations
 

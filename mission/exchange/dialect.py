@@ -1,4 +1,4 @@
-"""What autopilots do differently in the exchange, as data and one Protocol: the state machines know no autopilot."""
+"""What autopilots do differently, as data and one Protocol. Source: docs/explanation/exchange.md."""
 
 from __future__ import annotations
 

@@ -8,6 +8,8 @@ a circle that never completes. Wherever the upload is cut, the vehicle flies on 
     [head] [new line ...circle] [present line ...circle]      before it, if it fits into the room there
 
 What is left over between and behind them is never reached.
+
+Source: docs/explanation/exchange.md.
 """
 
 from __future__ import annotations

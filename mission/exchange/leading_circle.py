@@ -10,6 +10,8 @@ r"""The circle that leads an aircraft along its plan from where it is; commandin
 
 A nearly straight piece has no circle of a useful size: there the aircraft is sent to a circle of the plan's radius
 around a point ahead, far enough to fly straight to it.
+
+Source: Coulter, "Implementation of the pure pursuit path tracking algorithm", CMU-RI-TR-92-01, 1992.
 """
 
 from __future__ import annotations

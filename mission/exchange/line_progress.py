@@ -1,4 +1,4 @@
-"""Which items of a line lie behind an aircraft, so that it is never sent back to one."""
+"""Which items lie behind an aircraft, so that it is never sent back to one. Source: docs/retries.md#1-messages."""
 
 from __future__ import annotations
 

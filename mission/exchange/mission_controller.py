@@ -5,6 +5,8 @@ One event in, everything that it leads to out, in order: what the exchange found
 leads in, so a replay of the journalled events repeats uploads, switches and yields to the last bit.
 
 ``next_timer_s`` asks for a ``TimerExpired``; nothing here sleeps.
+
+Source: docs/decisions/0003-pure-exchange.md.
 """
 
 from __future__ import annotations

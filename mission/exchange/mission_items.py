@@ -1,4 +1,4 @@
-"""Plans as mission items: laid out, written next to the flown items, made current at the departure."""
+"""Plans as mission items: written next to the flown ones. Source: docs/explanation/exchange.md."""
 
 from __future__ import annotations
 

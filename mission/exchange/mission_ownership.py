@@ -1,4 +1,7 @@
-"""Whether the mission that is flown is ours, by what is reported of it and by looking at the item that is flown."""
+"""Whether the mission that is flown is ours, by what is reported of it and by looking at the item that is flown.
+
+Source: docs/watch-endings.md#yield-another-operator-has-control.
+"""
 
 from __future__ import annotations
 

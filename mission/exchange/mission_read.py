@@ -4,6 +4,8 @@ Where items can be asked for in any order, they are asked for all at once, and w
 item out of its turn ends the reading. There they are asked for all at once, in their order and each twice: the
 vehicle takes a request again, but none after one that was lost. Where that fails again and again, requests overtake
 each other, and are sent one after the other. The end of such a reading has to be sent.
+
+Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>; docs/retries.md#1-messages.
 """
 
 from __future__ import annotations

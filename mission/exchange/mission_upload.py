@@ -1,4 +1,7 @@
-"""What is on board of the mission, as far as it is known, and the upload that changes it: one at a time."""
+"""What is on board of the mission, as far as it is known, and the upload that changes it: one at a time.
+
+Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>; docs/retries.md#2-one-upload.
+"""
 
 from __future__ import annotations
 

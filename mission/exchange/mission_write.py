@@ -4,6 +4,8 @@ Autopilots accept items strictly in order and ignore the rest. So items may be s
 a lost packet costs a fraction of a second, and no item is stored at a wrong index. If the autopilot stores items one
 by one, they are read back. Otherwise it accepts the whole list and acknowledges it. The list is read if the
 acknowledgement may belong to another upload, or to a part of this one.
+
+Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>; docs/retries.md#1-messages.
 """
 
 from __future__ import annotations

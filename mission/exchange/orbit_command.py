@@ -1,4 +1,7 @@
-"""Plans as circles, each moved by one command: nothing is uploaded, so a plan departs as soon as it is made."""
+"""Plans as circles, each moved by one command: nothing is uploaded, so a plan departs as soon as it is made.
+
+Source: DO_ORBIT and DO_REPOSITION, <https://mavlink.io/en/messages/common.html#MAV_CMD_DO_ORBIT>.
+"""
 
 from __future__ import annotations
 

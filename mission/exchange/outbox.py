@@ -1,4 +1,7 @@
-"""What leaves the exchange in one step: messages to the autopilot, and what the control step is to know."""
+"""What leaves the exchange in one step: messages to the autopilot, and what the control step is to know.
+
+Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>.
+"""
 
 from __future__ import annotations
 

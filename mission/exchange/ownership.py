@@ -2,6 +2,8 @@
 
 Reports may be late, doubled or overtaken. So a report that does not fit makes us stop commanding at once, and only
 several of them over more than a round trip mean that another station commands the vehicle.
+
+Source: docs/watch-endings.md#yield-another-operator-has-control.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How plans reach the autopilot: as mission items, or as one command for each circle."""
+"""How plans reach the autopilot: as mission items or commands. Source: docs/explanation/exchange.md."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 A script that stands still between events: each ``yield`` waits for the next one, ``until_s`` states when it has to be
 called at the latest.
+
+Source: docs/retries.md#4-control-of-the-aircraft; docs/how-to/takeover.md.
 """
 
 from __future__ import annotations

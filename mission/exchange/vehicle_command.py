@@ -1,4 +1,4 @@
-"""One command to the autopilot, repeated until it is acknowledged."""
+"""One command, repeated until it is acknowledged. Source: <https://mavlink.io/en/services/command.html>."""
 
 from __future__ import annotations
 

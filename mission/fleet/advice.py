@@ -1,4 +1,4 @@
-"""The advice to one aircraft of a fleet about the others, on its own clock."""
+"""Advice to one aircraft about the others, on its own clock. Source: docs/decisions/0012-fleet-as-a-layer.md."""
 
 from __future__ import annotations
 

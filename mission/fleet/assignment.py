@@ -1,4 +1,8 @@
-"""Which aircraft goes to which target."""
+"""Which aircraft goes to which target.
+
+Source: linear assignment, Crouse, "On implementing 2D rectangular assignment algorithms", IEEE Transactions on
+Aerospace and Electronic Systems 52(4), 2016; docs/how-to/several-aircraft.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""One mission time for several vehicles, each with a clock of its own."""
+"""One mission time for several vehicles, each with a clock of its own.
+
+Source: scalar Kalman filter, Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
+2001, section 5.2.
+"""
 
 from __future__ import annotations
 

@@ -34,6 +34,8 @@ Rules
 6. Aircraft too near to each other raise an alarm; see :mod:`sidelong.mission.fleet.proximity`.
 7. An operator changes the required side (``SideRequested``), for all aircraft and targets at once; a band or radius
    that one core took up (``RequirementReported``) holds for the roles too.
+
+Source: docs/how-to/several-aircraft.md; docs/decisions/0012-fleet-as-a-layer.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The cost of each role at each target for every aircraft."""
+"""The cost of each role for every aircraft and target. Source: docs/explanation/planners.md#several-aircraft."""
 
 from __future__ import annotations
 

@@ -12,6 +12,8 @@ Rules
 4. Each alarm belongs to one of the two, the higher one of the fleet's. It ends ``CLEAR_AFTER_S`` after its last
    reason. That aircraft receives it by its advice, and announces its beginning and its end; see
    :mod:`sidelong.mission.control.alarms`.
+
+Source: docs/how-to/several-aircraft.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a step of one vehicle's core means for the fleet."""
+"""What a step of one vehicle's core means for the fleet. Source: docs/decisions/0012-fleet-as-a-layer.md."""
 
 from __future__ import annotations
 

@@ -12,6 +12,8 @@ because the two sides change places. Rules
    the autopilots, ``under_way_max_s`` at most. It does not wait for whole lines to be flown: where a target turned
    in the meantime, that cost more time off side than it saved in hand-overs.
 4. The others are spread over the opposite and the required side in turn, those that it is worth least to first.
+
+Source: docs/explanation/planners.md#several-aircraft.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What joint decisions are made with: how much counts what all see together, and what each would alone."""
+"""Constants of joint decisions. Source: docs/explanation/planners.md#several-aircraft."""
 
 from __future__ import annotations
 

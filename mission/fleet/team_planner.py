@@ -2,6 +2,8 @@
 
 Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does. In a fleet it then
 pays the fleet's price of moves: its partner may have gone and left the required side unwatched.
+
+Source: docs/explanation/planners.md#several-aircraft.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One aircraft of a fleet: as its file has it, and what the coordinator knows of it."""
+"""One aircraft of a fleet, as the coordinator knows it. Source: docs/how-to/several-aircraft.md."""
 
 from __future__ import annotations
 

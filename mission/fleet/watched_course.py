@@ -1,4 +1,4 @@
-"""The course that defines the sides for a whole fleet, including aircraft that join while the target stands."""
+"""The course that defines the sides for a whole fleet. Source: docs/explanation/planners.md#watch-course."""
 
 from __future__ import annotations
 

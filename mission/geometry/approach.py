@@ -8,6 +8,9 @@
 
 Curvature steps between the three parts; the autopilot's roll lag rounds them. That is good enough far from the
 target, where an approach is used; next to the target the planners fly continuous curvature.
+
+Source: Dubins, "On curves of minimal length with a constraint on average curvature", American Journal of Mathematics
+79(3), 1957.
 """
 
 from __future__ import annotations

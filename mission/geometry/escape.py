@@ -1,4 +1,4 @@
-"""Plans that lead away from the present circle, for an aircraft whose circle another one crosses."""
+"""Plans that lead away from a circle that crosses another one. Source: docs/how-to/several-aircraft.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where an aircraft is that flies a plan exactly: the kinematics behind the planner's look-ahead and the studies."""
+"""Where an aircraft is that flies a plan exactly. Source: docs/decisions/0004-two-fidelities.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far along its plan an aircraft is, and where the plan leads from there."""
+"""How far along its plan an aircraft is, and where it leads. Source: docs/explanation/planners.md#transitions."""
 
 from __future__ import annotations
 

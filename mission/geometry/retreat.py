@@ -1,4 +1,4 @@
-"""Keep away from a target that is not seen: where it can be by now, and plans that lead away from there."""
+"""Plans that keep away from a target that is not seen. Source: docs/health.md#the-target-is-not-seen."""
 
 from __future__ import annotations
 

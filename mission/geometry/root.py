@@ -1,4 +1,7 @@
-"""Where a function of one number is zero; scipy does it, and is loaded only when there is a root to find."""
+"""Where a function of one number is zero; scipy does it, and is loaded only when there is a root to find.
+
+Source: Brent, *Algorithms for Minimization without Derivatives*, 1973, chapter 4.
+"""
 
 from __future__ import annotations
 

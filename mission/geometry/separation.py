@@ -4,6 +4,8 @@ Height layers keep aircraft apart wherever they fly; then nothing else is asked.
 least distance, three things are: on the way, moment by moment, the distance less what the speeds may be wrong by; and
 on the circles that both end in, where the phase is unknown, that the circles themselves are far enough apart. A
 foreign aircraft is predicted straight on, for a limited time.
+
+Source: docs/how-to/several-aircraft.md.
 """
 
 from __future__ import annotations

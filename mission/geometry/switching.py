@@ -1,4 +1,4 @@
-"""When the present circle is no longer good enough (equations 9-16)."""
+"""When another circle has to be flown. Source: Liao et al., Defence Technology 16(4), 2020, equations 9-16."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's transition ABCD from one circle to the next (equations 23-42).
+"""The paper's transition ABCD from one circle to the next.
 
 Local frame, for clockwise flight; counter-clockwise is its mirror image in the line O1 O2::
 
@@ -13,6 +13,8 @@ CD is its mirror image. The paper ends AB at t = 3T and calls BC straight, which
 (4.5 degrees for psi_c = pi/2) at B and at C. Here BC is the arc that takes both out, and AB ends where that arc has
 AB's own curvature, so that the curvature is continuous from circle to circle. A, D and the shortest move are the
 paper's.
+
+Source: Liao et al., Defence Technology 16(4), 2020, equations 23-42.
 """
 
 from __future__ import annotations

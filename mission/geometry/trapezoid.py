@@ -11,6 +11,9 @@ r"""Curvature trapezoids: the transition that can begin anywhere, at any moment,
 Curvature is continuous and its rate along the line never exceeds ``sharpness_per_m2``; where start, hold and final
 are within a limit, so is every point between. A transition under way is retargeted by starting another trapezoid from
 the curvature it has there. Course is a piecewise quadratic of arc length (exact); position is its Gauss quadrature.
+
+Source: docs/explanation/planners.md#transitions; Fraichard and Scheuer, "From Reeds and Shepp's to
+continuous-curvature paths", IEEE Transactions on Robotics 20(6), 2004.
 """
 
 from __future__ import annotations

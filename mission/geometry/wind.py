@@ -1,4 +1,7 @@
-"""Flight over the ground in a steady wind: speeds, times and radii."""
+"""Flight over the ground in a steady wind: speeds, times and radii.
+
+Source: wind triangle, Beard and McLain, *Small Unmanned Aircraft*, 2012, chapter 2.
+"""
 
 from __future__ import annotations
 

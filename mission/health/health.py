@@ -2,6 +2,8 @@
 
 Ages are counted on the vehicle's clock. Where that stands still, seconds of this computer (``ClockTick``) count.
 While the link is down nothing else is judged: the loss of the link is reported separately.
+
+Source: docs/health.md#inputs.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ The height over the ground is a second, independent witness of the range's unit:
 the target at a height. If a unit puts it on the ground, and the reported range far above or below, the unit is found
 even where noise at long range hides the difference in motion. The ground is flat at the height of home, or the
 elevation data.
+
+Source: docs/health.md#contradictions-of-the-payload.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ Rules
 
 While rules 1 to 3 find a fault, the device's readings are not used. An apparent target that jumps farther than it can
 drive makes the payload suspect for ``SUSPECT_S``, in which rules 1 to 3 come to a result.
+
+Source: docs/health.md#contradictions-of-the-payload.
 """
 
 from __future__ import annotations

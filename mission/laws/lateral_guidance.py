@@ -1,8 +1,9 @@
 """Nonlinear lateral guidance round a moving target, for comparison: the paper's reference 26.
 
-Park, Deyst, How: "Performance and Lyapunov stability of a nonlinear path-following guidance method", Journal of
-Guidance, Control, and Dynamics 30(6), 2007. The path is a circle round the target that moves with it, so velocity
-is taken relative to the target.
+The path is a circle round the target that moves with it, so velocity is taken relative to the target.
+
+Source: Park, Deyst, How, "Performance and Lyapunov stability of a nonlinear path-following guidance method", Journal
+of Guidance, Control, and Dynamics 30(6), 2007.
 """
 
 from __future__ import annotations

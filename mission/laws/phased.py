@@ -1,13 +1,13 @@
 """Several aircraft on one circle about a moving target at equal phases, by two laws of the literature.
 
 phased field         the Lyapunov vector field; an aircraft behind its phase flies faster, one ahead of it slower
-                     (Frew, Lawrence, Morris: "Coordinated standoff tracking of moving targets using Lyapunov guidance
-                     vector fields", Journal of Guidance, Control, and Dynamics 31(2), 2008)
 circular formation   constant speed; an aircraft behind its phase flies a smaller circle, one ahead of it a larger one
-                     (Garcia de Marina, Sun, Bronz, Hattenberger: "Circular formation control of fixed-wing UAVs with
-                     constant speeds", IROS 2017; Paparazzi flies it)
 
 For comparison: both watch from all sides in turn, and know no wanted one.
+
+Source: Frew, Lawrence, Morris, "Coordinated standoff tracking of moving targets using Lyapunov guidance vector
+fields", Journal of Guidance, Control, and Dynamics 31(2), 2008; Garcia de Marina, Sun, Bronz, Hattenberger, "Circular
+formation control of fixed-wing UAVs with constant speeds", IROS 2017, which Paparazzi flies.
 """
 
 from __future__ import annotations

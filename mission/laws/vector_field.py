@@ -1,7 +1,8 @@
 """Lyapunov guidance vector field: circling a moving target at a stand-off radius, for comparison.
 
-Frew, Lawrence, Morris: "Coordinated standoff tracking of moving targets using Lyapunov guidance vector fields",
-Journal of Guidance, Control, and Dynamics 31(2), 2008; the same field is in Lawrence (2003) and Chen et al. (2009).
+Source: Frew, Lawrence, Morris, "Coordinated standoff tracking of moving targets using Lyapunov guidance vector
+fields", Journal of Guidance, Control, and Dynamics 31(2), 2008; the same field is in Lawrence (2003) and Chen et al.
+(2009).
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""From when: the point A at which a move of the circle begins, when the target will have moved on by then."""
+"""From when: the point A at which a move of the circle begins, when the target will have moved on by then.
+
+Source: Liao et al., Defence Technology 16(4), 2020, equations 9-22.
+"""
 
 from __future__ import annotations
 

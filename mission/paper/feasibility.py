@@ -1,4 +1,4 @@
-"""Whether the published method can meet a requirement, and which number to change when it cannot."""
+"""Feasibility of the published method. Source: Liao et al., Defence Technology 16(4), 2020, equations 19, 46-47."""
 
 from __future__ import annotations
 

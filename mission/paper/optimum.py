@@ -8,6 +8,8 @@ For a target that drives straight on at up to its top speed, still air, and deci
 
 Between the two, the best C leaves as many metres at one end as at the other. A target slower than its top speed
 asks for longer moves, with less travel on the way: the bounds hold for it too.
+
+Source: Liao et al., Defence Technology 16(4), 2020, equations 43-55.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the circle next to the target lies (equations 17-22)."""
+"""Where the circle next to the target lies. Source: Liao et al., Defence Technology 16(4), 2020, equations 17-22."""
 
 from __future__ import annotations
 

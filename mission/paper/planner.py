@@ -9,6 +9,8 @@ Rules
    that move takes the first which keeps its distance, or else the one that does best; the paper leaves it open. A
    circle flown the other way round is left at once, by turn, straight and turn.
 3. A decision falls in the last call before the aircraft comes to A, once a lap.
+
+Source: Liao et al., Defence Technology 16(4), 2020, equations 9-22.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where a target that never moved would be seen, and what the difference shows (equations 1-8)."""
+"""Where a stationary target would be seen. Source: Liao et al., Defence Technology 16(4), 2020, equations 1-8."""
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
-"""How far the circle has to move when the target drives straight on (equations 43-55).
+"""How far the circle has to move when the target drives straight on.
 
 All of it is for a target that moves straight at its top speed, still air, and an aircraft that decides once a lap::
 
       A---.                 A is flown with the target v_t t behind x = 0 ... d_max ahead of it; the lap after which
       O1   |  D             the range would pass C Dmax is not flown, so the move d lies in [d_min, d_max].
       -----+-----> target
+
+Source: Liao et al., Defence Technology 16(4), 2020, equations 43-55.
 """
 
 from __future__ import annotations

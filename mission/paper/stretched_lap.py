@@ -3,6 +3,8 @@
 The radius of curvature depends on the course: rho = R + A w(u), w = cos^2(pi u / 2 W), u = course - psi_0, |u| <= W.
 Around a whole lap that shifts the circle by A I along psi_0 and not across. It is continuous in curvature, never
 tighter than R, and exists for every distance, also those too short for ABCD.
+
+Source: docs/explanation/planners.md#transitions.
 """
 
 from __future__ import annotations

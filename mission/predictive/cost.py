@@ -3,6 +3,8 @@
 Watch frame: origin at the target, x to the right of the watch course, y ahead. The watch course is the target's
 (held through stops), mirrored for the right side, so that the side to be on is always the left one, x < 0. For
 a compass sector it is the course whose left normal is the middle of the sector.
+
+Source: docs/explanation/planners.md#cost.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Why the aircraft moves, or stays, in plain words: what would come of flying on as planned."""
+"""Why the aircraft moves or stays, in plain words. Source: docs/explanation/planners.md#the-predictive-planner."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Room for the look ahead along a route; :mod:`sidelong.mission.predictive.foresight_kernel` fills it."""
+"""Room for the look ahead along a route; :mod:`sidelong.mission.predictive.foresight_kernel` fills it.
+
+Source: docs/routes.md#how-the-route-is-used.
+"""
 
 from __future__ import annotations
 

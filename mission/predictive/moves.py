@@ -1,6 +1,8 @@
 """The moves a planner chooses among: 70 trapezoids, and going back to the circle at once.
 
 Their holds and lengths stand in :mod:`sidelong.mission.predictive.moves_kernel`.
+
+Source: docs/explanation/planners.md#transitions.
 """
 
 from __future__ import annotations

@@ -10,6 +10,8 @@ Rules
 4. Uploads are not free and contradict each other when they come too often: what leaving the circle costs is the price
    that the table was computed with, and a plan just begun is left only for the band or a large gain.
 5. A target unseen for lost_after_s is not moved after: the circle is held.
+
+Source: docs/explanation/planners.md#the-predictive-planner.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is known at a decision, as the loops see it."""
+"""What is known at a decision, as the loops see it. Source: docs/explanation/planners.md#the-predictive-planner."""
 
 from __future__ import annotations
 

@@ -3,6 +3,10 @@
 On a grid of places every move displaces all places alike, so its backup is a shifted copy of the table: one
 improvement costs a few slices for each (class, heading, move). Between improvements the policy stands, and an
 evaluation is one gather. A coarse grid first, then the fine one. The loops are in ``_value_kernel``.
+
+Source: Puterman and Shin, "Modified policy iteration algorithms for discounted Markov decision problems", Management
+Science 24(11), 1978; Chow and Tsitsiklis, "An optimal one-way multigrid algorithm for discrete-time stochastic
+control", IEEE Transactions on Automatic Control 36(8), 1991.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ in the watch frame of :mod:`sidelong.mission.predictive.cost`. A class is veloci
 The target keeps its velocity until it turns (a Poisson event); the value after a turn averages over where it may go
 then. One table serves both sides, by mirroring. :mod:`sidelong.mission.predictive.value_iteration` computes it once
 per configuration; the shell keeps it in a file named by ``configuration.key()``.
+
+Source: docs/explanation/planners.md#the-predictive-planner; docs/decisions/0009-value-table.md.
 """
 
 from __future__ import annotations

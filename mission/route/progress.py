@@ -1,4 +1,8 @@
-"""Where the target is on its route, for the control step and for displays."""
+"""Where the target is on its route, for the control step and for displays.
+
+Source: docs/routes.md#how-the-route-is-used; histogram filter, Thrun, Burgard, Fox, *Probabilistic Robotics*, 2005,
+section 4.1.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A route that the target is expected to follow: a line in the plane, with a tolerance."""
+"""The expected route of the target: a line in the plane, with a tolerance. Source: docs/routes.md."""
 
 from __future__ import annotations
 

@@ -8,6 +8,8 @@ ground  each circle has its own height: ``height_m`` above the ground under the 
 
 A descent is never to a height at which the transition would not be clear, so nothing depends on when the autopilot
 begins it. A climb has to be steep enough for what lies under the transition.
+
+Source: docs/how-to/hills.md.
 """
 
 from __future__ import annotations

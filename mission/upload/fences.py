@@ -1,4 +1,4 @@
-"""Where the aircraft may fly: keep-in and keep-out polygons in the plane, a floor and a ceiling."""
+"""Keep-in and keep-out polygons in the plane, a floor and a ceiling. Source: docs/explanation/safety.md."""
 
 from __future__ import annotations
 

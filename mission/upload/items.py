@@ -6,6 +6,8 @@
 
 Setting the first of them current at the departure flies the transition; the circle at its end never completes, so it
 needs no one again, and an upload behind it moves nothing.
+
+Source: NAV_LOITER_UNLIM and NAV_WAYPOINT, <https://mavlink.io/en/messages/common.html#MAV_CMD_NAV_LOITER_UNLIM>.
 """
 
 from __future__ import annotations

@@ -12,6 +12,9 @@ the aircraft steers for the first waypoint itself until it is that near to it.
 
 A line has no curvature to feed forward, so a string of waypoints round a curve is flown outside of it, by
 l asin(1 / (g R)) in a steady turn: 25 m at R = 65 m, 15 m/s with ArduPlane's defaults.
+
+Source: Park, Deyst, How, "A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900, with the gains of
+ArduPilot's libraries/AP_L1_Control/AP_L1_Control.cpp.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Mission items as MISSION_ITEM_INT carries them, and whether two are the same."""
+"""Mission items and their comparison. Source: <https://mavlink.io/en/messages/common.html#MISSION_ITEM_INT>."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""QGroundControl's .plan files: a mission with its fences, to look at, or to fly without us."""
+"""QGroundControl's .plan files: a mission with its fences, to look at, or to fly without us.
+
+Source: <https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html>.
+"""
 
 from __future__ import annotations
 

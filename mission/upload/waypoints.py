@@ -6,6 +6,9 @@ A vehicle that tracks straight lines flies outside of a curve, so the waypoints 
            .'  o------o  '.      curvature follows from its law. The line of these offsets is simplified as far as
           /   /        \   \     it goes; then the waypoints are shifted square to the line until the model's flight
              o waypoints o       of them keeps the tolerance, or the next finer line is tried.
+
+Source: docs/explanation/exchange.md; Douglas and Peucker, "Algorithms for the reduction of the number of points
+required to represent a digitized line or its caricature", Cartographica 10(2), 1973.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 A slowing estimate turns about at random before its speed falls below the threshold, so the course that counts is
 the one of some seconds earlier.
+
+Source: docs/explanation/planners.md#watch-course.
 """
 
 from __future__ import annotations

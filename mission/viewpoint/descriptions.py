@@ -1,4 +1,4 @@
-"""Directions and places in plain words, for the reasons that go with decisions."""
+"""Directions and places in plain words. Source: docs/how-to/read-the-terminal.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From where the target is to be watched: a side of its motion, the nearer side, or a sector of the compass."""
+"""The side of the target, or the sector, to watch from. Source: docs/explanation/planners.md#watch-course."""
 
 from __future__ import annotations
 
