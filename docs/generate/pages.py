@@ -67,6 +67,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     return _LINK.sub(moved, markdown)
 
 
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Link the documents that docstrings name as their source."""
+    if not page.file.src_uri.startswith("reference/api/"):
+        return html
+    return re.sub(r"\bdocs/([\w/-]+)\.md(#[\w-]+)?", r'<a href="../../\1.html\2">\g<0></a>', html)
+
+
 def _glossary() -> str:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     table = text.split("## One word for one thing\n")[1].split("\n## ")[0]
