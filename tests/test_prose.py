@@ -6,6 +6,7 @@ A failure prints where the words and sentences are. ``python -m tests.test_prose
 from __future__ import annotations
 
 import ast
+import importlib.util
 import io
 import re
 import subprocess
@@ -40,6 +41,49 @@ def test_documents_have_short_sentences():
 
 def test_docstrings_have_short_sentences():
     _assert_short([sentence for path in files() if path.suffix == ".py" for sentence in docstring_sentences(path)])
+
+
+def test_public_functions_name_the_source_of_their_method():
+    without = [
+        f"{module}:{place}"
+        for module in documented_modules()
+        for place in functions_without_source(ast.parse((ROOT / module).read_text(encoding="utf-8")))
+    ]
+    assert not without, "\n".join(without)
+
+
+def test_documents_named_as_sources_exist():
+    missing = []
+    for module in documented_modules():
+        source = (ROOT / module).read_text(encoding="utf-8")
+        for name, anchor in re.findall(r"\b(docs/[\w/-]+\.md)#?([\w-]*)", source):
+            headings = re.findall(r"^#+ (.*)", (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE)
+            if anchor and anchor not in {re.sub(r"[^\w-]", "", one.lower().replace(" ", "-")) for one in headings}:
+                missing.append(f"{module}: {name}#{anchor}")
+    assert not missing, "\n".join(missing)
+
+
+def documented_modules() -> list[str]:
+    """Return the files of the Python API, as the site renders it."""
+    spec = importlib.util.spec_from_file_location("api", ROOT / "docs/generate/api.py")
+    assert spec is not None and spec.loader is not None
+    api = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(api)
+    names = re.findall(r"^::: sidelong\.(\S+)", "\n".join(api.pages(ROOT).values()), re.MULTILINE)
+    assert len(names) > 100
+    return [f"{name.replace('.', '/')}.py" for name in names]
+
+
+def functions_without_source(node: ast.Module | ast.ClassDef | ast.FunctionDef) -> Iterator[str]:
+    """Yield the public functions with no ``Source:`` in their own, their class's or their module's docstring."""
+    if re.search(r"\bSource: \S", ast.get_docstring(node) or ""):
+        return
+    if isinstance(node, ast.FunctionDef):
+        yield f"{node.lineno}: {node.name}"
+        return
+    for one in node.body:
+        if isinstance(one, ast.ClassDef | ast.FunctionDef) and not one.name.startswith("_"):
+            yield from functions_without_source(one)
 
 
 def files() -> list[Path]:
