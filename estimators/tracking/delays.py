@@ -28,7 +28,7 @@ _SAMPLE_EVERY_S = 0.19  # five of each reading in a second are enough
 _READINGS_MIN, _SPAN_MIN_S = 60, 40.0
 _GAP_MAX_S = 3.0  # of positions and attitudes
 _EVERY_S, _EVERY_KNOWN_S, _KNOWN_S = 20.0, 60.0, 0.05
-_SIGMAS = 2.0
+_SIGMAS = 4.0  # a target's own motion is not quite the noise that the fit takes it for
 _RANGE_BIAS_SIGMA_M = 3.0  # holds the error of the target's height, too
 _STARTS_S = (
     (0.0, 0.0),
@@ -161,7 +161,6 @@ class DelayFit:
         self._shared, self._scale_m, self._fits = best.shared, scale_m, self._fits + 1
         gimbal_s, range_s = (best.shared[:2] + self._latency_s).tolist()
         yaw_rad = float(best.shared[2])
-        # The target's own motion is not quite the noise that the fit takes it for.
         gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, _ = (_SIGMAS * best.sigmas).tolist()
         return Delays(gimbal_s, range_s, gimbal_sigma_s, range_sigma_s, yaw_rad, yaw_sigma_rad)
 

@@ -43,7 +43,7 @@ _YAW_SIGMA_MIN_RAD = math.radians(0.1)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Delays are corrected
 # once they are sure, or where they are evidently wrong.
-_SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 4.0, 0.015
+_SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 3.0, 0.015
 
 
 class Tracker:
