@@ -97,6 +97,7 @@ _WIND_MAX_SHARE = 0.9
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
+_JUMPED = "the target's position has jumped"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: it is no mere gap of the laser
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 _FLYING = (Phase.WATCHING, Phase.HOLDING)
@@ -288,7 +289,8 @@ class StandoffController:
         unseen_s = math.inf if self.estimate is None else self.time_s - self.estimate.last_sighting_s
         limit_s = _UNSEEN_S if self.health.is_usable(Input.GIMBAL) else _GIMBAL_SILENT_S
         unseen = f"the target has not been seen for {unseen_s:.0f} s" if limit_s < unseen_s < math.inf else ""
-        return self.health.unknown or self.door.doubt or unseen
+        jumped = _JUMPED if self.health.payload.is_suspect(self.time_s) else ""
+        return self.health.unknown or self.door.doubt or jumped or unseen
 
     def _sense(self, reading: Reading) -> None:
         """Take a reading in unless the payload check finds it unfit."""
@@ -383,7 +385,7 @@ class StandoffController:
     ) -> tuple[StepOutput, ...]:
         """Ask the planner, unless the payload is suspect."""
         if self.health.payload.is_suspect(self.time_s):
-            self.decision = Decision(self.time_s, None, "holding the circle: the target's position has jumped")
+            self.decision = Decision(self.time_s, None, f"holding the circle: {_JUMPED}")
             return ()
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         news = self.planning.route_news()
