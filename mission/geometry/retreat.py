@@ -16,8 +16,8 @@ LEAVE_S = 10.0
 """The aircraft needs this time to leave a circle."""
 HOLD_S = 40.0
 """A new circle has to stay clear for this time, so that the aircraft does not move all the time."""
-_BEARINGS = 24
-_RINGS = (1.0, 0.75, 0.5)  # a fence may leave room for a nearer circle only
+_BEARINGS = 16
+_RINGS = (1.0, 0.85, 0.7, 0.6, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +68,8 @@ class Reach:
 def retreats(start: AircraftState, reach: Reach, clockwise: bool, airframe: Aircraft, keep_m: float) -> list[Plan]:
     """Return plans to circles away from the disk, the best first.
 
-    The best is the shortest that keeps ``keep_m`` from the disk, on the way and for some time on the circle. Where
-    none does, the best keeps most.
+    The best is the nearest circle that keeps ``keep_m`` from the disk, on the way and for some time on the circle:
+    the laser does not reach far. Where none does, the best keeps most.
 
     Args:
         start: The aircraft at the departure.
@@ -93,8 +93,10 @@ def retreats(start: AircraftState, reach: Reach, clockwise: bool, airframe: Airc
                 if path is not None:
                     plans.append(Plan(circle, path, start.time_s))
 
-    def rank(plan: Plan) -> tuple[float, float]:
+    def rank(plan: Plan) -> tuple[float, float, float]:
         lacks_m = max(keep_m - reach.clearance_m(plan, airspeed_m_s), 0.0)
-        return lacks_m, plan.transition_m
+        circle = plan.circle
+        away_m = math.hypot(circle.east_m - reach.east_m, circle.north_m - reach.north_m)
+        return lacks_m, round(away_m), plan.transition_m
 
     return sorted(plans, key=rank)
