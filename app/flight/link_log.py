@@ -11,7 +11,6 @@ import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
-from sidelong.app.flight.recording import beginning
 from sidelong.app.link.link import Link
 from sidelong.app.records.appender import Appender
 
@@ -50,9 +49,16 @@ class ClockRate:
 async def link_log(
     link: Link, path: Path, clock_rate: ClockRate, on_trouble: Callable[[str], None]
 ) -> AsyncIterator[None]:
-    """Log link statistics to ``path`` inside the context; update clock_rate: rates refer to the vehicle's clock."""
-    with beginning(path.parent):
+    """Log link statistics to ``path`` inside the context; update clock_rate: rates refer to the vehicle's clock.
+
+    A file that cannot be begun is reported, and the flight goes on without it.
+    """
+    try:
         file = Appender(path, on_trouble, _line(COLUMNS))
+    except OSError as error:
+        on_trouble(f"{path} cannot be written ({error.strerror}). The flight goes on without this record.")
+        yield
+        return
     with file:
 
         async def write() -> None:

@@ -120,12 +120,8 @@ def payload_lost(day):
     """Switch laser and gimbal off, and on again."""
     state = day.service.status["state"]
     day.vehicle.do(day.vehicle.simulation.mute_payload)
-    off_s = day.rng.uniform(0.5, 12.0)
-    day.vehicle.wait(off_s * SPEED)
-    if state == "ready" and off_s > 8.0:
-        assert "laser" in day.service.until("waiting", None)["reason"]
-    elif state != "ready":
-        assert day.service.status["state"] == state
+    day.vehicle.wait(day.rng.uniform(0.5, 12.0) * SPEED)
+    assert day.service.status["state"] == state  # an aircraft in flight is taken over without its payload, too
     day.vehicle.do(day.vehicle.simulation.unmute_payload)
     day.settle(state)
 
