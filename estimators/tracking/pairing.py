@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
-from sidelong.estimators.sensing.line_of_sight import LineOfSight, lever_arm_plane_m, line_of_sight
+from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.pose import History, PoseHistory
 from sidelong.estimators.sensing.readings import GimbalReading, RangeReading
 from sidelong.estimators.sensing.sighting import Sighting
@@ -100,14 +100,15 @@ class Pairing:
         known_s += self.range_delay_s
         wait_s = _WAIT_S + max(0.0, self.gimbal_delay_s - self.range_delay_s)
         while self.waiting and (known_s >= self.waiting[0].time_s or newest_s - self.waiting[0].time_s > wait_s):
-            sighting = self._sighting(self.waiting.pop(0))
+            reading = self.waiting.pop(0)
+            sighting = self._sighting(reading.time_s - self.range_delay_s, reading)
             if sighting is None:
                 self.unpaired += 1
             else:
                 made.append(sighting)
         known_s += self.gimbal_delay_s - self.range_delay_s
         while self._alone and known_s >= self._alone[0]:
-            sighting = self._seen(self._alone.pop(0) - self.gimbal_delay_s, None)
+            sighting = self._sighting(self._alone.pop(0) - self.gimbal_delay_s)
             if sighting is not None:
                 made.append(sighting)
         return made
@@ -131,7 +132,8 @@ class Pairing:
         self._paired_s = -math.inf
         waiting = {reading.time_s for reading in self.waiting}
         readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]
-        return [sighting for reading in readings if (sighting := self._sighting(reading)) is not None]
+        made = (self._sighting(reading.time_s - self.range_delay_s, reading) for reading in readings)
+        return [sighting for sighting in made if sighting is not None]
 
     @property
     def due(self) -> bool:
@@ -143,15 +145,8 @@ class Pairing:
         newest = self._gimbals.newest()
         return self._has_arm or (newest is not None and newest.frame != "earth")
 
-    def _sighting(self, reading: RangeReading) -> Sighting | None:
-        sigma_m = reading.sigma_m or self._settings.range_sigma_m
-        time_s = reading.time_s - self.range_delay_s
-        return self._seen(time_s, (reading.slant_range_m, sigma_m), reading.quality)
-
-    def _seen(
-        self, time_s: float, reported_m: tuple[float, float] | None, quality: float | None = None
-    ) -> Sighting | None:
-        """Return the sighting at a time, with a range and its sigma, or where the line of sight meets the ground."""
+    def _sighting(self, time_s: float, reading: RangeReading | None = None) -> Sighting | None:
+        """Return the sighting at a time, with a range or where the line of sight meets the ground."""
         settings = self._settings
         position = self._poses.position_at(time_s)
         found = self._gimbal_at(time_s)
@@ -165,11 +160,17 @@ class Pairing:
         sight = line_of_sight(gimbal, attitude, self.parent_from_mount)
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
-        range_m, range_sigma_m = reported_m or (self._to_ground_m(aircraft_m, sight), _UNKNOWN_M)
-        if range_m is None:
+        if reading is not None:
+            range_m, range_sigma_m = reading.slant_range_m, reading.sigma_m or settings.range_sigma_m
+            uneven_m = 0.0
+        elif self.ground is not None:
+            level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
+            if level_m is None:
+                return None
+            range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), _UNKNOWN_M
+            uneven_m = self.ground.sigma_m  # errors of the elevation data act like an error of the line of sight
+        else:
             return None
-        # Without a range, what the ground is off its data is as good as an error of the sight.
-        uneven_m = self.ground.sigma_m if reported_m is None and self.ground is not None else 0.0
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
         # Several ranges between two lines of sight share the noise of these: none may count it as its own.
         shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))
@@ -194,15 +195,8 @@ class Pairing:
             aircraft_east_m=aircraft_m[0],
             aircraft_north_m=aircraft_m[1],
             aircraft_height_m=aircraft_m[2],
-            quality=quality,
+            quality=None if reading is None else reading.quality,
         )
-
-    def _to_ground_m(self, aircraft_m: tuple[float, float, float], sight: LineOfSight) -> float | None:
-        """Return the slant range at which a line of sight meets the ground."""
-        if self.ground is None:
-            return None
-        level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
-        return None if level_m is None else level_m / math.cos(sight.depression_rad)
 
     def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:
         """Return the gimbal's direction, and the gap between the readings that it is interpolated from."""

@@ -82,6 +82,7 @@ class Tracker:
         Returns:
             The outcome of each sighting that the reading completed.
         """
+        made: list[AnySighting] = []
         match reading:
             case PositionReading():
                 self._poses.add(reading)
@@ -96,10 +97,15 @@ class Tracker:
             case RangeReading():
                 self._add_range(reading)
             case TargetFixReading():
-                return self._add_fix(reading)
-        if not self._pairing.due:
+                made += self._usable_fix(reading)
+        if self._pairing.due:
+            made += self._pairing.completed()
+        if not made:
             return ()
-        return tuple(map(self._take, self._pairing.completed()))
+        outcomes = tuple(map(self._track.add, made))
+        self.sightings += len(outcomes)
+        self.rejected += sum(not one.accepted for one in outcomes)
+        return outcomes
 
     def _estimate_delays(self, fit: DelayFit, reading: PositionReading) -> None:
         """Let the fit of the delays go on; take over what it finds once that is credible."""
@@ -210,24 +216,18 @@ class Tracker:
         if self._delay_fit is not None:
             self._delay_fit.range(reading.time_s, reading.slant_range_m)
 
-    def _add_fix(self, reading: TargetFixReading) -> tuple[SightingOutcome, ...]:
-        """Use a beacon's fix; a camera's where asked for, or while there is no laser that it may be made from."""
+    def _usable_fix(self, reading: TargetFixReading) -> tuple[Fix, ...]:
+        """Return a beacon's fix; a camera's where asked for, or while there is no laser that it may be made from."""
         if reading.source.message in BEACON_MESSAGES:
             sigma_m = self._beacon.sigma_m(reading.time_s, reading.sigma_m)
-            return (self._take(Fix(reading.time_s, reading.east_m, reading.north_m, sigma_m)),)
+            return (Fix(reading.time_s, reading.east_m, reading.north_m, sigma_m),)
         laser_speaks = reading.time_s - self._ranges.received_s < self._ranges.silent_after_s
         if laser_speaks and self._settings.fix_source is None:
             return ()
         if not self._fixes.accepts(reading.source, reading.time_s):
             return ()
         time_s = reading.time_s - self._settings.latency_s
-        return (self._take(Fix(time_s, reading.east_m, reading.north_m, reading.sigma_m)),)
-
-    def _take(self, sighting: AnySighting) -> SightingOutcome:
-        outcome = self._track.add(sighting)
-        self.sightings += 1
-        self.rejected += not outcome.accepted
-        return outcome
+        return (Fix(time_s, reading.east_m, reading.north_m, reading.sigma_m),)
 
     def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:
         """Assume that the target stands on a ground. Call it before the first sighting.

@@ -204,7 +204,7 @@ class StandoffController:
 
     def _admitted(self, event: Event) -> tuple[StepOutput, ...]:
         if isinstance(event, _SENSED):  # most of all events
-            self._sense(event)
+            self._read(event)
             return ()
         match event:
             case PositionReading():
@@ -292,12 +292,8 @@ class StandoffController:
         jumped = _JUMPED if self.health.payload.is_suspect(self.time_s) else ""
         return self.health.unknown or self.door.doubt or jumped or unseen
 
-    def _sense(self, reading: Reading) -> None:
-        """Take a reading in unless the payload check finds it unfit."""
-        if self._is_sound(reading):
-            self._read(reading)
-
     def _is_sound(self, reading: Reading) -> bool:
+        """Return whether the payload check finds a reading fit to be used."""
         payload = self.health.payload
         match reading:
             case AttitudeReading():
@@ -313,6 +309,8 @@ class StandoffController:
         return True
 
     def _read(self, reading: Reading) -> None:
+        if not self._is_sound(reading):
+            return
         self.sighted = self.tracker.add(reading)
         if self.sighted:
             self.health.payload.sightings(reading.time_s, self.sighted)
@@ -406,7 +404,12 @@ class StandoffController:
         if plan is not None:
             arrival_s = plan.departure_s + plan.transition_m / self.settings.aircraft.airspeed_m_s
             text = f"{decision.reason}; there in {arrival_s - self.time_s:.0f} s"
-            return (decided, *announced, Announce(self.time_s, "decision", text), self._upload(plan, decision.reason))
+            return (
+                decided,
+                *announced,
+                Announce(self.time_s, "decision", text),
+                self.changes.upload(self.time_s, plan, self._wind, decision.reason),
+            )
         changed = self._circle_as_changed(aircraft, present)
         return (decided, *announced, *(changed if changed or announced else self._corrected_radius(present)))
 
@@ -425,7 +428,7 @@ class StandoffController:
             text = f"no separated circle is free: {crossed}"
             return (Announce(self.time_s, "decision", text),) if self._crossed == _CROSSED_COUNT else ()
         reason = f"leaving the circle: {crossed}"
-        return (Announce(self.time_s, "decision", reason), self._upload(plan, reason))
+        return (Announce(self.time_s, "decision", reason), self.changes.upload(self.time_s, plan, self._wind, reason))
 
     def _keeps_away(self, plan: Plan, reach: Reach) -> bool:
         clear_m = reach.after(self.latency.expected_s).clearance_m(plan, self.settings.aircraft.airspeed_m_s)
@@ -448,17 +451,14 @@ class StandoffController:
             self.decision = Decision(self.time_s, None, "holding the circle: the target is not seen")
             return ()
         reason = f"moving away: the target is not seen and may be within {keep_m:.0f} m"
-        return (Announce(self.time_s, "decision", reason), self._upload(plan, reason))
-
-    def _upload(self, plan: Plan, reason: str) -> UploadPlan:
-        return self.changes.upload(self.time_s, plan, self._wind, reason)
+        return (Announce(self.time_s, "decision", reason), self.changes.upload(self.time_s, plan, self._wind, reason))
 
     def _upload_circle(
         self, kind: Literal["plan", "decision"], present: Plan, reason: str
     ) -> tuple[Announce, UploadPlan]:
         """Send the present circle again, without a transition."""
         plan = replace(present, transition=None, departure_s=self.time_s + self.latency.expected_s)
-        return Announce(self.time_s, kind, reason), self._upload(plan, reason)
+        return Announce(self.time_s, kind, reason), self.changes.upload(self.time_s, plan, self._wind, reason)
 
     def _corrected_radius(self, present: Plan) -> tuple[StepOutput, ...]:
         wanted_m = self.changes.wanted_radius_m()
@@ -674,7 +674,10 @@ class StandoffController:
         reason = f"the same circle as changed: radius {radius_m:.0f} m"
         if cleared.heights is not None:
             reason += f", {cleared.heights.to_m:.0f} m above home"
-        return (Announce(self.time_s, "decision", reason), self._upload(cleared, reason))
+        return (
+            Announce(self.time_s, "decision", reason),
+            self.changes.upload(self.time_s, cleared, self._wind, reason),
+        )
 
 
 def _announced(event: AlarmReported) -> tuple[Announce]:

@@ -28,8 +28,9 @@ from sidelong.mission.exchange.reports import (
     VehicleReport,
 )
 from sidelong.mission.geometry.wind import STILL_AIR
-from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
+from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, plan_items
 from sidelong.mission.upload.mission_item import MissionItem
+from sidelong.mission.upload.waypoints import UnflyableError
 
 _LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0

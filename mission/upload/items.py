@@ -27,10 +27,6 @@ NAV_WAYPOINT, NAV_LOITER_UNLIM = 16, 17
 FRAME_GLOBAL, FRAME_GLOBAL_RELATIVE_ALT = 0, 3
 
 
-class UnflyableError(ValueError):
-    """No few waypoints make the autopilot fly the transition closely enough."""
-
-
 def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> MissionItem:
     """Return an unlimited loiter; param3 is the radius, negative counter-clockwise.
 
@@ -65,11 +61,6 @@ def plan_items(
     if plan.transition is None:
         return (circle,)
     tracking = tracking or LineTracking()
-    layout = lay_out(plan.transition, plan.circle, tracking, tolerance_m)
-    if layout.deviation_m > tolerance_m:
-        raise UnflyableError(
-            f"the autopilot would fly {layout.deviation_m:.0f} m off the transition; tolerance_m is {tolerance_m:.0f}"
-        )
     waypoints = (
         MissionItem(
             NAV_WAYPOINT,
@@ -81,7 +72,7 @@ def plan_items(
             *e7(plane.latitude_longitude_deg(east_m, north_m)),
             _height_nearby_m(plan.transition, plan.heights, east_m, north_m, height_m),
         )
-        for east_m, north_m in layout.waypoints
+        for east_m, north_m in lay_out(plan.transition, plan.circle, tracking, tolerance_m)
     )
     return (*waypoints, circle)
 

@@ -14,7 +14,6 @@ required to represent a digitized line or its caricature", Cartographica 10(2), 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from shapely import LineString
@@ -35,16 +34,12 @@ _WINDOW_M = 80.0  # the nearest point of the plan is looked for so far before an
 _SETTLING_M = 100.0  # of the new circle: the deviation counts there too
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Waypoints (east, north), and how far the model flies from the planned line at most."""
-
-    waypoints: tuple[Point, ...]
-    deviation_m: float
+class UnflyableError(ValueError):
+    """No few waypoints make the autopilot fly the transition closely enough."""
 
 
-def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_m: float) -> Layout:
-    """Return the fewest waypoints found that lead along a transition to a circle within a tolerance.
+def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_m: float) -> tuple[Point, ...]:
+    """Return the fewest waypoints (east, north) found that lead along a transition to a circle within a tolerance.
 
     Args:
         transition: The transition.
@@ -52,25 +47,25 @@ def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_
         tracking: How the autopilot flies along waypoints.
         tolerance_m: Greatest deviation from the transition, m.
 
-    Returns:
-        The layout; if none keeps the tolerance, the one with the least deviation.
+    Raises:
+        UnflyableError: The flown path would leave the transition by more than ``tolerance_m``.
     """
     problem = _Problem(transition, circle, tracking)
-    best = Layout((), problem.deviations_m(np.empty((0, 2)))[1])  # straight to the circle
-    count = 0
-    if best.deviation_m <= tolerance_m:
-        return best
+    least_m, count = problem.deviations_m(np.empty((0, 2)))[1], 0  # straight to the circle
+    if least_m <= tolerance_m:
+        return ()
     for simplification_m in _SIMPLIFICATIONS_M:
         waypoints = np.array(problem.reference.simplify(simplification_m, preserve_topology=False).coords)
         if len(waypoints) == count:
             continue
         count = len(waypoints)
-        layout = _shifted(problem, waypoints, tolerance_m)
-        if layout.deviation_m <= tolerance_m:
-            return layout
-        if layout.deviation_m < best.deviation_m:
-            best = layout
-    return best
+        waypoints, deviation_m = _shifted(problem, waypoints, tolerance_m)
+        if deviation_m <= tolerance_m:
+            return tuple((float(east_m), float(north_m)) for east_m, north_m in waypoints)
+        least_m = min(least_m, deviation_m)
+    raise UnflyableError(
+        f"the autopilot would fly {least_m:.0f} m off the transition; tolerance_m is {tolerance_m:.0f}"
+    )
 
 
 class _Problem:
@@ -126,8 +121,12 @@ class _Problem:
         return np.column_stack((np.cos(course_rad), -np.sin(course_rad)))
 
 
-def _shifted(problem: _Problem, waypoints: FloatArray, tolerance_m: float) -> Layout:
-    """Shift the waypoints square to the line by Gauss-Newton steps, weighted to where the deviation is greatest."""
+def _shifted(problem: _Problem, waypoints: FloatArray, tolerance_m: float) -> tuple[FloatArray, float]:
+    """Shift the waypoints square to the line by Gauss-Newton steps, weighted to where the deviation is greatest.
+
+    Returns:
+        The waypoints, and how far the model flies from the planned line at most, m.
+    """
     right_m, worst_m = problem.deviations_m(waypoints)
     normals = problem.normals(waypoints)
     for _ in range(_SHIFTS):
@@ -151,7 +150,7 @@ def _shifted(problem: _Problem, waypoints: FloatArray, tolerance_m: float) -> La
         else:
             break
         waypoints, right_m, worst_m = tried, tried_right_m, tried_worst_m
-    return Layout(tuple((float(east_m), float(north_m)) for east_m, north_m in waypoints), worst_m)
+    return waypoints, worst_m
 
 
 def _offsets_m(line: Path, tracking: LineTracking) -> FloatArray:

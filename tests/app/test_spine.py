@@ -50,14 +50,13 @@ FORMS = (
     "UploadPlan",
     "_Change",
     "Path",
-    "Layout",
     "MissionItem",
     "MissionLayout",
     "SendMessage",
 )
-"""In the order of the path. With the frame at both of its ends they are 16."""
+"""In the order of the path. With the frame at both of its ends they are 15."""
 
-MOST = {Flavour.ARDUPLANE: (25, 65), Flavour.PX4: (25, 65)}
+MOST = {Flavour.ARDUPLANE: (25, 60), Flavour.PX4: (25, 60)}
 """Files and functions."""
 
 Function = tuple[str, str]

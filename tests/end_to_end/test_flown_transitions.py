@@ -100,8 +100,8 @@ def test_the_flown_line_keeps_the_tolerance(
         (Circle(-140.0, 60.0, 70.0, clockwise), stretched_lap),
     ):
         path = shape(present, new)
-        layout = lay_out(path, new, tracking, 8.0)
+        waypoints = lay_out(path, new, tracking, 8.0)
         duration_s = 1.2 * path.length_m / 15.0
         craft = airframe_at_start(path, tracking)
-        places = fly(craft, autopilot, present, layout.waypoints, new, round(tracking.switch_m), duration_s)
+        places = fly(craft, autopilot, present, waypoints, new, round(tracking.switch_m), duration_s)
         assert max_distance_m(places, path, new) <= 10.0

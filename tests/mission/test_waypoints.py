@@ -13,7 +13,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.upload.waypoints import lay_out
+from sidelong.mission.upload.waypoints import UnflyableError, lay_out
 
 arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
@@ -111,16 +111,13 @@ def test_the_flown_line_keeps_the_tolerance_with_few_waypoints(shape: str, name:
         "stretched": (stretched_lap(CIRCLE, Circle(150.0, 80.0, 65.0, True)), Circle(150.0, 80.0, 65.0, True)),
         "s": s_shape(65.0),
     }[shape]
-    layout = lay_out(path, circle, tracking, tolerance_m)
-    assert layout.deviation_m <= tolerance_m
-    assert max_distance_m(fly(tracking, path, layout.waypoints, circle), path, circle) <= tolerance_m + 0.1
-    assert len(layout.waypoints) <= {15.0: 7, 8.0: 9, 4.0: 11}[tolerance_m]
+    waypoints = lay_out(path, circle, tracking, tolerance_m)
+    assert max_distance_m(fly(tracking, path, waypoints, circle), path, circle) <= tolerance_m + 0.1
+    assert len(waypoints) <= {15.0: 7, 8.0: 9, 4.0: 11}[tolerance_m]
 
 
 def test_a_looser_tolerance_never_takes_more_waypoints() -> None:
-    counts = [
-        len(lay_out(abcd(CIRCLE, FAR), FAR, arduplane(15.0), tolerance_m).waypoints) for tolerance_m in (3, 10, 30)
-    ]
+    counts = [len(lay_out(abcd(CIRCLE, FAR), FAR, arduplane(15.0), tolerance_m)) for tolerance_m in (3, 10, 30)]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[-1]
 
@@ -141,13 +138,15 @@ def test_transitions_in_wind_keep_the_tolerance(
     tracking = TRACKINGS[name](15.0, wind)
     present = Circle(0.0, 0.0, 65.0, clockwise)
     new = Circle(move_m * math.sin(bearing_rad), move_m * math.cos(bearing_rad), 65.0, clockwise)
-    assert lay_out(abcd(present, new), new, tracking, 15.0).deviation_m <= 15.0
+    path = abcd(present, new)
+    waypoints = lay_out(path, new, tracking, 15.0)
+    assert max_distance_m(fly(tracking, path, waypoints, new), path, new) <= 15.1
 
 
 def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() -> None:
     """15 m early or late, a period off by 15 %, 2 m/s of unknown wind: within twice the tolerance."""
     path = abcd(CIRCLE, FAR)
-    layout = lay_out(path, FAR, arduplane(15.0), 10.0)
+    waypoints = lay_out(path, FAR, arduplane(15.0), 10.0)
     for tracking in (
         LineTracking(15.0, period_s=14.5),
         LineTracking(15.0, period_s=19.5),
@@ -155,13 +154,13 @@ def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() 
         LineTracking(15.0, wind=Wind(0.0, -2.0)),
         LineTracking(15.0, roll_lag_s=0.8),
     ):
-        assert max_distance_m(fly(tracking, path, layout.waypoints, FAR), path, FAR) <= 20.0
+        assert max_distance_m(fly(tracking, path, waypoints, FAR), path, FAR) <= 20.0
     for beyond_rad in (-15.0 / 65.0, 15.0 / 65.0):
         course_rad = float(path.course_rad[0]) + beyond_rad
         flown = (
             ArduPlane()
             .tracking(15.0)
-            .fly(CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0, layout.waypoints, FAR, 55.0)
+            .fly(CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0, waypoints, FAR, 55.0)
         )
         after_s = flown[:, 0] > 4.0
         assert max_distance_m(flown[after_s], path, FAR) <= 20.0
@@ -170,10 +169,11 @@ def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() 
 def test_going_straight_to_the_circle_needs_no_waypoint() -> None:
     circle = Circle(4.0, 0.0, 65.0, True)
     path = stretched_lap(CIRCLE, circle)
-    assert lay_out(path, circle, px4(15.0), 15.0).waypoints == ()
+    assert lay_out(path, circle, px4(15.0), 15.0) == ()
 
 
-def test_what_cannot_be_tracked_comes_back_with_its_deviation() -> None:
+def test_what_cannot_be_tracked_is_refused_with_its_deviation() -> None:
     """An S at R = 20 m and 15 m/s needs a bank of 49 degrees; the aircraft stops at 45."""
     path, circle = s_shape(20.0)
-    assert lay_out(path, circle, arduplane(15.0), 1.0).deviation_m > 1.0
+    with pytest.raises(UnflyableError, match="m off the transition; tolerance_m is 1"):
+        lay_out(path, circle, arduplane(15.0), 1.0)
