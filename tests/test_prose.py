@@ -123,12 +123,14 @@ def document_sentences(path: Path) -> Iterator[tuple[str, str]]:
 
 def docstring_sentences(path: Path) -> Iterator[tuple[str, str]]:
     """Yield the sentences of a module's docstrings, each argument's on their own, with file and line."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
+    waiting: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             text = ast.get_docstring(node)
             place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}"
             yield from ((place, sentence) for sentence in _sentences(text or ""))
+        waiting += (child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt | ast.ExceptHandler))
 
 
 def _sentences(text: str) -> Iterator[str]:

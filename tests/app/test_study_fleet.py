@@ -42,7 +42,8 @@ def test_together_they_see_the_side_almost_always(fleets):
     assert min(run_fleet(usual, number, table).time_on_side_any for number in usual.numbers) > 0.98
     # A target that turns every 30 to 60 s is no one's to keep: changes have their price. One run of 60 has 0.9.
     restless = replace(SETTINGS, runs=6)
-    assert np.mean([run_fleet(restless, number, table).time_on_side_any for number in restless.numbers]) > 0.97
+    more = [run_fleet(restless, number, table) for number in restless.numbers[SETTINGS.runs :]]
+    assert np.mean([run.time_on_side_any for run in (*fleets[FleetPlannerName.JOINT], *more)]) > 0.97
 
 
 def test_they_keep_apart_by_their_heights_at_least(fleets):
