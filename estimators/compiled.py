@@ -17,8 +17,9 @@ import hashlib
 import os
 import re
 import shutil
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -95,9 +96,29 @@ def _remove_unused(base: Path, before_s: float) -> None:
 FOLDER = _chosen_folder()
 """Where this version's machine code is cached."""
 
-import numba  # noqa: E402  # its configuration is the line below
-from numba.core.caching import FunctionCache  # noqa: E402
-from numba.core.runtime.nrt import rtsys  # noqa: E402
+
+@contextlib.contextmanager
+def _hidden(package: str) -> Iterator[None]:
+    """Let imports of a package fail, unless it is loaded already.
+
+    Args:
+        package: Name of the package.
+    """
+    if package in sys.modules:
+        yield
+        return
+    sys.modules[package] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[package]
+
+
+with _hidden("scipy"):  # numba loads its linear algebra where it is installed (15 MB), and no kernel uses it
+    import numba
+    from llvmlite.binding import parse_bitcode
+    from numba.core.caching import FunctionCache
+    from numba.core.runtime.nrt import rtsys
 
 numba.config.CACHE_DIR = str(FOLDER)  # type: ignore[attr-defined]
 
@@ -111,8 +132,19 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        with _hidden("scipy"), self._guard_against_spurious_io_errors():
+            overload: Any = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if overload is not None:
+                _pack(overload.library)
+            return overload
+
+
+def _pack(library: Any) -> None:
+    """Keep the intermediate code of a loaded function, which only a compilation needs, as bytes (a tenth)."""
+    bitcode = library._shared_module.as_bitcode()
+    library._shared_module.close()
+    library._shared_module = None
+    library._get_module_for_linking = lambda: parse_bitcode(bitcode)
 
 
 def _dispatcher(function: Any, **options: Any) -> Any:

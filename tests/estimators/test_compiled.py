@@ -63,6 +63,16 @@ def test_second_start_loads_the_cached_code(tmp_path):
     assert outer(tmp_path) == ["3.0", "1"]
 
 
+def test_function_is_compiled_into_another_from_the_cache(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "callee.py").write_text(CALLEE)
+    outer(tmp_path)
+    (tmp_path / "caller.py").write_text(
+        CALLER.replace("1.0\n", "5.0\n") + "print(sum(inner.stats.cache_hits.values()))"
+    )
+    assert outer(tmp_path) == ["7.0", "0", "1"]
+
+
 def test_cache_falls_back_to_the_temporary_folder_without_a_writable_home(tmp_path):
     (tmp_path / "caller.py").write_text(CALLER + "from sidelong.estimators.compiled import FOLDER\nprint(FOLDER)")
     (tmp_path / "callee.py").write_text(CALLEE)
