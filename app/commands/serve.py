@@ -56,7 +56,10 @@ def serve(
     from sidelong.app.flight.display import FlightDisplay  # noqa: PLC0415
     from sidelong.app.flight.flight import Sharing  # noqa: PLC0415
     from sidelong.app.serve.display import ServiceDisplay  # noqa: PLC0415
+    from sidelong.app.serve.memory import share_one_heap  # noqa: PLC0415
     from sidelong.app.serve.resident import Resident  # noqa: PLC0415
+
+    share_one_heap()
 
     def log(text: str) -> None:
         console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
