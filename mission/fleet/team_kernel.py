@@ -302,7 +302,7 @@ def team_decide(
 
     others, first_s: see :func:`cover_of`.
     """
-    sure, foreseen, judged_by = foresee(scene, now, looker)
+    foreseen, judged_by = foresee(scene, now, looker)
     every = foreseen
     if len(looker.foresight.way.points) > 0:  # without the layers of time
         every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
@@ -312,7 +312,7 @@ def team_decide(
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)
-        alone_stay = look_deeper(sure, now, foreseen, judged_by, sight, 0.0, alone)
+        alone_stay = look_deeper(scene, now, foreseen, judged_by, sight, 0.0, alone)
         for i in range(MOVES):
             costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
     return stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)

@@ -31,8 +31,8 @@ from sidelong.mission.predictive.programme_kernel import (
     least_of,
     resample,
 )
-from sidelong.mission.predictive.rollout_kernel import Doubt, Futures
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of, with_doubt
+from sidelong.mission.predictive.rollout_kernel import Futures
+from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
 from sidelong.mission.route.progress_kernel import CHANCE, ON_ROUTE, PART, forecast, update_progress
 from sidelong.mission.viewpoint.viewpoint_kernel import STANDING
 
@@ -100,8 +100,8 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
 
 
 @compiled
-def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
-    """Return what the target may do, with the scene and the looker to judge it by.
+def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Looker]:
+    """Return what the target may do, and the looker to judge it by.
 
     Processes the target's estimate: call it once for each, in order of time.
     """
@@ -111,15 +111,13 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
         looker.table,
     )
     if len(s.way.points) == 0:
-        return scene, every, looker
+        return every, looker
     update_progress(s.way, now.target, s.progress)
     f, on_route = along_route(scene, looker, every)
     part, state = s.progress[PART], s.state
     if not on_route:
         state[COMPUTED_S] = -np.inf
-        return scene, f, looker
-    # The route is where the target goes: the uncertainty of its velocity does not grow into one of its position.
-    sure = Doubt(scene.doubt.position_m, 0.0, scene.doubt.course_rad)
+        return f, looker
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
     layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)
     since_s = scene.departure_s - state[COMPUTED_S]
@@ -129,7 +127,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
             f,
             _ROUTE,
             turn_rad,
-            sure,
+            scene.doubt,
             looker.terms,
             table,
             scene.air,
@@ -155,7 +153,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
     timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
     depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn)
-    return with_doubt(scene, sure), f, with_table(looker, timed, depth)
+    return f, with_table(looker, timed, depth)
 
 
 @compiled
@@ -164,7 +162,7 @@ def weigh(scene: Scene, now: Situation, looker: Looker, sight: Sight, costs: Flo
 
     Processes the target's estimate, as :func:`foresee` does.
     """
-    scene, futures, judged_by = foresee(scene, now, looker)
+    futures, judged_by = foresee(scene, now, looker)
     min_gain = commitment(scene, now, futures, judged_by)
     return look_deeper(scene, now, futures, judged_by, sight, min_gain, costs), min_gain
 

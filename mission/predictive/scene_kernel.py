@@ -80,26 +80,6 @@ class Scene(NamedTuple):
     turn_radius_m: float
 
 
-@inlined
-def with_doubt(one: Scene, doubt: Doubt) -> Scene:
-    """Return the same with another uncertainty of the target."""
-    return Scene(
-        one.departure_s,
-        one.arc_m,
-        one.start,
-        one.frame_east_m,
-        one.frame_north_m,
-        one.course_rad,
-        one.mirror,
-        one.velocity_x_m_s,
-        one.velocity_y_m_s,
-        one.air,
-        doubt,
-        one.radius_m,
-        one.turn_radius_m,
-    )
-
-
 @compiled
 def flown_airspeed_m_s(now: Situation, craft: Craft, memory: FloatArray) -> float:
     """Take the velocity over the ground, in the order of time, and return the airspeed that is really flown."""

@@ -19,10 +19,10 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
 # The memory: time of the last update; probability of "off the route"; whether "on route" is reported; position, speed
 # (negative: backward), direction (1, -1) and probability of the most probable part of the route; how often that part
-# has changed; usual speed. Then the probabilities: those of the points in their order, and in the reverse order for
-# the backward direction.
-LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S = range(9)
-_FIRST = 9
+# has changed; usual speed; present speed, less smoothed. Then the probabilities: those of the points in their order,
+# and in the reverse order for the backward direction.
+LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S, _PRESENT_M_S = range(10)
+_FIRST = 10
 
 _LEAVES_AFTER_S = 150.0
 # Share of the probability that is moved each second: from "off" to points near the target, from all points to those,
@@ -46,7 +46,7 @@ _OTHER_PART_M = 25.0
 _GATE = 3.0
 _MIN_CHANCE, _NO_CHANCE = 1e-4, 1e-9
 _ON_ABOVE, _OFF_BELOW = 0.7, 0.5
-_SPEED_S, _USUAL_S = 2.0, 40.0
+_SPEED_S, _PRESENT_S, _USUAL_S = 2.0, 0.7, 40.0
 _SETTLES_S = 8.0
 
 
@@ -270,7 +270,8 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
     speed_m_s = direction * max(direction * speed_m_s, 0.0)
     memory[PART] += 0.0 if same else 1.0
     memory[ALONG_M], memory[DIRECTION] = along_m, direction
-    memory[SPEED_M_S] += (_share(1.0 / _SPEED_S, dt_s) if same else 1.0) * (speed_m_s - memory[SPEED_M_S])
+    for slot, smoothed_s in ((SPEED_M_S, _SPEED_S), (_PRESENT_M_S, _PRESENT_S)):
+        memory[slot] += (_share(1.0 / smoothed_s, dt_s) if same else 1.0) * (speed_m_s - memory[slot])
     over_ground_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     if over_ground_m_s > _SLOW_M_S:
         usual_m_s = memory[USUAL_M_S]
@@ -282,12 +283,13 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
 def forecast(way: Way, memory: FloatArray, time_s: float, found: FloatArray) -> None:
     """Fill in points (k, 2) of the route, one each second from a time on, that the target is expected to pass.
 
-    Its speed changes from the present one to the mean of that and the expected or usual one.
+    Its speed rises from the present one to the mean of that and the expected or usual one. It does not fall: a target
+    that has become faster would be nearer to the aircraft than predicted.
     """
-    now_m_s = abs(memory[SPEED_M_S])
+    now_m_s = abs(memory[_PRESENT_M_S])
     usual_m_s = memory[USUAL_M_S] if math.isnan(way.speed_m_s) else way.speed_m_s
-    settled_m_s = now_m_s if math.isnan(usual_m_s) else 0.5 * (now_m_s + usual_m_s)
-    along_m = memory[ALONG_M] + memory[SPEED_M_S] * (time_s - memory[LAST_S])
+    settled_m_s = 0.5 * (now_m_s + usual_m_s) if usual_m_s > now_m_s else now_m_s
+    along_m = memory[ALONG_M] + memory[_PRESENT_M_S] * (time_s - memory[LAST_S])
     for i in range(len(found)):
         found[i, 0], found[i, 1] = point_along(way, along_m)
         speed_m_s = settled_m_s + (now_m_s - settled_m_s) * math.exp(-(i + 0.5) / _SETTLES_S)

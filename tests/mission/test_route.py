@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sidelong.mission.route.progress import RouteProgress, describe, progress_of, way_of
-from sidelong.mission.route.progress_kernel import fresh_progress, update_progress
+from sidelong.mission.route.progress_kernel import forecast, fresh_progress, update_progress
 from sidelong.mission.route.route import Direction, Route, route_of
 from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
@@ -49,6 +49,17 @@ def test_target_next_to_its_route_is_followed_round_the_corner() -> None:
     assert found[110].speed_m_s == pytest.approx(4.0, abs=0.5)
     assert found[110].to_end_s == pytest.approx(65.0, abs=8.0)
     assert "along the route" in describe(found[110])
+
+
+def test_target_that_speeds_up_is_not_predicted_to_slow_down() -> None:
+    route = route_of(np.zeros(2), np.array([0.0, 600.0]))
+    speed_m_s = np.append(np.full(40, 3.0), np.linspace(3.0, 12.0, 9))
+    north_m = np.cumsum(speed_m_s)
+    memory, ahead = fresh_progress(route.east_m.size), np.empty((7, 2))
+    for k, (north, speed) in enumerate(zip(north_m, speed_m_s, strict=True)):
+        update_progress(way_of(route), Known(float(k), 0.0, north, 0.0, speed, _COVARIANCE), memory)
+    forecast(way_of(route), memory, float(len(speed_m_s) - 1), ahead)
+    assert ahead[6, 1] - ahead[0, 1] > 6.0 * 10.5
 
 
 def test_target_that_leaves_the_route_is_reported_within_15_s_of_20_m() -> None:
