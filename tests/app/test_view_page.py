@@ -430,7 +430,7 @@ def shown_from(display, snapshot, bearing_deg, range_m):
             0.0,
             300.0,
             ("good", "IN BAND", "now: 300 m"),
-            ("good", "ON SIDE", "required: left; now: left, 0° off abeam"),
+            ("good", "ON SIDE", "required: left; now: left, "),
         ),
         (0.0, 80.0, ("bad", "OUT OF BAND", "now: 80 m"), ("good", "ON SIDE", "now: left")),
         (170.0, 300.0, ("good", "IN BAND", ""), ("bad", "OFF SIDE", "required: left; now: right, 17")),

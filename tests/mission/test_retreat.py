@@ -37,7 +37,9 @@ def test_path_already_flown_does_not_count():
     plan = retreats(start, Reach(0.0, 0.0, 0.0, 0.0), True, AIRFRAME, KEEP_M)[0]
     reach = Reach(-60.0, 0.0, 0.0, 0.0)
     assert reach.clearance_m(plan, 15.0) == pytest.approx(0.0, abs=1.0)
-    assert reach.clearance_m(plan, 15.0, from_m=plan.transition_m) > 60.0
+    clear_m = math.hypot(plan.circle.east_m + 60.0, plan.circle.north_m) - plan.circle.radius_m
+    assert reach.clearance_m(plan, 15.0, from_m=plan.transition_m) == pytest.approx(clear_m)
+    assert clear_m > 30.0
 
 
 def test_disk_that_reaches_the_circle_has_no_clearance():
