@@ -83,7 +83,7 @@ class TargetCourse:
         self.present_rad: float | None = None
         self._window: deque[tuple[float, float, float]] = deque()  # time, place east and north
         self._velocity_m_s = 0.0, 0.0
-        self._seen_s: float | None = None
+        self._seen: tuple[float, Pair] | None = None  # when and where the target was seen last
         self._settled_s = -math.inf
 
     def take(self, time_s: float, velocity_m_s: Pair, horizon_s: float) -> None:
@@ -107,10 +107,10 @@ class TargetCourse:
         place_m = estimate.position_m(time_s)
         velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         if time_s - estimate.last_sighting_s <= _SEEN_S:
-            if self._seen_s is not None and time_s - self._seen_s > _SEEN_S:
-                self._straighten_since(self._seen_s, time_s, place_m)
+            if self._seen is not None and time_s - self._seen[0] > _SEEN_S:
+                self._straighten(*self._seen, time_s, place_m)
                 self._settled_s = time_s + _SETTLES_S
-            self._seen_s = time_s
+            self._seen = time_s, place_m
         if time_s >= self._settled_s:
             self._follow_jump(self._expected_m(time_s, velocity_m_s), place_m)
         self._take_place(time_s, place_m, velocity_m_s, horizon_s)
@@ -147,9 +147,8 @@ class TargetCourse:
             east_m, north_m = place_m[0] - expected_m[0], place_m[1] - expected_m[1]
             self._window = deque((one_s, x_m + east_m, y_m + north_m) for one_s, x_m, y_m in self._window)
 
-    def _straighten_since(self, seen_s: float, now_s: float, now_m: Pair) -> None:
+    def _straighten(self, seen_s: float, seen_m: Pair, now_s: float, now_m: Pair) -> None:
         """Put the places of a time without sightings on the line from the last seen one to the present one."""
-        seen_m = next(((east_m, north_m) for one_s, east_m, north_m in self._window if one_s >= seen_s), now_m)
         for k, (one_s, *_) in enumerate(self._window):
             if one_s > seen_s:
                 share = (one_s - seen_s) / (now_s - seen_s)

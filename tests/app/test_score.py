@@ -129,6 +129,19 @@ def test_a_target_that_turned_back_unseen_has_its_true_course_once_it_is_seen_ag
     assert abs(course.made_good_rad) == pytest.approx(math.pi)
 
 
+def test_a_gap_longer_than_the_horizon_begins_where_the_target_was_seen_last():
+    """It drives north at 3 m/s, turns east at 30 s, and is not seen from then until 55 s."""
+    course, covariance = TargetCourse(0.3), np.eye(4)
+    for time_s in np.arange(0.0, 55.5, 0.5).tolist():
+        again = time_s == 55.0
+        state = (75.0, 90.0, 3.0, 0.0) if again else (0.0, 3.0 * time_s, 0.0, 3.0)
+        seen_s = 55.0 if again else min(time_s, 30.0)
+        estimate = TargetEstimate(time_s, *state, covariance, TrackQuality.GOOD, seen_s)
+        course.take_estimate(time_s, estimate, 20.0)
+    # A sighting counts as present for 1.5 s: in that time the target is assumed to go on north.
+    assert course.made_good_rad == pytest.approx(math.pi / 2, abs=math.radians(4.0))
+
+
 def test_moves_and_reversals_are_counted_from_the_first_judged_moment():
     judged = judge_moments(moments([(-200.0, 0.0)] * 100), LEFT)
     result = score(judged, "truth", [-5.0, 3.0, 11.0, 21.0, 50.0])
