@@ -21,6 +21,7 @@ class Watch:
         angle_rad: Observation angle, from the middle of where the target is to be watched from.
         in_band: Whether the range is the required one.
         on_side: Whether the side is the required one; unknown until the target has made good a course.
+        beyond_side_rad: How far the angle is beyond those that are on side; negative: within.
         course_rad: The target's course that defines the sides.
         present_course_rad: Its present course.
     """
@@ -29,6 +30,7 @@ class Watch:
     angle_rad: float | None = None
     in_band: bool | None = None
     on_side: bool | None = None
+    beyond_side_rad: float = math.nan
     course_rad: float | None = None
     present_course_rad: float | None = None
 
@@ -53,11 +55,14 @@ class PresentWatch:
         wanted = replace(requirement, side=snapshot.side)
         middle = middle_rad(wanted, math.nan if course_rad is None else course_rad)
         angle_rad = None if math.isnan(middle) else wrap_rad(math.atan2(east_m, north_m) - middle)
-        found = Watch(range_m, angle_rad, course_rad=course_rad, present_course_rad=present_rad)
+        beyond_rad = math.nan if angle_rad is None else abs(angle_rad) - allowed_rad(wanted)
+        found = Watch(
+            range_m, angle_rad, beyond_side_rad=beyond_rad, course_rad=course_rad, present_course_rad=present_rad
+        )
         elsewhere = snapshot.turn_payload or not snapshot.sensor_status.connected
         if estimate.quality is TrackQuality.LOST or snapshot.unknown or elsewhere:
             return found
         in_band = requirement.range_min_m <= range_m <= requirement.range_max_m
         side_known = angle_rad is not None and (made_good_rad is not None or requirement.sector is not None)
-        on_side = abs(angle_rad) <= allowed_rad(wanted) if side_known and angle_rad is not None else None
+        on_side = beyond_rad <= 0.0 if side_known else None
         return replace(found, in_band=in_band, on_side=True if requirement.either_side else on_side)

@@ -146,6 +146,7 @@ class AlarmWatch:
             separation=snapshot.separation,
             in_band=watch.in_band,
             on_side=watch.on_side,
+            beyond_side_rad=watch.beyond_side_rad,
             range_m=math.nan if watch.range_m is None else watch.range_m,
             unseen_s=unseen_s,
             lost=estimate is not None and estimate.quality is TrackQuality.LOST and not elsewhere,

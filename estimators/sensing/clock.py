@@ -31,6 +31,7 @@ _TURNS_MAX, _TURN_MAX_S, _SLOW_TURN_MAX_S = 8, 0.5, 3.0
 _TICKS = 16
 _SAMPLES, _SAMPLES_MIN, _SAMPLE_EVERY_S = 24, 12, 0.1
 _CLUSTER_S, _CLUSTER_SHARE = 0.7, 0.75
+_ROW_MIN, _ROW_S = 5, 2.0  # agreeing stamps in a row that replace the earlier ones
 _DELAY_MAX_S, _EARLY_MAX_S = 1.0, 0.5
 
 
@@ -195,6 +196,7 @@ class SourceClock:
         self.ahead_s = 0.0
         self._samples: deque[float] = deque(maxlen=_SAMPLES)
         self._sampled_s = -math.inf
+        self._row, self._row_s, self._row_since_s = 0, math.nan, -math.inf
 
     def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
         """Return a stamp of the source on the vehicle's clock.
@@ -210,7 +212,7 @@ class SourceClock:
         if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement
             self._sampled_s = clock.now_s
             self._samples.append(ahead_s)
-            self._estimate(clock.tick_s)
+            self._estimate(clock.tick_s, self._lasts(ahead_s))
         if not self.ahead_s and -LATE_S <= ahead_s <= AHEAD_S:  # as nearly all are
             return stamp_s
         early_s = AHEAD_S + clock.tick_s  # the vehicle's own last words may be lost
@@ -221,8 +223,18 @@ class SourceClock:
             return stamp_s - self.ahead_s
         return stamp_s if -_DELAY_MAX_S <= ahead_s <= early_s else None
 
-    def _estimate(self, tick_s: float) -> None:
-        if len(self._samples) < _SAMPLES_MIN:
+    def _lasts(self, ahead_s: float) -> bool:
+        """Return whether the latest stamps agree for long enough to know the clock without those before."""
+        if not abs(ahead_s - self._row_s) <= _CLUSTER_S:
+            self._row, self._row_s, self._row_since_s = 0, ahead_s, self._sampled_s
+        self._row += 1
+        lasts = self._row >= _ROW_MIN and self._sampled_s - self._row_since_s >= _ROW_S
+        while lasts and len(self._samples) > self._row:
+            self._samples.popleft()
+        return lasts
+
+    def _estimate(self, tick_s: float, lasts: bool) -> None:
+        if len(self._samples) < _SAMPLES_MIN and not lasts:
             return
         ordered = sorted(self._samples)
         middle_s = ordered[len(ordered) // 2]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
 
 _HISTORY_S, _REPEATED_MAX = 5.0, 60
+_AGREEING_UNSEEN = 3  # rejected sightings that restart a track that was coasting
 _KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out to have been wrong
 # Longer predictions go by steps, so that the motion models can mix on the way; the longest take this many steps.
 _STEP_MAX_S, _STEPS_MAX = 1.0, 60
@@ -151,8 +152,11 @@ class Track:
         if nis <= settings.gate_nis:
             self._accept(sighting, before, ahead)
             return SightingOutcome(sighting, True, nis)
-        agreeing = self._gated_out = [*self._gated_out, sighting][-settings.reacquire_after :]
-        if len(agreeing) == settings.reacquire_after and self._one_target_explains(agreeing):
+        needed = settings.reacquire_after
+        if sighting.time_s - self._last_sighting_s > settings.coasting_after_s:  # unseen, it may well have turned
+            needed = min(needed, _AGREEING_UNSEEN)
+        agreeing = self._gated_out = [*self._gated_out, sighting][-needed:]
+        if len(agreeing) == needed and self._one_target_explains(agreeing):
             self._restart(agreeing, ahead.biases())
             return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
         reason = f"innovation squared {nis:.0f} is beyond the gate of {settings.gate_nis:.0f}"

@@ -38,6 +38,8 @@ __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
 
 _AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
 
+_FOLLOWS_RAD = math.radians(5.0)
+
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD = math.radians(0.1)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
@@ -60,6 +62,7 @@ class Tracker:
         self._gimbals = SourceSelector(sight_rank, settings.gimbal_source)
         self._fixes = SourceSelector(sight_rank, settings.fix_source)
         self._beacon = BeaconErrors()
+        self._contradicting: dict[Source, Quaternion] = {}  # of refused gimbals: their orientation at that time
         self._track = Track(settings)
         self._delay_fit: DelayFit | None = None
         if settings.latency_sigma_s > 0.0:
@@ -178,15 +181,23 @@ class Tracker:
         return self._pairing.parent_from_mount
 
     def _points_at_track(self, reading: GimbalReading) -> bool:
-        """Return whether a line of sight points at the tracked target; True where there is no track to compare."""
+        """Return whether a line of sight points at the tracked target.
+
+        Without a track to compare with, one that contradicted it before has to have turned since: a device that looks
+        elsewhere does not follow a target.
+        """
         expected = self._expected(reading.time_s)
         attitude = self._poses.attitudes.newest()
         if expected is None or (attitude is None and reading.frame != "earth"):
-            return True
+            then = self._contradicting.get(reading.source)
+            return then is None or _turned_rad(then, reading.quaternion_wxyz) > _FOLLOWS_RAD
         sight = line_of_sight(reading, attitude, self._pairing.parent_from_mount)
         bearing_rad, slant_range_m, sigma_m = expected
         off_rad = abs(wrap_rad(sight.bearing_rad - bearing_rad))
-        return off_rad <= _AGREES_RAD + _AGREES_SIGMAS * sigma_m / slant_range_m
+        agrees = off_rad <= _AGREES_RAD + _AGREES_SIGMAS * sigma_m / slant_range_m
+        if not agrees:
+            self._contradicting[reading.source] = reading.quaternion_wxyz
+        return agrees
 
     def _measures_track(self, reading: RangeReading) -> bool:
         """Return whether a range is that of the tracked target; True where there is no track to compare."""
@@ -317,3 +328,8 @@ class Tracker:
             _YAW_UNEXPECTED_RAD, _YAW_SIGMAS * max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad)
         )
         return known.yaw_bias_rad if abs(known.yaw_bias_rad) > limit_rad else 0.0
+
+
+def _turned_rad(then: Quaternion, now: Quaternion) -> float:
+    """Return the angle between two orientations."""
+    return 2.0 * math.acos(min(abs(sum(a * b for a, b in zip(then, now, strict=True))), 1.0))

@@ -10,6 +10,7 @@ from sidelong.mission.core.inputs import Input, InputReport, InputState
 
 _SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by then will be late
 _UNSEEN_S = 10.0  # lasers miss for up to 8 s all the time
+_SIDE_MARGIN_RAD = math.radians(3.0)  # the course of the target is hardly known better
 _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
 
 
@@ -26,6 +27,7 @@ class Situation:
         yielded: Why control was given up; '' if it was not.
         in_band: Whether the range is the required one; None: unknown.
         on_side: Whether the side is the required one; None: unknown.
+        beyond_side_rad: How far the observation angle is beyond the allowed one; NaN: unknown.
         range_m: The estimated range; NaN: unknown.
         unseen_s: Time since the last accepted sighting; None: the target was never seen.
         lost: Whether the track is lost.
@@ -46,6 +48,7 @@ class Situation:
     separation: str = ""
     in_band: bool | None = None
     on_side: bool | None = None
+    beyond_side_rad: float = math.nan
     range_m: float = math.nan
     unseen_s: float | None = None
     lost: bool = False
@@ -84,8 +87,8 @@ class Alarm:
 class _Rule:
     """Definition of one alarm.
 
-    ``text`` returns the present fault, '' if there is none. The alarm is raised after ``after_s`` and cleared after
-    ``clear_s``.
+    ``text`` returns the present fault, '' if there is none. The alarm is raised after ``after_s``, if it is ``sure``
+    then, and cleared after ``clear_s``.
     """
 
     key: str
@@ -93,6 +96,7 @@ class _Rule:
     advice: str
     after_s: float = 0.0
     clear_s: float = 2.0
+    sure: Callable[[Situation], bool] = lambda _now: True
 
 
 class Alarms:
@@ -156,7 +160,7 @@ class Alarms:
             wrong_since_s = self._wrong_since_s.setdefault(rule.key, now.time_s)
             if before is not None:
                 return replace(before, text=text, countdown_s=countdown_s)
-            if now.time_s - wrong_since_s >= rule.after_s:
+            if now.time_s - wrong_since_s >= rule.after_s and rule.sure(now):
                 return Alarm(rule.key, text, rule.advice, now.time_s, countdown_s)
             return None
         self._wrong_since_s.pop(rule.key, None)
@@ -203,6 +207,11 @@ def _band(alarms: Alarms, now: Situation) -> str:
 def _side(alarms: Alarms, now: Situation) -> str:
     wrong = now.in_hand and now.on_side is False and (alarms.was_on_side or alarms.is_late(now))
     return "the aircraft is not on the required side" if wrong else ""
+
+
+def _well_beyond_side(now: Situation) -> bool:
+    """Return whether the estimate's error alone cannot have put the aircraft beyond the side's border."""
+    return not now.beyond_side_rad < _SIDE_MARGIN_RAD
 
 
 def _input(one: Input) -> Callable[[Alarms, Situation], str]:
@@ -254,6 +263,6 @@ _RULES = (
     *(_Rule(one.value, _input(one), advice, clear_s=0.0) for one, advice in _INPUTS.items()),
     _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),
     _Rule("band", _band, "wait for the next relocation, or change the band or the circle", after_s=2.0),
-    _Rule("side", _side, "wait for the next relocation, or change the side", after_s=20.0),
+    _Rule("side", _side, "wait for the next relocation, or change the side", after_s=20.0, sure=_well_beyond_side),
 )
 ALARM_KEYS = tuple(rule.key for rule in _RULES)

@@ -222,3 +222,17 @@ def test_lines_of_sight_alone_keep_to_a_target_that_walks_over_flat_ground(scene
             errors_m.append(error_m(tracker, walk, reading.time_s))
     assert math.sqrt(np.mean(np.square(errors_m))) < 5.0
     assert abs(tracker.calibration.pitch_bias_rad) < math.radians(0.3)
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_gimbal_that_looked_elsewhere_replaces_a_silent_one_only_if_it_turns(scene, follows):
+    """Even after the track is lost: a device that looks into one direction follows no target."""
+    flown = scene.of(lambda _: (3.0, 1.0), 90.0)
+    second = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 171)
+    readings = flown.readings(np.random.default_rng(1))
+    for index, reading in enumerate(readings):
+        if isinstance(reading, GimbalReading) and reading.time_s >= 30.0:
+            looks = reading.quaternion_wxyz if follows and reading.time_s > 45.0 else (0.0, 0.0, 0.0, 1.0)
+            readings[index] = replace(reading, source=second, quaternion_wxyz=looks)
+    tracker, _ = fed(readings, replace(NO_BIAS, lost_after_s=20.0))
+    assert (tracker.gimbal_source == second) is follows

@@ -85,6 +85,13 @@ def test_a_moment_is_no_alarm(key, moment_s):
     assert flown(alarms, 130.0, 100.0 + moment_s) == []
 
 
+def test_at_the_border_of_the_side_the_alarm_waits_until_the_estimate_is_sure():
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    assert flown(alarms, 130.0, 100.0, on_side=False, beyond_side_rad=0.02) == []
+    assert flown(alarms, 131.0, 130.0, on_side=False, beyond_side_rad=0.1) == [(130.0, "side", True)]
+
+
 def test_an_alarm_does_not_flicker():
     alarms = Alarms()
     flown(alarms, 100.0)
