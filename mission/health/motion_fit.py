@@ -17,6 +17,7 @@ Source: docs/health.md#contradictions-of-the-payload.
 
 from __future__ import annotations
 
+import itertools
 import math
 import operator
 import statistics
@@ -52,6 +53,7 @@ _TURNED_MIN_RAD = 0.8
 _WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.5, 0.7
 _OWN_SHARE = 0.3
 _JUMP_M, _DRIVES_M_S = 40.0, 15.0
+_STEPS_MIN, _APPARENT_M_S = 3, 30.0
 _LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
 _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
@@ -151,7 +153,8 @@ class MotionFit:
         self._jumped = None
         self._flagged = self._flagged or gimbal.frame
         jump_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0
-        jumps = jump_m > _JUMP_M and abs(now_s - self.changed_s) > WINDOW_S  # a wrong frame lets it jump on and on
+        # A wrong frame lets it jump on and on.
+        jumps = jump_m > _JUMP_M and abs(now_s - self.changed_s) > WINDOW_S and self._drove()
         if jumps or gimbal.frame != self._flagged:
             if jumped is None or jumped.gimbal.frame != gimbal.frame:
                 self._jumped = sample  # an outlier, unless the next one is like it
@@ -162,6 +165,12 @@ class MotionFit:
             samples.clear()  # what was before would hide the change
             samples.append(jumped)
         samples.append(sample)
+
+    def _drove(self) -> bool:
+        """Return whether the apparent target moved until now as slowly as one that drives; True: not known."""
+        pairs = list(itertools.pairwise(self._samples))
+        speeds_m_s = [math.dist(one.sighted_m, then.sighted_m) / (one.time_s - then.time_s) for then, one in pairs]
+        return len(pairs) < _STEPS_MIN or statistics.median(speeds_m_s) <= _APPARENT_M_S
 
     def _change(self, now_s: float, jump_m: float) -> None:
         """Remember the target's motion until it jumped."""
