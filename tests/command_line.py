@@ -26,3 +26,10 @@ def sidelong(*arguments: object) -> subprocess.CompletedProcess[str]:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = run(words)
     return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def runs_for(process: subprocess.Popen[str], seconds: float) -> bool:
+    """Wait for a process, and return whether it still runs after this many seconds."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(seconds)
+    return process.poll() is None

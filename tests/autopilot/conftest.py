@@ -24,6 +24,7 @@ from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.server import serve
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
+from tests.command_line import runs_for
 
 SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 20.0
@@ -111,7 +112,7 @@ class Vehicle:
         deadline_s = time.monotonic() + PATIENCE_S
         while self.simulation.time_s < end_s:
             assert time.monotonic() < deadline_s, "the simulation does not go on"
-            time.sleep(0.02)
+            self.do(lambda: None)  # takes one of its steps
 
     def off_circle_m(self, centre_m):
         craft = self.autopilot.craft
@@ -176,9 +177,8 @@ class Application:
     def wait_for(self, words, times=1, limit_s=PATIENCE_S):
         deadline_s = time.monotonic() + limit_s
         while self.announced.count(words) < times:
-            assert self.process.poll() is None, self.announced
+            assert runs_for(self.process, 0.05), self.announced
             assert time.monotonic() < deadline_s, f"never reported {words!r}: {self.announced}"
-            time.sleep(0.05)
 
     def kill(self):
         os.kill(self.process.pid, signal.SIGKILL)

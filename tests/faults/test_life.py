@@ -11,12 +11,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from sidelong.app.flight.life import Life
+from tests.command_line import runs_for
 from tests.faults.interrupts import Interruption, left_of
 
 pytestmark = pytest.mark.udp
@@ -124,8 +124,7 @@ def test_neither_a_full_terminal_nor_a_folder_that_vanishes_reaches_the_flight(t
         process = subprocess.Popen(command, stdout=full, stderr=subprocess.PIPE, text=True)
     try:
         while not list(out.glob("*/journal.jsonl")):
-            assert process.poll() is None
-            time.sleep(0.05)
+            assert runs_for(process, 0.05)
         (run,) = out.iterdir()
         shutil.rmtree(run)
         _, complaint = process.communicate(timeout=100.0)

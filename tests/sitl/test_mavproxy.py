@@ -118,7 +118,7 @@ def test_a_whole_session_goes_without_an_error(session):
     name = {"arduplane": "RTL_ALTITUDE", "px4": "RTL_RETURN_ALT"}[flavour]
     station.do(f"param set {name} 77")
     while not station.do(f"param show {name}", rf"{name} +[\d.]+")[0].endswith(" 77.0"):
-        time.sleep(0.1)
+        assert station.process.poll() is None
     if flavour == "px4":
         station.do("param set MIS_TKO_LAND_REQ 0")  # as it comes PX4 drops a mission without a landing
     station.do("wp load wp.txt", "TYPE_MISSION: ACCEPTED")
