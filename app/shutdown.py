@@ -7,6 +7,7 @@ never returns would block both.
 
 from __future__ import annotations
 
+import asyncio
 import atexit
 import contextlib
 import os
@@ -38,6 +39,29 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+@contextlib.contextmanager
+def fails_with(alongside: asyncio.Task[None]) -> Iterator[None]:
+    """Raise the error of a task that fails while this is entered: what waits for its work would wait for ever."""
+    inside = asyncio.current_task()
+    assert inside is not None
+
+    def cancel(ended: asyncio.Task[None]) -> None:
+        if not ended.cancelled() and ended.exception() is not None:
+            inside.cancel()
+
+    alongside.add_done_callback(cancel)
+    try:
+        yield
+    except asyncio.CancelledError:
+        failed = alongside.exception() if alongside.done() and not alongside.cancelled() else None
+        if failed is None:
+            raise
+        inside.uncancel()
+        raise failed from None
+    finally:
+        alongside.remove_done_callback(cancel)
 
 
 def handle_next(unraisable: sys.UnraisableHookArgs) -> None:

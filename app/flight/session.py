@@ -20,7 +20,7 @@ from sidelong.app.link.senders import SenderCheck
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.transport import Transport
 from sidelong.app.link.vehicle import Vehicle
-from sidelong.app.shutdown import ends_within
+from sidelong.app.shutdown import ends_within, fails_with
 
 _CLOSE_S = 30.0
 
@@ -84,7 +84,8 @@ async def connected(
     senders.system_id = link.system_id
     vehicle = Vehicle(link)
     vehicle.listeners.append(senders.message)
-    background = {asyncio.create_task(vehicle.run())}
+    receiving = asyncio.create_task(vehicle.run())
+    background = {receiving}
     try:
         if await vehicle.received("HEARTBEAT", timeout_s) is None:
             raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
@@ -92,7 +93,8 @@ async def connected(
         remark = check_release(autopilot, release)
         if remark is not None:
             note(f"{remark}.")
-        yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, background)
+        with fails_with(receiving):
+            yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, background)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()

@@ -168,9 +168,12 @@ class MotionFit:
 
     def _drove(self) -> bool:
         """Return whether the apparent target moved until now as slowly as one that drives; True: not known."""
-        pairs = list(itertools.pairwise(self._samples))
-        speeds_m_s = [math.dist(one.sighted_m, then.sighted_m) / (one.time_s - then.time_s) for then, one in pairs]
-        return len(pairs) < _STEPS_MIN or statistics.median(speeds_m_s) <= _APPARENT_M_S
+        speeds_m_s = [
+            math.dist(one.sighted_m, then.sighted_m) / (one.time_s - then.time_s)
+            for then, one in itertools.pairwise(self._samples)
+            if one.time_s > then.time_s  # a position may serve two samples
+        ]
+        return len(speeds_m_s) < _STEPS_MIN or statistics.median(speeds_m_s) <= _APPARENT_M_S
 
     def _change(self, now_s: float, jump_m: float) -> None:
         """Remember the target's motion until it jumped."""

@@ -1,9 +1,12 @@
 """A process with a thread that never comes back, in a process of its own."""
 
+import asyncio
 import subprocess
 import sys
 
 import pytest
+
+from sidelong.app.shutdown import fails_with
 
 LEFT = """
 import asyncio, threading
@@ -89,3 +92,17 @@ def test_closed_standard_streams_are_no_error(closed, tmp_path):
     assert subprocess.run(command, shell=True, check=False, stderr=subprocess.DEVNULL).returncode == 2
     command = f'"{sys.executable}" -m sidelong.app init "{tmp_path / "m.toml"}" {closed}'
     assert subprocess.run(command, shell=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_what_waits_for_a_task_ends_with_its_error(fails):
+    async def works():
+        if fails:
+            raise ZeroDivisionError("a listener failed")
+
+    async def waits():
+        with fails_with(asyncio.create_task(works())):
+            await asyncio.wait_for(asyncio.Event().wait(), 0.2)
+
+    with pytest.raises(ZeroDivisionError if fails else TimeoutError):
+        asyncio.run(waits())

@@ -11,6 +11,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.health.health import Health
+from sidelong.mission.health.payload_check import PayloadCheck
 from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_faults import (
     GIMBAL,
@@ -296,3 +297,17 @@ def test_wrong_mounting_of_the_gimbal_is_reported():
     flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("mount", 0.0, math.inf, turned(20.0))]).fly()
     (text,) = [text for _, text in flown.announced if text.startswith("the gimbal's yaw is off by about")]
     assert "check its mounting, or correct sensors.mount_deg" in text
+
+
+def test_a_position_that_serves_two_samples_is_no_motion():
+    check, place = PayloadCheck(), PositionReading(0.0, 0.0, 0.0, 100.0, 15.0, 0.0, 0.0)
+    check.position(place)
+    for tick in range(12):
+        time_s = 0.5 * tick
+        if tick % 2 == 0:
+            check.position(PositionReading(time_s, 7.5 * tick, 0.0, 100.0, 15.0, 0.0, 0.0))
+        check.attitude(AttitudeReading(time_s, 0.0, 0.0, math.pi / 2))
+        check.range(RangeReading(time_s, 300.0 if tick < 8 else 500.0, Source("DISTANCE_SENSOR", 154)))
+        looks = (math.cos(0.02 * tick), 0.0, 0.0, math.sin(0.02 * tick))
+        check.gimbal(GimbalReading(time_s, looks, "earth", Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)))
+    assert check.gimbal_fault == check.laser_fault == ""
