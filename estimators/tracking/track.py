@@ -153,7 +153,7 @@ class Track:
             self._accept(sighting, before, ahead)
             return SightingOutcome(sighting, True, nis)
         needed = settings.reacquire_after
-        if sighting.time_s - self._last_sighting_s > settings.coasting_after_s:  # unseen, it may well have turned
+        if self._may_have_moved_to(sighting):
             needed = min(needed, _AGREEING_UNSEEN)
         agreeing = self._gated_out = [*self._gated_out, sighting][-needed:]
         if len(agreeing) == needed and self._one_target_explains(agreeing):
@@ -209,6 +209,15 @@ class Track:
             before, after = after, _predicted(after, sighting.time_s)
             after.update(sighting, math.inf)
             self._accept(sighting, before, after)
+
+    def _may_have_moved_to(self, sighting: AnySighting) -> bool:
+        """Return whether the target was unseen, and can have driven there since."""
+        unseen_s = sighting.time_s - self._last_sighting_s
+        if self._filter is None or unseen_s <= self._settings.coasting_after_s:
+            return False
+        east_m, north_m = self._filter.moments()[0].tolist()[:2]
+        reach_m = 2.0 * self._settings.target_speed_sigma_m_s * unseen_s
+        return math.hypot(sighting.east_m - east_m, sighting.north_m - north_m) < reach_m
 
     def _one_target_explains(self, sightings: list[AnySighting]) -> bool:
         """Return whether these are as close as detections of one target: outliers scatter, a jump does not."""

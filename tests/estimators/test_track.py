@@ -157,9 +157,9 @@ def test_a_target_that_moved_while_unseen_is_followed_from_the_third_agreeing_si
     sightings = cruise.sightings(np.random.default_rng(1))
     for sighting in sightings[:300]:
         track.add(sighting)
-    outcomes = [track.add(moved(sighting, aircraft_east_m=60.0)) for sighting in sightings[350:353]]
+    outcomes = [track.add(moved(sighting, aircraft_east_m=25.0)) for sighting in sightings[350:353]]
     assert [outcome.accepted for outcome in outcomes] == [False, False, True]
-    assert track.estimate(35.2).east_m == pytest.approx(cruise.target[352, 0] + 60.0, abs=8.0)
+    assert track.estimate(35.2).east_m == pytest.approx(cruise.target[352, 0] + 25.0, abs=8.0)
 
 
 def test_outliers_that_do_not_agree_never_open_the_gate(cruise):
