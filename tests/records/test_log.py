@@ -112,6 +112,14 @@ def test_a_sight_from_mount_angles_is_the_rotation_by_yaw_pitch_roll(dataflash):
     assert readings(dataflash)[GimbalReading][0].quaternion_wxyz == pytest.approx((0.5, 0.5, 0.5, 0.5))
 
 
+def test_a_definition_that_turns_numbers_into_text_costs_its_type(dataflash):
+    content = dataflash.read_bytes()
+    assert content.count(b"QBff\0") == 1  # the wind's letters; n is text of as many bytes
+    dataflash.write_bytes(content.replace(b"QBff\0", b"QBnf\0"))
+    assert {*readings(dataflash)} >= {PositionReading, GimbalReading}
+    assert [entry.name for entry in read_dataflash(dataflash, ["XKF2", "POS"])] == ["POS"] * STEPS
+
+
 def test_entries_are_those_of_pyulog(ulog):
     topics = ["vehicle_attitude", "distance_sensor"]
     ours = list(read_ulog(ulog, topics))
