@@ -16,14 +16,14 @@ from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.config import Config
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.estimators.estimate import TrackQuality
-from sidelong.mission.control.alarms import Alarm, Alarms, Situation
+from sidelong.mission.control.alarms import LOW_BATTERY, Alarm, Alarms, Situation
 from sidelong.mission.control.endurance import Endurance, time_to_s
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import AlarmReported, Announce, BatteryReported
 
 _LOOK_EVERY_S = 0.5
 _STATUS_EVERY_S = 0.2  # of the wall clock: a fast simulation looks more often
-_BATTERY_EVERY_S = 10.0
+_BATTERY_EVERY_S, _LOW_BATTERY_EVERY_S = 10.0, 1.0  # the controller needs more than one report to fly home
 _TEXT_EVERY_S = 5.0
 _TEXT_MAX = 50  # characters of a STATUSTEXT
 _IN_HAND = (Phase.WATCHING, Phase.HOLDING)
@@ -127,7 +127,10 @@ class AlarmWatch:
         self.left_s = self._endurance.left_s(snapshot.time_s)
         airspeed_m_s = self._config.aircraft.airspeed_m_s
         self.home_s = time_to_s(snapshot.aircraft, self._home_m, airspeed_m_s, snapshot.wind)
-        if self.left_s is not None and snapshot.time_s >= self._reported_s + _BATTERY_EVERY_S:
+        if self.left_s is None:
+            return
+        every_s = _LOW_BATTERY_EVERY_S if self.left_s <= LOW_BATTERY * self.home_s else _BATTERY_EVERY_S
+        if snapshot.time_s >= self._reported_s + every_s:
             self._reported_s = snapshot.time_s
             self._put(BatteryReported(snapshot.time_s, status.battery_percent, self.left_s, self.home_s))
 

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
+import png
 
 from sidelong.estimators.terrain.ground import Ground
 
@@ -49,11 +49,12 @@ def hillshade(ground: Ground, reach_m: float = math.inf) -> Hillshade:
     pixels = np.zeros((*change.shape, 4), np.uint8)
     pixels[..., :3] = np.where(change > 0.0, 255, 0)[..., None]
     pixels[..., 3] = np.rint(255.0 * _OPACITY_MAX * np.abs(np.clip(change, -1.0, 1.0)))
-    png = io.BytesIO()
-    Image.fromarray(np.flipud(pixels)).save(png, "PNG")
+    height, width, _ = pixels.shape
+    picture = io.BytesIO()
+    png.Writer(width, height, greyscale=False, alpha=True).write(picture, np.flipud(pixels).reshape(height, -1))
     # A pixel reaches half a step about its post.
     return Hillshade(
-        png.getvalue(),
+        picture.getvalue(),
         ground.west_m + columns[0] * ground.step_east_m - 0.5 * step_east_m,
         ground.south_m + rows[0] * ground.step_north_m - 0.5 * step_north_m,
         ground.west_m + columns[-1] * ground.step_east_m + 0.5 * step_east_m,

@@ -127,6 +127,19 @@ def test_the_battery_is_reported_and_shown_with_the_flight_home(rig, last):
     assert (shown.endurance_s, shown.home_s) == (rig.watch.left_s, rig.watch.home_s)
 
 
+def test_a_low_battery_is_reported_at_once_and_again(rig, last):
+    low_s = []
+    for second in range(400):
+        rig.status = replace(GOOD, battery_percent=40 - second // 20)
+        time_s = last.time_s + second
+        rig.show(replace(last, time_s=time_s, estimate=replace(last.estimate, last_sighting_s=time_s)))
+        if rig.watch.left_s is not None and rig.watch.left_s <= 1.2 * rig.watch.home_s:
+            low_s.append(time_s)
+    reported_s = [one.time_s for one in rig.events if isinstance(one, BatteryReported)]
+    assert len(low_s) > 3
+    assert [one for one in reported_s if one >= low_s[0]] == low_s
+
+
 @pytest.mark.parametrize(("action", "ends"), [("return", True), ("warn", False)])
 def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
     config = Config.model_validate({"planner": {"name": "paper", "at_low_battery": action}})
