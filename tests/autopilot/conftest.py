@@ -15,6 +15,7 @@ import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
@@ -43,15 +44,23 @@ class Vehicle:
     """A simulated vehicle in a thread, circling at home when it begins, and everything that is commanded to it."""
 
     def __init__(
-        self, flavour: str, ports: list[int], seed: int = 1, speed: float = SPEED, faults: LinkFaults | None = None
+        self,
+        flavour: str,
+        ports: list[int],
+        seed: int = 1,
+        speed: float = SPEED,
+        faults: LinkFaults | None = None,
+        motion: str = "walk",
+        **settings: Any,
     ) -> None:
         self.simulation = simulation = Simulation(
             Settings(
                 flavour=Flavour(flavour),
                 seed=seed,
-                targets=(TargetSettings(speed_max_m_s=4.0),),
+                targets=(TargetSettings(motion, speed_max_m_s=4.0),),
                 link_rate=speed,
                 boot_unix_s=time.time(),
+                **settings,
             )
         )
         self.autopilot = vehicle = simulation.vehicle
