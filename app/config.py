@@ -40,6 +40,7 @@ _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 # The automatic radius gives a 22 s orbit, the best value for recorded targets, if the range band has room for it.
 # _BANK_RESERVE is the margin to the bank limit.
 _AUTO_RADIUS_S, _BANK_RESERVE = 3.5, 1.1
+_DISTANCE_SENSOR_MAX_M = 655.0  # centimetres in 16 bits
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
 Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
@@ -471,6 +472,19 @@ def room_warning(config: Config) -> str | None:
         f"aircraft.radius_m = {radius_m:g} leaves little room to move the circle between {near_m:g} and {far_m:g} m, "
         f"and the side is kept for less of the time; make it {widest_m:.0f} m at most, or requirement.range_max_m "
         f"{near_m + (far_m - near_m) * radius_m / widest_m:.0f} m at least"
+    )
+
+
+def reach_warning(config: Config) -> str | None:
+    """Return in a sentence that the band reaches beyond what DISTANCE_SENSOR can report, None where it does not."""
+    far_m, height_m = config.requirement.range_max_m, config.aircraft.height_m
+    if config.payload.kind != MAVLINK or math.hypot(far_m, height_m) <= _DISTANCE_SENSOR_MAX_M:
+        return None
+    reached_m = math.sqrt(max(_DISTANCE_SENSOR_MAX_M**2 - height_m**2, 0.0))
+    return (
+        f"requirement.range_max_m = {far_m:g} is farther than a laser behind DISTANCE_SENSOR can report "
+        f"({_DISTANCE_SENSOR_MAX_M:g} m along the line of sight), so the target may be lost; make it "
+        f"{reached_m:.0f} m at most, unless the laser sends RANGEFINDER or the payload has a driver"
     )
 
 

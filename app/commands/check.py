@@ -12,13 +12,13 @@ from rich.table import Table
 from sidelong.app.commands.options import AIRCRAFT, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import table_progress
-from sidelong.app.commands.radius import RadiusOption, warn_of_little_room
+from sidelong.app.commands.radius import RadiusOption, warn_of_band
 from sidelong.app.config import Config, load_config, unflyable
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.study.flight_kernel import advance as advance_flight
-from sidelong.app.study.prediction import FLIGHT_S, FLIGHTS, predict
+from sidelong.app.study.prediction import FLIGHT_S, predict
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
@@ -113,7 +113,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     if airspeeds_m_s is not None and settings.planner.name != _PAPER:
         raise InputError(f"--optimise finds the best numbers of the paper's method; add --planner {_PAPER}.")
     reasons = unflyable(settings)
-    warn_of_little_room(settings)
+    warn_of_band(settings)
     values: dict[str, Any] = {"planner": settings.planner.name, "prediction": None}
     if settings.planner.name == _PAPER:
         values |= _paper_values(settings, airspeeds_m_s)
@@ -122,10 +122,12 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
             console.print("compiling the simulated flights, once for this version of the program: up to a minute")
         prediction = predict(settings, table_progress(console.print))
         values["prediction"] = prediction.as_json()
-        console.print(f"predicted from {FLIGHTS} simulated flights of {FLIGHT_S / 60.0:.0f} minutes:")
+        console.print(f"predicted from {prediction.flights} simulated flights of {FLIGHT_S / 60.0:.0f} minutes:")
         console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
         console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
         reasons = prediction.shortcoming(settings)
+        if not reasons and prediction.doubt():
+            console.print(f"close to the limit: {prediction.doubt()}", soft_wrap=True)
     return {"feasible": not reasons, **values}, reasons
 
 

@@ -68,6 +68,9 @@ def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
     if not is_cached(advance):
         note("how well this requirement can be kept has not been computed yet: sidelong check does it")
         return
-    shortcoming = predict(config).shortcoming(config)
+    prediction = predict(config)
+    shortcoming = prediction.shortcoming(config)
     if shortcoming:
         note(f"warning: sidelong check refuses this configuration: {shortcoming}")
+    elif prediction.doubt():
+        note(f"close to the limit: {prediction.doubt()}")

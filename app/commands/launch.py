@@ -21,7 +21,7 @@ from sidelong.app.commands.output import (
     warn,
     write_json,
 )
-from sidelong.app.commands.radius import warn_of_little_room
+from sidelong.app.commands.radius import warn_of_band
 from sidelong.app.commands.report import write_report
 from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config, with_values
 from sidelong.app.errors import InputError
@@ -244,7 +244,7 @@ def _checked(settings: Config, speed: float | None, payload_url: str | None, poi
     settings = _with_simulated_payload(settings, speed, payload_url)
     check_flyable(settings)
     _check_input(settings, point_gimbal)
-    warn_of_little_room(settings)
+    warn_of_band(settings)
     return settings
 
 

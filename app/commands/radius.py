@@ -1,4 +1,4 @@
-"""The radius as an option of commands, and the warning of one that leaves no room."""
+"""The radius as an option of commands, and the warnings of a band that does not suit radius or laser."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from sidelong.app.commands.options import AIRCRAFT
 from sidelong.app.commands.output import console
-from sidelong.app.config import Config, room_warning
+from sidelong.app.config import Config, reach_warning, room_warning
 
 
 def _parsed(words: str) -> float | str:
@@ -27,8 +27,8 @@ RadiusOption = Annotated[
 ]
 
 
-def warn_of_little_room(config: Config) -> None:
-    """Warn about a circle that leaves too little margin in the range band."""
-    warning = room_warning(config)
-    if warning is not None:
-        console.print(f"note: {warning}", soft_wrap=True)
+def warn_of_band(config: Config) -> None:
+    """Warn about a band that leaves too little margin for the circle, or is wider than the laser's reach."""
+    for warning in (room_warning(config), reach_warning(config)):
+        if warning is not None:
+            console.print(f"note: {warning}", soft_wrap=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Mapping
 from typing import Any, Protocol
 
+from sidelong.app.errors import FlightError
 from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkReport
 
@@ -44,5 +45,5 @@ class Link(Protocol):
         ...
 
 
-class LinkError(Exception):
+class LinkError(FlightError):
     """A link operation failed; the message names the operation and the reason."""

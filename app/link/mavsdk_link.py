@@ -188,7 +188,8 @@ class MavsdkLink:
         try:
             await self._bounded(self._direct.send_message(message), 2.0)
         except (MavlinkDirectError, TimeoutError) as error:
-            raise LinkError(f"{name} could not be sent ({error})") from error
+            reason = str(error) or "MAVSDK did not take it for 2 s: is this computer too slow?"
+            raise LinkError(f"{name} could not be sent: {reason}") from error
 
     # -- parameters ----------------------------------------------------------------------------------------
 

@@ -47,7 +47,7 @@ from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import OperatorRequest
 
 _AGAIN_S = 2.0  # between two attempts to connect
-_ROTATE_EVERY_S = 300.0
+_ROTATE_EVERY_S = 60.0
 _TEXT_MAX = 50  # characters of a STATUSTEXT
 _RC_CHANNELS, _RC_HZ, _RC_AFTER_S = 65, 2.0, 3.0
 _WHO = {"socket": "a command", "vehicle": "the transmitter or a ground station"}
@@ -276,7 +276,7 @@ class Resident:
             self._summarised(ended)
             text = ended.summary.outcome if reason is None else str(reason)
             failed = reason is not None and not isinstance(reason, InputError)
-        except (FlightError, InputError, LinkError, OSError) as error:
+        except (FlightError, InputError, OSError) as error:
             failed, text = True, str(error)
         except Exception as error:  # a fault of the program, and the service goes on
             failed, text = True, f"a fault of the program: {error!r}"

@@ -11,18 +11,32 @@ import numpy as np
 
 from sidelong.app.config import Config, with_values
 from sidelong.app.study.design import configured, designs
+from sidelong.app.study.judging import RunResult
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
 from sidelong.app.study.study import one_flown, table_of
 
-FLIGHTS, FLIGHT_S = 20, 600.0
+FLIGHTS, FLIGHTS_MAX, FLIGHT_S = 20, 80, 600.0  # more flights while the verdict is in doubt
 LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below these is refused
 # Student's t for 95 % (two-sided) with 1, 2, ... degrees of freedom: a flight does without scipy.
-T_95 = np.array(
+_T_95 = np.array(
     [
         [12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281],
         [2.2010, 2.1788, 2.1604, 2.1448, 2.1314, 2.1199, 2.1098, 2.1009, 2.0930, 2.0860],
     ]
 ).ravel()
+_NORMAL_95 = 1.959964
+
+
+def t_95(freedom: int) -> float:
+    """Return Student's t for a two-sided interval of 95 %.
+
+    Args:
+        freedom: Degrees of freedom, from 1; from 21 on by an expansion in their inverse (Abramowitz, Stegun 26.7.5).
+    """
+    if freedom <= len(_T_95):
+        return float(_T_95[freedom - 1])
+    z = _NORMAL_95
+    return z + (z**3 + z) / (4.0 * freedom) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +62,12 @@ class Share:
         if len(known) < 2:
             return None
         mean, worst = float(known.mean()), float(known.min())
-        half = float(T_95[len(known) - 2] * known.std(ddof=1) / math.sqrt(len(known)))
+        half = float(t_95(len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known)))
         return Share(mean, max(mean - half, 0.0), min(mean + half, 1.0), worst)
+
+    def contains(self, share: float) -> bool:
+        """Return whether the mean of all flights may be below or above a share, as far as these flights tell."""
+        return self.low < share <= self.high
 
     def __str__(self) -> str:
         mean, low, high, worst = (f"{100.0 * value:.1f}" for value in (self.mean, self.low, self.high, self.worst))
@@ -58,31 +76,51 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What simulated flights next to random targets came to; time_on_side is None if no target moved."""
+    """What simulated flights next to random targets came to.
 
+    Attributes:
+        flights: Their number.
+        time_in_band: Share of the time in the range band.
+        time_on_side: Share of the time on the required side; None if no target moved.
+    """
+
+    flights: int
     time_in_band: Share | None
     time_on_side: Share | None
 
     def shortcoming(self, config: Config) -> str:
-        """Return what the configuration does not achieve and what to change, '' if it is good enough."""
+        """Return what the configuration does not achieve and what to change, '' if it is good enough.
+
+        Args:
+            config: The mission that was predicted.
+        """
         band, side, wanted = self.time_in_band, self.time_on_side, config.requirement
         if band is not None and band.high < LEAST_IN_BAND:
             return (
-                f"in {FLIGHTS} simulated flights the target is between {wanted.range_min_m:g} and "
+                f"in {self.flights} simulated flights the target is between {wanted.range_min_m:g} and "
                 f"{wanted.range_max_m:g} m for {band}; widen the band, make aircraft.radius_m smaller "
                 "or expect a slower target"
             )
         if side is not None and side.high < LEAST_ON_SIDE:
             return (
-                f"in {FLIGHTS} simulated flights the aircraft is on the required side for {side}; "
+                f"in {self.flights} simulated flights the aircraft is on the required side for {side}; "
                 "make aircraft.radius_m smaller, widen the band or expect a slower target"
             )
         return ""
 
+    def doubt(self) -> str:
+        """Return which share is too near to what is required for a verdict, '' if none is."""
+        shares = ("in band", self.time_in_band, LEAST_IN_BAND), ("on side", self.time_on_side, LEAST_ON_SIDE)
+        for name, share, least in shares:
+            if share is not None and share.contains(least):
+                return f"the time {name} is near the {100.0 * least:.0f} % that are required"
+        return ""
+
     def as_json(self) -> dict[str, Any]:
+        """Return the prediction for the JSON summary."""
         shares = {"time_in_band": self.time_in_band, "time_on_side": self.time_on_side}
         shown = {name: None if share is None else asdict(share) for name, share in shares.items()}
-        return {"flights": FLIGHTS, "flight_s": FLIGHT_S, **shown}
+        return {"flights": self.flights, "flight_s": FLIGHT_S, "in_doubt": bool(self.doubt()), **shown}
 
 
 def studied(config: Config) -> StudySettings:
@@ -104,5 +142,19 @@ def predict(config: Config, progress: Callable[[float], None] = lambda _share: N
     settings = studied(config)
     (planner,) = settings.planners
     table = table_of(settings, progress) if planner is PlannerName.PREDICTIVE else None
-    flown = [one_flown(settings, planner, number, table) for number in range(FLIGHTS)]
-    return Prediction(Share.of([one.time_in_band for one in flown]), Share.of([one.time_on_side for one in flown]))
+    return prediction_of(lambda number: one_flown(settings, planner, number, table))
+
+
+def prediction_of(fly: Callable[[int], RunResult]) -> Prediction:
+    """Fly until the verdict is clear, but not for ever.
+
+    Args:
+        fly: Flies the run with a number, from 0.
+    """
+    flown: list[RunResult] = []
+    while True:
+        flown += [fly(number) for number in range(len(flown), len(flown) + FLIGHTS)]
+        band, side = [one.time_in_band for one in flown], [one.time_on_side for one in flown]
+        found = Prediction(len(flown), Share.of(band), Share.of(side))
+        if not found.doubt() or len(flown) >= FLIGHTS_MAX:
+            return found

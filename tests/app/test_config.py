@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sidelong.app.config import check_flyable, load_config, room_warning
+from sidelong.app.config import check_flyable, load_config, reach_warning, room_warning
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import journalled_config
 from sidelong.mission.core.requirement import Side
@@ -119,6 +119,13 @@ def test_a_radius_that_fits_is_found(tmp_path, aircraft, requirement, radius_m):
     assert config.aircraft.radius_m == pytest.approx(radius_m, abs=1)
     check_flyable(config)
     assert config.model_dump()["aircraft"]["radius_m"] == config.aircraft.radius_m
+
+
+def test_a_band_beyond_the_laser_s_message_is_warned_of():
+    far = {"requirement": {"range_max_m": 750.0}}
+    assert reach_warning(load_config(None)) is None
+    assert "make it 647 m at most" in reach_warning(load_config(None, far))
+    assert reach_warning(load_config(None, {**far, "payload": {"kind": "siyi"}})) is None
 
 
 def test_a_circle_without_room_is_warned_of():

@@ -62,7 +62,7 @@ def test_check_names_the_aircraft_that_cannot(run, tmp_path, monkeypatch):
 
     def predicted(config, _progress):
         share = 0.3 if config.aircraft.airspeed_m_s == 30.0 else 1.0
-        return Prediction(Share.of([share, share]), None)
+        return Prediction(2, Share.of([share, share]), None)
 
     monkeypatch.setattr("sidelong.app.commands.check.predict", predicted)
     with pytest.raises(InputError, match=r"^infeasible: south: ") as refused:

@@ -9,10 +9,12 @@ import socket
 import pytest
 from typer.testing import CliRunner
 
+from sidelong.app import cli
 from sidelong.app.cli import app
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError, missing_package
+from sidelong.app.link.link import LinkError
 from sidelong.app.link.raw_links import opened_links
 from sidelong.app.link.url import checked_url
 from sidelong.app.records.run_folder import RunFolder
@@ -133,3 +135,12 @@ def test_a_long_task_reports_its_progress_without_a_terminal(capsys):
 def test_a_whole_record_is_not_called_truncated(tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps({"records_lost": ""}))
     assert RunFolder(tmp_path).truncated() == ""
+
+
+def test_a_link_that_takes_no_message_ends_in_one_sentence(monkeypatch, capsys):
+    def launch(_arguments):
+        raise LinkError("PARAM_REQUEST_READ could not be sent: MAVSDK did not take it")
+
+    monkeypatch.setattr(cli, "app", launch)
+    assert cli.run([]) == 1
+    assert capsys.readouterr().err == "sidelong: PARAM_REQUEST_READ could not be sent: MAVSDK did not take it\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from sidelong.app.cli import app
 from sidelong.app.commands import flying
 from sidelong.app.config import Config, unflyable
 from sidelong.app.study import prediction
-from sidelong.app.study.prediction import Prediction, Share, predict
+from sidelong.app.study.prediction import Prediction, Share, predict, t_95
 from sidelong.mission.paper.feasibility import infeasible
 
 X8_AT_400_M = {
@@ -25,6 +26,7 @@ X8_AT_400_M = {
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     monkeypatch.setattr(prediction, "FLIGHTS", 3)
+    monkeypatch.setattr(prediction, "FLIGHTS_MAX", 6)
     monkeypatch.setattr(prediction, "FLIGHT_S", 200.0)
 
 
@@ -56,7 +58,7 @@ def test_what_only_the_paper_cannot_fly_is_feasible_for_the_default_planner(tmp_
 @pytest.mark.parametrize(("share", "refused"), [(0.3, True), (0.97, False)])
 def test_launch_warns_of_what_check_refuses(tmp_path, monkeypatch, share, refused):
     path, config = written(tmp_path)
-    found = Prediction(Share.of([share, share + 0.01, share + 0.02]), None)
+    found = Prediction(3, Share.of([share, share + 0.01, share + 0.02]), None)
     monkeypatch.setattr(prediction, "predict", lambda *_: found)
     monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)
     monkeypatch.setattr(flying, "is_cached", lambda _compiled: True)
@@ -82,15 +84,50 @@ def test_the_interval_is_that_of_student_and_stays_within_bounds():
 
 
 def test_the_side_alone_can_be_the_shortcoming():
-    low = Prediction(Share.of([1.0, 1.0]), Share.of([0.3, 0.31]))
+    low = Prediction(2, Share.of([1.0, 1.0]), Share.of([0.3, 0.31]))
     assert "required side" in low.shortcoming(Config())
-    assert Prediction(Share.of([1.0, 1.0]), Share.of([0.9, 0.91])).shortcoming(Config()) == ""
+    assert Prediction(2, Share.of([1.0, 1.0]), Share.of([0.9, 0.91])).shortcoming(Config()) == ""
 
 
 def test_the_best_numbers_are_of_the_paper_only():
     assert "--planner paper" in str(CliRunner().invoke(app, ["check", "--optimise"]).exception)
 
 
-def test_the_table_of_student_is_scipys():
-    freedoms = np.arange(1, 1 + len(prediction.T_95))
-    assert np.allclose(prediction.T_95, stdtrit(freedoms, 0.975), rtol=0.0, atol=1e-4)
+def test_the_t_of_student_is_scipys():
+    freedoms = np.arange(1, 100)
+    assert np.allclose([t_95(one) for one in freedoms], stdtrit(freedoms, 0.975), rtol=0.0, atol=3e-4)
+
+
+@dataclass
+class Flown:
+    time_in_band: float
+    time_on_side: float = 0.9
+
+
+@pytest.mark.parametrize(
+    ("shares", "flights", "doubtful"),
+    [
+        ((0.97, 0.98, 0.99), 3, False),
+        ((0.5, 0.51, 0.52), 3, False),
+        ((0.88, 0.9, 0.92, 0.97, 0.98, 0.99, 0.97, 0.98, 0.99), 9, False),
+        ((0.88, 0.9, 0.92), 12, True),
+    ],
+)
+def test_more_flights_are_flown_while_the_verdict_is_in_doubt(monkeypatch, shares, flights, doubtful):
+    monkeypatch.setattr(prediction, "FLIGHTS_MAX", 12)
+    found = prediction.prediction_of(lambda number: Flown(shares[number % len(shares)]))
+    assert (found.flights, found.as_json()["in_doubt"]) == (flights, doubtful)
+
+
+def test_a_doubtful_verdict_is_said_and_not_refused(tmp_path, monkeypatch):
+    path, config = written(tmp_path)
+    found = Prediction(3, Share.of([0.88, 0.9, 0.92]), None)
+    monkeypatch.setattr(prediction, "predict", lambda *_: found)
+    monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)
+    monkeypatch.setattr(flying, "is_cached", lambda _compiled: True)
+    ended = CliRunner().invoke(app, ["check", str(path)])
+    assert ended.exit_code == 0
+    assert "close to the limit: the time in band is near the 90 %" in ended.output
+    notes = []
+    flying.warn_of_prediction(config, notes.append)
+    assert len(notes) == 1
