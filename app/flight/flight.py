@@ -310,14 +310,11 @@ class Flight:
     async def _resume(self) -> None:
         """Check the vehicle again after a yield, then ask the core to take it over.
 
-        Raises InputError that lists the failing checks.
+        What passes by itself, as an EKF that starts, is waited for shortly. Raises InputError that lists what fails.
         """
         ready, loop = self._ready, self._loop
         assert ready is not None
         assert loop is not None
-        objection = self._controller.resume_objection()
-        if objection:
-            raise InputError(objection)  # the core has announced it, too
         check_takeover(self._vehicle, self._config.link.take_over_from)
         if not is_flying(self._vehicle):
             raise InputError("the aircraft is on the ground; end this watch and start another one to take off.")
@@ -327,11 +324,13 @@ class Flight:
                 rates = await sources.received(_LISTEN_S, self._config.sharing)
                 home = await home_of(self._vehicle)
                 found = checks(self._config, self._vehicle, self._autopilot, ready.table, home, rates)
-                missing = [check for check in found if not check.ready and not check.before_take_off]
+                missing = [str(check) for check in found if not check.ready and not check.before_take_off]
+                if objection := self._controller.resume_objection():
+                    missing.insert(0, objection)
                 if not missing:
                     break
-                if time.monotonic() > until_s:
-                    raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
+                if time.monotonic() > until_s or self._controller.phase is not Phase.YIELDED:
+                    raise InputError("not ready, " + "; ".join(missing) + ".")
         for check in found:
             if not check.ready:  # the target may be out of the laser's range while a pilot flies
                 self._display.note(f"resuming without {check}")

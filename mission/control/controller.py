@@ -599,8 +599,8 @@ class StandoffController:
     def _operator(self, event: OperatorRequest) -> tuple[StepOutput, ...]:
         if self.phase is Phase.YIELDED and event.action == "resume":
             objection = self.resume_objection()
-            text = f"resume refused: {objection}" if objection else "operator: resume; the vehicle is checked again"
-            return (Announce(event.time_s, "operator", text),)
+            waits = f", once this has passed: {objection}" if objection else ""
+            return (Announce(event.time_s, "operator", f"operator: resume; the vehicle is checked again{waits}"),)
         if self.phase not in _FLYING:
             return (Announce(event.time_s, "operator", f"{event.action} refused: the mission is {self.phase}"),)
         settings = self.settings

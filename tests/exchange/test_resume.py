@@ -116,7 +116,9 @@ def test_a_resume_is_refused_while_the_autopilot_is_silent(in_the_air):
     flight.run(20.0)
     sent = len(flight.found(SendMessage))
     resume(flight)
-    assert "resume refused: no message from the autopilot" in flight.found(Announce)[-1].text
+    asked, refused = (one.text for one in flight.found(Announce)[-2:])
+    assert asked.endswith("checked again, once this has passed: no message from the autopilot")
+    assert refused == "resume refused: no message from the autopilot"
     flight.run(5.0)
     assert phase(flight) is Phase.YIELDED
     assert len(flight.found(SendMessage)) == sent
