@@ -8,6 +8,7 @@ Each line of an aircraft costs, in addition to the walls of the band:
   other, and not on the line in which a likely turn would put both ahead and astern;
 - the courses of the target for which no aircraft would be on the required side: none while they stand opposite;
 - a share of what the line would cost the aircraft alone on the side of its role, so that it stays near to that;
+- the edges of the band after the line's end, on the cheapest of a few continuations: a share of them is too little;
 - for the primary, what the move costs it more than staying where it looks two moves ahead, alone: what the others
   see is predicted along the lines that they have, and a target that winds leaves those behind.
 
@@ -38,11 +39,12 @@ from sidelong.mission.fleet.cover_kernel import (
     uncovered,
     wanted_value,
 )
+from sidelong.mission.geometry.line_kernel import ground_speed_m_s
 from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
 from sidelong.mission.predictive.decision_kernel import Looker, add_prices, alternatives, commitment, look_deeper
 from sidelong.mission.predictive.foresight_kernel import along_route, foresee
 from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
-from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
+from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S, ramp_on
 from sidelong.mission.predictive.rollout_kernel import (
     Futures,
     Lines,
@@ -58,6 +60,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import SIDE
 _TAIL_S = 30.0  # duration for which the positions at the end of a line count
 _CIRCLING_S = 60.0  # and the circle that it ends in
 _LAP = 4  # places of a lap
+_CONTINUED = 12  # seconds after the end of a line in which the edges of the band count
 _WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at again, is out of the question
 _QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 
@@ -143,6 +146,53 @@ def _way_back(scene: Scene, looker: Looker, range_m: float) -> float:
 
 
 @compiled
+def _continued(scene: Scene, looker: Looker, end: Pose, from_per_m: float, to_per_m: float, at: FloatArray) -> None:
+    """Fill in the places (2, n) of flying on from the end of a line for 1..n seconds.
+
+    The curvature changes from one to the other as fast as the aircraft rolls.
+    """
+    air, x_m, y_m, heading_rad, per_m = scene.air, end.x_m, end.y_m, end.heading_rad, from_per_m
+    ramp = ramp_on(heading_rad, air, looker.craft)
+    for k in range(at.shape[1]):
+        way_m = STEP_S * ground_speed_m_s(heading_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        change = min(max(to_per_m - per_m, -ramp * way_m), ramp * way_m)
+        middle_rad = heading_rad + 0.5 * (per_m + 0.5 * change) * way_m
+        x_m, y_m = x_m + way_m * math.sin(middle_rad), y_m + way_m * math.cos(middle_rad)
+        heading_rad, per_m = heading_rad + (per_m + 0.5 * change) * way_m, per_m + change
+        at[0, k], at[1, k] = x_m, y_m
+
+
+@compiled
+def _edges_after(
+    scene: Scene, f: Futures, looker: Looker, end: Pose, time_s: float, curvature_per_m: float, places: FloatArray
+) -> float:
+    """Return what the edges of the band cost after the end of a line, on the cheapest continuation of each future.
+
+    The aircraft stays on the circle, flies straight on, or turns as tightly as it can, either way. places: room.
+    """
+    c, d, total, tight_per_m = looker.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m
+    for e, to_per_m in enumerate((curvature_per_m, 0.0, -tight_per_m, tight_per_m)):
+        _continued(scene, looker, end, curvature_per_m, to_per_m, places[e])
+    for one in range(len(f.weight)):
+        cheapest = np.inf
+        for e in range(len(places)):
+            cost = 0.0
+            for k in range(_CONTINUED):
+                at_s = time_s + (k + 1) * STEP_S
+                _, off_x, off_y = from_target(f.place, f.step_s, one, places[e, 0, k], places[e, 1, k], at_s)
+                widened_m = math.hypot(d.position_m, d.velocity_m_s * at_s)
+                # On the watched side, so that only the edges count.
+                cost += STEP_S * cost_rate(-math.hypot(off_x, off_y), 0.0, widened_m, 1.0, c)
+                if cost >= cheapest:
+                    break
+            cheapest = min(cheapest, cost)
+            if cheapest == 0.0:
+                break
+        total += f.weight[one] * cheapest
+    return total
+
+
+@compiled
 def _end_value(
     scene: Scene,
     f: Futures,
@@ -155,6 +205,7 @@ def _end_value(
     classes: IntArray,
     share: FloatArray,
     found: FloatArray,
+    places: FloatArray,
 ) -> float:
     """Return what is to be paid from the end of a line on: its share alone, and together.
 
@@ -174,6 +225,7 @@ def _end_value(
         + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
         + _CIRCLING_S / looker.table.mean_leg_s * turn
         + back
+        + _edges_after(scene, f, looker, end, time_s, curvature_per_m, places)
     )
 
 
@@ -228,7 +280,7 @@ def team_lines_costs(
     x, y = placed(lines, start)
     heading_rad = start.heading_rad + lines.turned_rad
     classes, share = asking_room()
-    found = np.empty(len(team.turns_rad))
+    found, places = np.empty(len(team.turns_rad)), np.empty((4, 2, _CONTINUED))
     rates, turn_rates, ends = np.empty(n), np.empty(n), np.empty(lines_count)
     for s in range(n):
         rates[s] = weight[s] * _team_rate(scene, f, cover, looker, team, x[s], y[s], time_s[s])
@@ -239,7 +291,7 @@ def team_lines_costs(
         s = lines.own_first[i + 1] - 1
         end = Pose(x[s], y[s], heading_rad[s])
         ends[i] = weight[s] * _end_value(
-            scene, f, cover, looker, team, end, time_s[s], end_per_m, classes, share, found
+            scene, f, cover, looker, team, end, time_s[s], end_per_m, classes, share, found, places
         )
     costs[:lines_count] = 0.0
     add_up(lines, rates, turn_rates, ends, 1.0, costs)

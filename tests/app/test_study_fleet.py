@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
 from sidelong.app.study.fleet_study import fleet_json
+from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.mission.predictive.planner import table_configuration
 
+TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 SETTINGS = StudySettings(
     (PlannerName.PREDICTIVE,), runs=2, config=studied(fleet_size=2), duration_s=240.0, legs_s=(30.0, 60.0)
 )
@@ -49,6 +52,14 @@ def test_together_they_see_the_side_almost_always(fleets):
 def test_they_keep_apart_by_their_heights_at_least(fleets):
     for runs in fleets.values():
         assert min(run.min_separation_m for run in runs) >= SETTINGS.layer_m
+
+
+def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it():
+    tracks = recorded_targets([TRACKS / "cycle_016.csv"], 14.0).flown
+    of_class = studied(airspeed_m_s=30.0, radius_m=105.0, target_speed_max_m_s=14.0, fleet_size=2)
+    fast = replace(SETTINGS, runs=1, tracks=tracks, config=of_class)
+    table = value_table(table_configuration(fast.aircraft(), fast.requirement()))
+    assert run_fleet(fast, 0, table).min_range_m > 110.0
 
 
 def test_two_payloads_with_errors_of_their_own_place_the_target_within_half_a_metre(fleets):

@@ -99,6 +99,7 @@ def test_two_next_to_recorded_targets_and_one_alone():
         )
         Console().print(fleet_table(two))
         assert min(run.min_separation_m for run in runs) >= 50.0
+        assert min(run.min_range_m for run in runs) >= 50.0
     share = np.concatenate(off_both).mean() / np.concatenate(off_alone).mean()
     print(f"\nall together: {share:.3f} of the time that one aircraft alone is off the side")
     assert share < 0.3
