@@ -43,7 +43,7 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def fails_with(alongside: asyncio.Task[None]) -> Iterator[None]:
-    """Raise the error of a task that fails while this is entered: what waits for its work would wait for ever."""
+    """Raise the error of a task that fails inside this context: what waits for its work would never end."""
     inside = asyncio.current_task()
     assert inside is not None
 

@@ -126,7 +126,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
         console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
         reasons = prediction.shortcoming(settings)
-        if not reasons and prediction.doubt():
+        if prediction.doubt():
             console.print(f"close to the limit: {prediction.doubt()}", soft_wrap=True)
     return {"feasible": not reasons, **values}, reasons
 

@@ -16,7 +16,7 @@ from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.config import Config
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.estimators.estimate import TrackQuality
-from sidelong.mission.control.alarms import LOW_BATTERY, Alarm, Alarms, Situation
+from sidelong.mission.control.alarms import Alarm, Alarms, Situation, battery_is_low
 from sidelong.mission.control.endurance import Endurance, time_to_s
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import AlarmReported, Announce, BatteryReported
@@ -129,7 +129,7 @@ class AlarmWatch:
         self.home_s = time_to_s(snapshot.aircraft, self._home_m, airspeed_m_s, snapshot.wind)
         if self.left_s is None:
             return
-        every_s = _LOW_BATTERY_EVERY_S if self.left_s <= LOW_BATTERY * self.home_s else _BATTERY_EVERY_S
+        every_s = _LOW_BATTERY_EVERY_S if battery_is_low(self.left_s, self.home_s) else _BATTERY_EVERY_S
         if snapshot.time_s >= self._reported_s + every_s:
             self._reported_s = snapshot.time_s
             self._put(BatteryReported(snapshot.time_s, status.battery_percent, self.left_s, self.home_s))

@@ -310,7 +310,7 @@ class Flight:
     async def _resume(self) -> None:
         """Check the vehicle again after a yield, then ask the core to take it over.
 
-        What passes by itself, as an EKF that starts, is waited for shortly. Raises InputError that lists what fails.
+        A failing check may pass within seconds, as while an EKF starts. Raises InputError that lists what then fails.
         """
         ready, loop = self._ready, self._loop
         assert ready is not None

@@ -43,6 +43,7 @@ _LOOK_FOR_OTHERS_S = 2.0
 # What other systems on the links are received for: their traffic, requests of a station, and an ally's mission.
 _OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
+_SEND_S = 2.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
 OWN_SYSTEM_ID = 245
@@ -186,9 +187,9 @@ class MavsdkLink:
             fields_json=json.dumps({key: _json_number(value) for key, value in fields.items()}),
         )
         try:
-            await self._bounded(self._direct.send_message(message), 2.0)
+            await self._bounded(self._direct.send_message(message), _SEND_S)
         except (MavlinkDirectError, TimeoutError) as error:
-            reason = str(error) or "MAVSDK did not take it for 2 s: is this computer too slow?"
+            reason = str(error) or f"MAVSDK did not take it for {_SEND_S:g} s: is this computer too slow?"
             raise LinkError(f"{name} could not be sent: {reason}") from error
 
     # -- parameters ----------------------------------------------------------------------------------------

@@ -44,8 +44,9 @@ class _Kind:
         self.length = length
         if length != 3 + self._unpacker.size or len(self._field_names) != len(formats):
             raise ValueError(f"the definition of {self.name} contradicts itself")
-        self.is_numeric = not any(code.endswith("s") for code, _, _ in formats)
-        self.has_time = ("TimeUS", "Q") in zip(self._field_names, _text(letters), strict=True)
+        has_time = ("TimeUS", "Q") in zip(self._field_names, _text(letters), strict=True)
+        # Nothing that is read has text: by a damaged definition it may seem to.
+        self.is_usable = has_time and not any(code.endswith("s") for code, _, _ in formats)
 
     def entry(self, data: mmap | bytes, at: int) -> Entry:
         """Return the entry at ``at``; it must have a time."""
@@ -105,9 +106,7 @@ def read_dataflash(path: Path, wanted: Collection[str], progress: Progress = uns
 
         def read() -> Iterator[tuple[float, Entry]]:
             kinds = _kinds(data)
-            # Nothing that is wanted has text: by a damaged definition it may seem to.
-            sound = {number: kind for number, kind in kinds.items() if kind.has_time and kind.is_numeric}
-            chosen = {number: kind for number, kind in sound.items() if kind.name in wanted}
+            chosen = {number: kind for number, kind in kinds.items() if kind.name in wanted and kind.is_usable}
             for at, number in _entries(data, kinds):
                 if number in chosen:
                     yield at / len(data), chosen[number].entry(data, at)

@@ -66,7 +66,7 @@ class Share:
         return Share(mean, max(mean - half, 0.0), min(mean + half, 1.0), worst)
 
     def contains(self, share: float) -> bool:
-        """Return whether the mean of all flights may be below or above a share, as far as these flights tell."""
+        """Return whether the confidence interval of the mean contains a share."""
         return self.low < share <= self.high
 
     def __str__(self) -> str:
@@ -109,10 +109,13 @@ class Prediction:
         return ""
 
     def doubt(self) -> str:
-        """Return which share is too near to what is required for a verdict, '' if none is."""
+        """Return which share is too near to what is required for a verdict, '' if none is or one is too low."""
         shares = ("in band", self.time_in_band, LEAST_IN_BAND), ("on side", self.time_on_side, LEAST_ON_SIDE)
-        for name, share, least in shares:
-            if share is not None and share.contains(least):
+        known = [(name, share, least) for name, share, least in shares if share is not None]
+        if any(share.high < least for _, share, least in known):
+            return ""
+        for name, share, least in known:
+            if share.contains(least):
                 return f"the time {name} is near the {100.0 * least:.0f} % that are required"
         return ""
 
@@ -146,7 +149,7 @@ def predict(config: Config, progress: Callable[[float], None] = lambda _share: N
 
 
 def prediction_of(fly: Callable[[int], RunResult]) -> Prediction:
-    """Fly until the verdict is clear, but not for ever.
+    """Fly until the verdict is clear, ``FLIGHTS_MAX`` flights at most.
 
     Args:
         fly: Flies the run with a number, from 0.

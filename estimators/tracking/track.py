@@ -153,7 +153,7 @@ class Track:
             self._accept(sighting, before, ahead)
             return SightingOutcome(sighting, True, nis)
         needed = settings.reacquire_after
-        if self._may_have_moved_to(sighting):
+        if self._may_have_moved_to(sighting, before):
             needed = min(needed, _AGREEING_UNSEEN)
         agreeing = self._gated_out = [*self._gated_out, sighting][-needed:]
         if len(agreeing) == needed and self._one_target_explains(agreeing):
@@ -210,24 +210,26 @@ class Track:
             after.update(sighting, math.inf)
             self._accept(sighting, before, after)
 
-    def _may_have_moved_to(self, sighting: AnySighting) -> bool:
+    @property
+    def _speed_max_m_s(self) -> float:
+        return 2.0 * self._settings.target_speed_sigma_m_s
+
+    def _may_have_moved_to(self, sighting: AnySighting, before: TargetImm) -> bool:
         """Return whether the target was unseen, and can have driven there since."""
         unseen_s = sighting.time_s - self._last_sighting_s
-        if self._filter is None or unseen_s <= self._settings.coasting_after_s:
+        if unseen_s <= self._settings.coasting_after_s:
             return False
-        east_m, north_m = self._filter.moments()[0].tolist()[:2]
-        reach_m = 2.0 * self._settings.target_speed_sigma_m_s * unseen_s
-        return math.hypot(sighting.east_m - east_m, sighting.north_m - north_m) < reach_m
+        east_m, north_m = before.moments()[0].tolist()[:2]
+        return math.hypot(sighting.east_m - east_m, sighting.north_m - north_m) < self._speed_max_m_s * unseen_s
 
     def _one_target_explains(self, sightings: list[AnySighting]) -> bool:
         """Return whether these are as close as detections of one target: outliers scatter, a jump does not."""
         last = sightings[-1]
         # Three sigma of a difference of two, along the longer axis.
         reach_m = 3.0 * math.sqrt(2.0 * float(last.covariance.trace()))
-        speed_m_s = 2.0 * self._settings.target_speed_sigma_m_s
         return all(
             math.hypot(one.east_m - last.east_m, one.north_m - last.north_m)
-            < reach_m + speed_m_s * abs(last.time_s - one.time_s)
+            < reach_m + self._speed_max_m_s * abs(last.time_s - one.time_s)
             for one in sightings
         )
 

@@ -234,13 +234,24 @@ def _battery(_alarms: Alarms, now: Situation) -> str:
     charge = f"the battery is at {now.battery_percent:.0f} %"
     if now.endurance_s is None or now.home_s is None:
         return charge if now.battery_percent < _RESERVE_PERCENT_WARNED else ""
-    if now.endurance_s > LOW_BATTERY * now.home_s:
+    if not battery_is_low(now.endurance_s, now.home_s):
         return ""
     return f"{charge}: {max(now.endurance_s, 0.0) / 60.0:.0f} min left, and home is {now.home_s / 60.0:.1f} min away"
 
 
 LOW_BATTERY = 1.2
 """The battery is low when the flight time left is below this many times the time to fly home."""
+
+
+def battery_is_low(left_s: float, home_s: float) -> bool:
+    """Return whether the aircraft has to fly home.
+
+    Args:
+        left_s: Flight time left until the battery's reserve, s.
+        home_s: Time to fly home, s.
+    """
+    return left_s <= LOW_BATTERY * home_s
+
 
 _BAD = (InputState.STALE, InputState.INCONSISTENT)
 _INPUTS = {

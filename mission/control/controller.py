@@ -47,7 +47,7 @@ from sidelong.estimators.sensing.readings import (
 )
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.tracking.tracker import Tracker
-from sidelong.mission.control.alarms import LOW_BATTERY
+from sidelong.mission.control.alarms import battery_is_low
 from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
 from sidelong.mission.control.plan_changes import PlanChanges
 from sidelong.mission.control.planning import Planning
@@ -551,7 +551,7 @@ class StandoffController:
         return (self.health.link_changed(event, event.time_s),)
 
     def _battery_reported(self, event: BatteryReported) -> tuple[StepOutput, ...]:
-        low = event.left_s <= LOW_BATTERY * event.home_s
+        low = battery_is_low(event.left_s, event.home_s)
         self._low_battery_reports = self._low_battery_reports + 1 if low else 0
         wanted = self.phase in _FLYING and self.settings.at_low_battery == "return"
         if not wanted or self._low_battery_reports < _LOW_BATTERY_REPORTS:

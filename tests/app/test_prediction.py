@@ -119,6 +119,10 @@ def test_more_flights_are_flown_while_the_verdict_is_in_doubt(monkeypatch, share
     assert (found.flights, found.as_json()["in_doubt"]) == (flights, doubtful)
 
 
+def test_what_is_refused_by_one_share_is_not_in_doubt_by_another():
+    assert Prediction(3, Share.of([0.9, 0.92, 0.88]), Share.of([0.2, 0.21, 0.22])).doubt() == ""
+
+
 def test_a_doubtful_verdict_is_said_and_not_refused(tmp_path, monkeypatch):
     path, config = written(tmp_path)
     found = Prediction(3, Share.of([0.88, 0.9, 0.92]), None)

@@ -75,7 +75,7 @@ def test_launch_achieves_what_check_predicts():
         for said, done in zip(shares(predicted), shares(achieved), strict=True):
             if said is not None and done is not None:
                 within.append((said.low <= done.mean <= said.high, done.mean >= said.worst))
-            if verdicts[-1][0] != verdicts[-1][1] or not within[-1][1]:
+            if verdicts[-1][0] != verdicts[-1][1] or (within and not within[-1][1]):
                 print(f"{len(verdicts)}, {verdicts[-1]}: predicted {said}; flown {done}", flush=True)
     in_interval, above_worst = np.mean(within, axis=0)
     same, opposite = sum(a == b for a, b in verdicts), sum({a, b} == {"good", "refused"} for a, b in verdicts)
