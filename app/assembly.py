@@ -2,59 +2,51 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from contextlib import ExitStack, suppress
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config, Polygon, SensorsSection
 from sidelong.app.errors import InputError
-from sidelong.app.planners.planner_kind import PlannerKind, PlannerNeeds
+from sidelong.app.interpreter import helper_command, helper_environment
+from sidelong.app.planners.planner_kind import CompilesInParts, PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.app.warm_up import DECISION_INPUTS, warm_up_over, warm_up_planner, warm_up_track
 from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.sighting import Sighting
-from sidelong.estimators.tracking.band_kernel import add_readings, aircraft_at, solve_banded
 from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.heights import ClimbRates, OneHeight
-from sidelong.mission.core.plan import AircraftState, Plan, Planner
-from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.plan import Plan
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.takeover import TakeoverSettings
-from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.trapezoid import Trapezoids
-from sidelong.mission.geometry.wind import ground_speeds_m_s
-from sidelong.mission.route.progress import RoutePlanner
-from sidelong.mission.route.progress_kernel import fresh_progress
-from sidelong.mission.route.route import route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
     from sidelong.app.link.other_mission import OtherMission
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight, SightAt
-    from sidelong.mission.terrain.heights import FlightHeights
-    from sidelong.mission.terrain.sight import SightField
 
 # Laser dropouts of one or two seconds are normal and need no message.
 _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
-_FIRST = Circle(-250.0, 0.0, 60.0, clockwise=True)  # of the warm-up
+_PARTS = "rest", "search and filter"  # of the first compilation, each in a process of its own
 
 
 def tracker_of(config: Config) -> Tracker:
@@ -104,11 +96,46 @@ def controller_of(
         announce: Receives a sentence before the compilation, which takes up to a minute, once for each version.
         kind: The kind of planner; None for the configured one, for an aircraft that flies alone.
     """
-    aircraft = config.aircraft.aircraft()
-    requirement = config.requirement.requirement()
     kind = kind or planner_by_name(config.planner.name)
     if not (kind.is_compiled() and is_cached(update)):
         announce("compiling the planner and the filter, once for this version of the program: up to a minute")
+        _compile(config, kind)
+    return _controller(config, kind, progress)
+
+
+def _compile(config: Config, kind: PlannerKind) -> None:
+    """Compile in two processes at a time, which leave the machine code in the cache and take their memory with them.
+
+    What one of them fails to compile is compiled in this process when it is first called.
+    """
+    with ExitStack() as running:
+        helpers = []
+        for part in _PARTS:
+            helper = subprocess.Popen(
+                helper_command(__name__, part),
+                env=helper_environment(),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # the terminal's Ctrl-C is not for it
+            )
+            running.callback(helper.wait)
+            running.callback(helper.kill)
+            helpers.append(helper)
+        given = pickle.dumps((config, kind))
+        for helper in helpers:
+            assert helper.stdin is not None
+            with suppress(BrokenPipeError), helper.stdin:
+                helper.stdin.write(given)
+        for helper in helpers:
+            helper.wait()
+
+
+def _controller(
+    config: Config, kind: PlannerKind, progress: Callable[[float], None] = lambda _share: None
+) -> StandoffController:
+    aircraft = config.aircraft.aircraft()
+    requirement = config.requirement.requirement()
 
     def check(plan: Plan) -> str | None:
         # Called each time: fences and ground are known only once the plane is.
@@ -135,9 +162,9 @@ def controller_of(
         tracker_of(config),
         make_planner,
     )
-    track = Track(tracker_settings(config.sensors, lost_after_s))
-    with_route = config.route.is_known
-    _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0, with_route)
+    beyond_m = requirement.range_max_m - 190.0
+    warm_up_planner(make_planner(aircraft, requirement), beyond_m, config.route.is_known)
+    warm_up_track(Track(tracker_settings(config.sensors, lost_after_s)))
     return controller
 
 
@@ -196,69 +223,6 @@ def planner_needs(
         check,
         sight,
     )
-
-
-def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) -> None:
-    """Run every compiled function that a flight calls from Python, so that nothing compiles or loads in flight.
-
-    In the last decisions the target is ``beyond_m`` farther away, out of the band, so that the planner lays out a new
-    circle as well. A test flies and fails if a kernel is called in flight with arguments that this has not run.
-    """
-    if with_route and isinstance(planner, RoutePlanner):
-        route = route_of(np.array([-300.0, 300.0]), np.zeros(2))
-        planner.follow(route, fresh_progress(route.east_m.size))
-    circle, path = _FIRST, Trapezoids.between(_FIRST.curvature_per_m, [0.0], [300.0], [_FIRST.curvature_per_m], 1e-3)
-    plan = Plan(circle)
-    ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
-    solve_banded(np.ones((5, 4)), np.ones((4, 5)))
-    aircraft_at(np.ones((2, 5)), np.ones(1))
-    one, border = np.ones(1), np.ones((4, 4))[:, ::2]
-    add_readings(
-        np.zeros(1, np.intp), one, np.ones((1, 2)), np.ones((2, 1)), one, one, np.ones((5, 4)), border, np.ones(4)
-    )
-    for time_s in (0.0, 0.5, 1.0):
-        track.add(_sighting(time_s))
-        place = circle.position_at_course(0.1 * time_s)
-        aircraft = AircraftState(time_s, *place, 0.1 * time_s, 15.0, circle.curvature_per_m)
-        estimate = track.estimate(time_s)
-        if estimate is not None:
-            planner.decide(aircraft, estimate, plan, Wind(), 0.5)
-        point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
-        plan = Plan(circle, path.path(0, *place, 0.1 * time_s), time_s)
-    assert estimate is not None
-    far = replace(estimate, east_m=estimate.east_m + beyond_m)
-    for course_rad in (1.6, 3.1, 4.7, 0.0):
-        place = circle.position_at_course(course_rad)
-        aircraft = AircraftState(1.0, *place, course_rad, 15.0, circle.curvature_per_m)
-        if planner.decide(aircraft, far, Plan(circle), Wind(), 0.5).plan is not None:
-            break
-    track.begin_again()
-    track.add(_sighting(1.5))
-
-
-def _sighting(time_s: float) -> Sighting:
-    return Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0)
-
-
-def _warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: SightField) -> None:
-    """Do as :func:`_warm_up` for the functions that a flight calls over elevation data only."""
-    track.stand_on(ground)
-    for time_s in (0.0, 0.5):
-        track.add(_sighting(time_s))
-        track.estimate(time_s)
-    track.begin_again()
-    track.add(_sighting(1.0))
-    here_m = 0.0, 0.0, 100.0
-    ground.patch(*here_m[:2])
-    ground.cut_m(*here_m, 0.0, 0.3, 500.0)
-    ground.sees(here_m, here_m)
-    ground.heights_at_m(np.zeros(2), np.zeros(2))
-    field.sight(*here_m[:2], 1.0, 0.0, here_m[2])
-    heights.expected_m(None, here_m[:2])
-    heights.clearance_m(*here_m)
-    path = Trapezoids.between(0.0, [0.0], [300.0], [_FIRST.curvature_per_m], 1e-3).path(0, *here_m[:2], 0.0)
-    for one in (heights, heights.at(0.0)):  # with a climb from far below
-        one.levelled(Plan(_FIRST, path), -1e3)
 
 
 def mission_controller_of(
@@ -339,7 +303,7 @@ def settle(
     )
     over = surroundings.heights = FlightHeights(ground, rules)
     field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
-    _warm_up_over(ground, Track(tracker_settings(config.sensors, config.planner.lost_after_s)), over, field)
+    warm_up_over(ground, Track(tracker_settings(config.sensors, config.planner.lost_after_s)), over, field)
 
     def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
         heights = surroundings.heights
@@ -368,3 +332,19 @@ def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float] |
         return None
     home_deg = home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg)
     return elevation_data(Path(config.terrain.folder)).ground(plane, home_deg, config.terrain.sigma_m)
+
+
+def _compile_part(part: str) -> None:
+    """Compile one part for the configuration and the planner that come in."""
+    gc.disable()  # to search for garbage takes a tenth of the time
+    config, kind = pickle.loads(sys.stdin.buffer.read())
+    if part == _PARTS[0]:
+        _controller(config, kind)
+        return
+    if isinstance(kind, CompilesInParts):
+        kind.compile_part(config.aircraft.aircraft(), config.requirement.requirement(), DECISION_INPUTS)
+    warm_up_track(Track(tracker_settings(config.sensors, config.planner.lost_after_s)))
+
+
+if __name__ == "__main__":
+    _compile_part(*sys.argv[1:])

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.feasibility import Change
-from sidelong.mission.core.plan import Plan, PlannerFactory
-from sidelong.mission.core.requirement import Aircraft, Requirement
+from sidelong.mission.core.plan import AircraftState, Plan, PlannerFactory
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 
 if TYPE_CHECKING:
     from sidelong.mission.core.sight import SightAt
+
+
+DecisionInputs = tuple[AircraftState, TargetEstimate, Plan, Wind, float]
+"""What ``Planner.decide`` takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,4 +70,13 @@ class PlannerKind(Protocol):
 
         Raises OSError when that fails.
         """
+        ...
+
+
+@runtime_checkable
+class CompilesInParts(Protocol):
+    """A ``PlannerKind`` that a second process can help to compile."""
+
+    def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
+        """Compile about half of it, while another process begins with the other half. known: to decide by."""
         ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
-from sidelong.app.planners.planner_kind import PlannerNeeds
+from sidelong.app.planners.planner_kind import DecisionInputs, PlannerNeeds
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.feasibility import Change, unflyable
 from sidelong.mission.core.plan import Plan, Planner, PlannerFactory
@@ -50,6 +50,26 @@ class Predictive:
         from sidelong.mission.predictive.decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
 
         return is_cached(look_ahead)
+
+    def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
+        """Compile the search, while another process compiles the forecast, which the search knows nothing of."""
+        import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
+
+        from sidelong.mission.predictive.decision_kernel import commitment, look_deeper  # noqa: PLC0415
+        from sidelong.mission.predictive.future_kernel import winding  # noqa: PLC0415
+        from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration  # noqa: PLC0415
+        from sidelong.mission.predictive.situation import situation  # noqa: PLC0415
+        from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
+
+        configuration = table_configuration(aircraft, requirement)
+        table = completed(configuration, np.zeros(configuration.shape, np.float32))
+        planner = PredictivePlanner(aircraft, requirement, table)
+        looker, now = planner.lookers[0], situation(*known)
+        scene, sight = planner.outlook(now, looker)
+        futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+        min_gain = commitment(scene, now, futures, looker)
+        look_deeper(scene, now, futures, looker, sight, min_gain, np.empty(MOVES))
 
     def maker(self, requirement: Requirement) -> MakePredictive:
         """Return the constructor of a planner for this requirement."""
