@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 _MADV_DONTNEED, _M_ARENA_MAX = 4, -8
-_COMPILER = re.compile(r"([0-9a-f]+)-([0-9a-f]+) r-[x-]p .*/libllvmlite\.so$")
+_LIBRARY = re.compile(r"([0-9a-f]+)-([0-9a-f]+) r-[x-]p .*/[^/]*\.so[.\d]*$")
 
 
 def share_one_heap() -> None:
@@ -19,15 +19,16 @@ def share_one_heap() -> None:
 
 
 def release_unused() -> None:
-    """Drop the pages of the compiler's code and constants (80 MB), and return freed memory to the system.
+    """Drop the pages of the libraries' code and constants (100 MB), and return freed memory to the system.
 
-    No step of a flight compiles. Pages that are called for again come from the file.
+    Most were needed for the preparation only, the compiler's above all. Pages that are called for again come from the
+    file.
     """
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # another system, or another C library
         library, region = ctypes.CDLL(None), None
         for line in Path("/proc/self/smaps").read_text().splitlines():
-            region = _COMPILER.match(line) or region
+            region = _LIBRARY.match(line) or region
             if region and line.startswith("Anonymous:"):
                 if line.split()[1] == "0":  # no page differs from the file's
                     begin, end = (int(one, 16) for one in region.groups())
