@@ -18,12 +18,8 @@ from sidelong.app.records.journal import encode, to_builtins
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import (
-    AttitudeReading,
-    GimbalReading,
     PositionReading,
-    RangeReading,
     Reading,
-    TargetFixReading,
 )
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Snapshot
@@ -37,7 +33,7 @@ from sidelong.mission.core.events import (
     UploadPlan,
     WindReported,
 )
-from sidelong.mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
+from sidelong.mission.exchange.mission_controller import DERIVED, UNSEEN, InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import ExchangeEvent
 
@@ -50,10 +46,6 @@ _MODE = "as recorded"
 # A set lookup by exact type is enough: only the exchange's own events have derived types.
 _COMMANDS, _DERIVED = frozenset(get_args(StepOutput)), frozenset(DERIVED)
 _EXCHANGE = frozenset((*get_args(ExchangeEvent), SendMessage, TakeoverFailed))
-# Between two positions these only feed the filter and the plausibility check: nothing to display or score changes.
-_UNSEEN = frozenset(
-    (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, NavigationReported, *get_args(ExchangeEvent))
-)
 _READINGS = (*get_args(Reading), WindReported, NavigationReported)
 _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
 
@@ -90,7 +82,7 @@ class Proposals:
             for command in commands:
                 if isinstance(command, UploadPlan):
                     controller.step(PlanStatus(command.time_s, command.number, "failed", "not flown in this log"))
-            if commands or type(event) not in _UNSEEN:
+            if commands or type(event) not in UNSEEN:
                 yield Replayed(event, commands, controller.estimate, controller.snapshot)
             if isinstance(event, PositionReading):
                 self._engage()  # after it was seen: the circle is made up
@@ -253,7 +245,7 @@ class JournalReplay(Comparison):
             if self._compares:
                 self.replayed(record, outputs)
             commands = tuple(output for output in outputs if isinstance(output, StepOutput)) if outputs else ()
-            if commands or kind not in _UNSEEN:
+            if commands or kind not in UNSEEN:
                 yield Replayed(record, commands, controller.estimate, controller.snapshot)
 
 

@@ -29,9 +29,9 @@ from sidelong.mission.core.events import (
     PlanStatus,
     Yield,
 )
-from sidelong.mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
+from sidelong.mission.exchange.mission_controller import DERIVED, UNSEEN, InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
-from sidelong.mission.exchange.reports import ExchangeEvent, ShutdownRequested, TimerExpired
+from sidelong.mission.exchange.reports import ShutdownRequested, TimerExpired
 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
@@ -48,7 +48,7 @@ class Log(Protocol):
 
 
 class Display(Protocol):
-    """Where a person sees what goes on. ``show`` is called at every event and has to be cheap."""
+    """Where a person sees what goes on. ``show`` is called at every position, some ten times a second."""
 
     def say(self, announcement: Announce) -> None: ...
 
@@ -138,7 +138,7 @@ class ControlLoop:
                 if isinstance(event, ShutdownRequested):
                     self._end()
                 self._set_timer()
-                if outputs or not isinstance(event, ExchangeEvent):
+                if outputs or type(event) not in UNSEEN:
                     self._display.show(self.controller.snapshot())
         finally:
             if self._timer is not None:

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import mavsdk.logging
+import msgspec
 from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
@@ -173,11 +174,12 @@ class MavsdkLink:
 
     async def messages(self) -> AsyncIterator[Message]:
         while (raw := await self._queue.get()) is not None:
-            fields = plain_fields(json.loads(raw.fields_json))
+            fields = plain_fields(msgspec.json.decode(raw.fields_json))
             yield Message(raw.message_name, raw.system_id, raw.component_id, fields, time.time())
-            # A full queue never waits: messages that come faster than they are handled would shut out all else, an
-            # interrupt too.
-            await asyncio.sleep(0)
+            if not self._queue.empty():
+                # A full queue never waits: messages that come faster than they are handled would shut out all else,
+                # an interrupt too.
+                await asyncio.sleep(0)
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
         message = MavlinkMessage(

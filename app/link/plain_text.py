@@ -16,4 +16,6 @@ def plain_fields(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def _printable(text: str) -> str:
+    if text.isprintable():  # nearly all
+        return text
     return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)

@@ -1,7 +1,11 @@
 """Sidelong's transports under MAVSDK's raw connection: one link or several to one vehicle, signed or not.
 
 Threads: each transport's thread receives, a MAVSDK thread sends, and one thread here measures the delay of each link.
-One lock protects their shared data; no MAVSDK call and no blocking call is made while it is held.
+One lock protects their shared data; no MAVSDK call and no blocking call is made while it is held. Another lock keeps
+the order in which frames are passed on.
+
+What an autopilot sends many times a second waits a moment and is passed on together, before any other message: each
+time that the program wakes costs more than a message does.
 """
 
 from __future__ import annotations
@@ -35,6 +39,16 @@ _HEARTBEAT, _COMMAND_LONG, _TIMESYNC = (
     dialect.MAVLINK_MSG_ID_TIMESYNC,
 )
 _SET_MESSAGE_INTERVAL = 511
+_MAY_WAIT = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_ATTITUDE,
+        dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        dialect.MAVLINK_MSG_ID_MISSION_CURRENT,
+        dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+        dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
+    }
+)
+_WAIT_S, _WAITING_MAX = 0.05, 8  # frames: so many come sooner where a simulation runs fast
 
 FrameListener = Callable[[bytes], object]
 
@@ -85,12 +99,15 @@ class RawLinks:
         self._packer = dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
         self._rates: dict[bytes, Frame] = {}
         self._deliver: Callable[[bytes], object] = lambda _data: None
+        self._waiting: list[bytes] = []
+        self._waiting_since_s = 0.0
+        self._delivering = threading.Lock()
         self._closing = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="links", daemon=True)
         self._measures_delay = self._is_signing_noted = False
 
     def start(self, deliver: Callable[[bytes], object]) -> None:
-        """Begin to receive; ``deliver`` takes whole frames, from several threads."""
+        """Begin to receive; ``deliver`` takes whole frames, one or several, from several threads."""
         self._deliver = deliver
         for index, link in enumerate(self._links):
             link.transport.start(lambda data, peer, index=index: self._received(index, data, peer))  # type: ignore[misc]
@@ -181,8 +198,29 @@ class RawLinks:
                 self._on_trouble(trouble)
             if passed:
                 self._on_frame(frame.data)
-                self._deliver(frame.data)
+                self._pass_on(frame)
         return peers
+
+    def _pass_on(self, frame: Frame) -> None:
+        with self._delivering:
+            if not self._waiting:
+                self._waiting_since_s = time.monotonic()
+            self._waiting.append(frame.data)
+            full = frame.message_id not in _MAY_WAIT or len(self._waiting) >= _WAITING_MAX
+        if full or self._has_waited:
+            self.flush()
+
+    @property
+    def _has_waited(self) -> bool:
+        return time.monotonic() >= self._waiting_since_s + _WAIT_S
+
+    def flush(self) -> None:
+        """Deliver the frames that wait."""
+        with self._delivering:
+            if self._waiting:
+                data = b"".join(self._waiting)
+                self._waiting.clear()
+                self._deliver(data)
 
     def _judged(self, index: int, frame: Frame) -> tuple[bool, bool, list[str]]:
         """Return whether to pass on a frame, whether its sender is a peer, and the messages for the operator."""
@@ -238,6 +276,8 @@ class RawLinks:
     def _watch(self) -> None:
         ask_s = 0.0
         while not self._closing.wait(_WATCH_S):
+            if self._has_waited:
+                self.flush()
             now_s = time.monotonic()
             if self._measures_delay and now_s >= ask_s:
                 ask_s = now_s + _ASK_DELAY_S

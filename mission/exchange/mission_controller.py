@@ -12,8 +12,15 @@ Source: docs/decisions/0003-pure-exchange.md.
 from __future__ import annotations
 
 import math
+from typing import get_args
 
-from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from sidelong.estimators.sensing.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    TargetFixReading,
+)
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import (
@@ -23,6 +30,7 @@ from sidelong.mission.core.events import (
     End,
     Event,
     ModeReported,
+    NavigationReported,
     PlanStatus,
     StepOutput,
     UploadPlan,
@@ -48,6 +56,11 @@ _FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # s
 
 InboundEvent = Event | ExchangeEvent
 Output = StepOutput | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
+
+UNSEEN = frozenset(
+    (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, NavigationReported, *get_args(ExchangeEvent))
+)
+"""They only feed the filter and the plausibility check: nothing to display or score changes until a position."""
 
 
 class MissionController:

@@ -9,6 +9,7 @@ import contextlib
 import os
 import time
 from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
@@ -64,7 +65,7 @@ class Linked:
             *(OURS, read_key(path), self._held.__enter__()),
             on_trouble=self.troubles.append,
         )
-        self.links.start(self.delivered.append)
+        self.links.start(lambda data: self.delivered.extend(frame.data for frame in FrameSplitter().split(data)))
         self.brought: list[list[bytes]] = [[] for _ in range(links)]
         for index in range(links):
             self.simulation.connect(index)
@@ -85,6 +86,7 @@ class Linked:
                 sent, wire.sent = wire.sent, []
                 for data in () if index in cut else sent:
                     self.simulation.receive(index, data)
+        self.links.flush()
 
     def command(self, command: int, *params: float) -> int | None:
         """Send a command, and return its result."""
@@ -272,3 +274,24 @@ def test_frames_are_found_in_any_pieces_between_garbage():
         splitter = FrameSplitter()
         found = [f.data for at in range(0, len(stream), size) for f in splitter.split(stream[at : at + size])]
         assert found == frames
+
+
+def test_what_comes_often_is_passed_on_with_others(monkeypatch):
+    clock = SimpleNamespace(monotonic=lambda: 0.0, monotonic_ns=time.monotonic_ns, time=time.time)  # stands still
+    monkeypatch.setattr("sidelong.app.link.raw_links.time", clock)
+    wire, passed, vehicle = Wire(), [], mavlink.MAVLink(None, 1, 1)
+    attitude = bytes(mavlink.MAVLink_attitude_message(0, *(0.0,) * 6).pack(vehicle))
+    heartbeat = bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(vehicle))
+    links = RawLinks([("link", wire)], OURS, None, None)
+    links.start(passed.append)
+    try:
+        wire.bring(attitude)
+        assert passed == []
+        wire.bring(heartbeat)
+        assert passed.pop() == attitude + heartbeat
+        for _ in range(8):  # as in a simulation that runs fast
+            wire.bring(attitude)
+        assert passed.pop() == 8 * attitude
+        assert passed == []
+    finally:
+        links.close()
