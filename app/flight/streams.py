@@ -6,6 +6,7 @@ import asyncio
 import re
 from collections.abc import Awaitable, Callable, Sequence
 
+from sidelong.app.link.raw_links import UNREAD
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import Announce, HealthChanged
@@ -27,7 +28,7 @@ RATES_HZ = {
     230: 2.0,
     231: 1.0,
     360: 2.0,
-    436: 20.0,
+    436: 10.0,
 }
 """SYS_STATUS, SYSTEM_TIME, GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT,
 WIND, EKF_STATUS_REPORT, ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
@@ -35,10 +36,9 @@ FEW_HZ = RATES_HZ | {1: 0.2, 2: 0.2, 24: 1.0, 30: 8.0, 33: 5.0, 42: 3.0, 87: 1.0
 FEW_HZ |= {230: 1.0, 231: 0.5, 436: 4.0}
 TERRAIN_HZ = {133: 1.0, 136: 0.5}
 """TERRAIN_REQUEST, TERRAIN_REPORT."""
-UNUSED_HZ = dict.fromkeys(
-    (27, 29, 31, 32, 36, 62, 65, 74, 83, 105, 116, 125, 129, 137, 141, 147, 163, 241, 245, 331, 380, 410), 0.0
-)
-"""What autopilots send unasked and nothing here reads: raw sensors, servos, RC, VFR_HUD, quaternions, targets."""
+UNUSED_HZ = dict.fromkeys((*sorted(UNREAD), 65, 147, 245, 380, 410), 0.0)
+"""What a slow radio need not carry: the last ones are RC_CHANNELS, BATTERY_STATUS, EXTENDED_SYS_STATE,
+TIME_ESTIMATE_TO_TARGET and EVENT."""
 
 
 def is_slow(urls: Sequence[str]) -> bool:

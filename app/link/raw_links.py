@@ -44,11 +44,34 @@ _MAY_WAIT = frozenset(
         dialect.MAVLINK_MSG_ID_ATTITUDE,
         dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         dialect.MAVLINK_MSG_ID_MISSION_CURRENT,
+        dialect.MAVLINK_MSG_ID_CURRENT_MODE,
         dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR,
         dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
     }
 )
 _WAIT_S, _WAITING_MAX = 0.05, 8  # frames: so many come sooner where a simulation runs fast
+UNREAD = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_RAW_IMU,
+        dialect.MAVLINK_MSG_ID_SCALED_PRESSURE,
+        dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+        dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+        dialect.MAVLINK_MSG_ID_VFR_HUD,
+        dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+        dialect.MAVLINK_MSG_ID_HIGHRES_IMU,
+        dialect.MAVLINK_MSG_ID_SCALED_IMU2,
+        dialect.MAVLINK_MSG_ID_POWER_STATUS,
+        dialect.MAVLINK_MSG_ID_SCALED_IMU3,
+        dialect.MAVLINK_MSG_ID_SCALED_PRESSURE2,
+        dialect.MAVLINK_MSG_ID_ALTITUDE,
+        dialect.MAVLINK_MSG_ID_AHRS,
+        dialect.MAVLINK_MSG_ID_VIBRATION,
+        dialect.MAVLINK_MSG_ID_ODOMETRY,
+    }
+)
+"""What autopilots send unasked and nothing here reads: it is recorded and not passed on."""
 
 FrameListener = Callable[[bytes], object]
 
@@ -69,7 +92,7 @@ class _Link:
 class RawLinks:
     """Passes accepted frames to ``deliver``, and outgoing frames to the link in use.
 
-    on_frame: receives every frame that is passed on or sent, before it is signed. on_trouble: receives a sentence
+    on_frame: receives every frame that is accepted or sent, before it is signed. on_trouble: receives a sentence
     when frames are refused or the link in use changes. All are called from several threads.
     """
 
@@ -198,7 +221,8 @@ class RawLinks:
                 self._on_trouble(trouble)
             if passed:
                 self._on_frame(frame.data)
-                self._pass_on(frame)
+                if frame.message_id not in UNREAD:
+                    self._pass_on(frame)
         return peers
 
     def _pass_on(self, frame: Frame) -> None:

@@ -20,6 +20,7 @@ import serial
 
 _READ_BYTES = 4096
 _WAKE_S = 0.2
+_GATHER_S, _DATAGRAMS_MAX = 0.004, 64  # what an autopilot sends at a time then wakes the thread once
 _RETRY_S = 1.0
 _SILENT_S = 10.0  # after this silence, a UDP peer is no longer sent to, unless it is the only one
 _PEERS_MAX = 8
@@ -111,12 +112,14 @@ class UdpTransport(_Threaded):
         while not self._closing.is_set():
             if not select.select([self._socket], [], [], _WAKE_S)[0]:
                 continue
-            try:
-                data, peer = self._socket.recvfrom(65536)
-            except OSError:  # the other end is not there (yet)
-                continue
-            if receive(data, peer) and self._listening:
-                self._received(peer, time.monotonic())
+            time.sleep(_GATHER_S)
+            for _ in range(_DATAGRAMS_MAX):
+                try:
+                    data, peer = self._socket.recvfrom(65536)
+                except OSError:  # there is no more, or the other end is not there (yet)
+                    break
+                if receive(data, peer) and self._listening:
+                    self._received(peer, time.monotonic())
 
     def _received(self, peer: tuple[str, int], now_s: float) -> None:
         peers = {one: received_s for one, received_s in self._peers.items() if now_s - received_s < _SILENT_S} | {
