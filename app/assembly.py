@@ -22,7 +22,7 @@ from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.warm_up import DECISION_INPUTS, warm_up_over, warm_up_planner, warm_up_track
-from sidelong.estimators.compiled import is_cached
+from sidelong.estimators.compiled import FOLDER, is_cached
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.track import Track
@@ -113,7 +113,7 @@ def _compile(config: Config, kind: PlannerKind) -> None:
         for part in _PARTS:
             helper = subprocess.Popen(
                 helper_command(__name__, part),
-                env=helper_environment(),
+                env=helper_environment() | {"NUMBA_CACHE_DIR": str(FOLDER.parent)},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

@@ -83,7 +83,9 @@ def _chosen_folder() -> Path:
         if os.access(folder, os.W_OK) and owners == {os.getuid()}:
             _remove_unused(base, folder.stat().st_mtime - _UNUSED_S)
             return folder
-    return Path(tempfile.mkdtemp(prefix="sidelong-"))  # of this process alone
+    folder = Path(tempfile.mkdtemp(prefix="sidelong-")) / name  # of this process alone
+    folder.mkdir()
+    return folder
 
 
 def _remove_unused(base: Path, before_s: float) -> None:

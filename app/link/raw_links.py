@@ -49,7 +49,7 @@ _MAY_WAIT = frozenset(
         dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
     }
 )
-_WAIT_S, _WAITING_MAX = 0.05, 8  # frames: so many come sooner where a simulation runs fast
+_WAIT_S, _WAITING_MAX = 0.05, 8  # frames; a fast simulation fills it sooner
 UNREAD = frozenset(
     {
         dialect.MAVLINK_MSG_ID_RAW_IMU,
