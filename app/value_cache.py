@@ -18,22 +18,18 @@ from pathlib import Path
 import numpy as np
 
 from sidelong.app.interpreter import helper_command, helper_environment
+from sidelong.estimators.compiled import FOLDER
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
 
 _REMEMBERED_MAX = 8
 _IN_PARALLEL_WITHIN_S, _NICER = 120.0, 10
+DIRECTORY = FOLDER.parent
+"""Where tables are kept: next to the machine code."""
+
 _remembered: dict[TableConfiguration, ValueTable] = {}  # by this process
 _STORED = np.dtype("<f4")
 _DIGEST_BYTES = hashlib.sha256().digest_size
-
-
-def cache_directory() -> Path | None:
-    """Return where tables are kept: $XDG_CACHE_HOME/sidelong, else ~/.cache/sidelong; None without a home."""
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sidelong"
-    except RuntimeError:
-        return None
 
 
 def value_table(
@@ -47,14 +43,12 @@ def value_table(
     """
     if configuration in _remembered:
         return _remembered[configuration]
-    directory = directory or cache_directory()
-    file = directory / f"value-{configuration.key()}.table" if directory is not None else None
-    values = stored_table(file, configuration) if file is not None else None
+    file = (directory or DIRECTORY) / f"value-{configuration.key()}.table"
+    values = stored_table(file, configuration)
     if values is not None:
         return completed(configuration, values)
     table = compute(configuration, progress)
-    if file is not None:
-        _store(file, table)
+    _store(file, table)
     return table
 
 

@@ -1,12 +1,10 @@
 import resource
 from dataclasses import replace
-from pathlib import Path
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from sidelong.app.value_cache import _store, cache_directory, value_table
+from sidelong.app.value_cache import _store, value_table
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.value_table import TableConfiguration
 
@@ -65,13 +63,6 @@ def test_a_table_of_another_configuration_is_not_taken(computed, tmp_path):
     shares = []
     value_table(other, shares.append, tmp_path)
     assert shares
-
-
-def test_a_user_without_a_home_has_no_cache(monkeypatch):
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
-    assert cache_directory() is None
-    assert value_table(SMALL).values.shape[0] == 3
 
 
 def test_a_full_disk_costs_only_time_and_leaves_nothing(computed, tmp_path):
