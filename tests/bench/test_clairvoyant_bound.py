@@ -136,9 +136,9 @@ def bound(
     x_m, y_m, heading = -START_M * math.cos(course[0]), START_M * math.sin(course[0]), 0
     restarted = AGAIN if given < len(way) else len(way)
     for first in range(0, len(way), restarted):
-        known, to_go = way[first : first + given], values[: len(way) - first]
-        _to_go(known, moves, to_go)
-        x_m, y_m, heading = _flown(known, moves, to_go, x_m, y_m, heading, flown[first : first + restarted])
+        ahead, to_go = way[first : first + given], values[: len(way) - first]
+        _to_go(ahead, moves, to_go)
+        x_m, y_m, heading = _flown(ahead, moves, to_go, x_m, y_m, heading, flown[first : first + restarted])
     range_m = np.hypot(*flown.T)
     left = flown[:, 1] * np.sin(course) - flown[:, 0] * np.cos(course) >= 0.0
     in_band = (range_m >= NEAR_M) & (range_m <= FAR_M)
