@@ -1,6 +1,6 @@
 """How well recorded targets are watched by a planner that knows what they will do: the price of not knowing.
 
-    python tests/bench/test_clairvoyance.py FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--known S]
+    python -m tests.bench.test_clairvoyance FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--known S]
     python -m pytest -s tests/bench/test_clairvoyance.py
 
 The planner is the predictive one, with the same moves, prices and noisy filter, but with one future, the true one. It

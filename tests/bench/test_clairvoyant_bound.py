@@ -1,6 +1,6 @@
 """How well recorded targets could be watched by an aircraft that knows their whole way and may turn at any time.
 
-    python tests/bench/test_clairvoyant_bound.py FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--name car]
+    python -m tests.bench.test_clairvoyant_bound FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--name car]
     python -m pytest -s tests/bench/test_clairvoyant_bound.py
 
 A dynamic programme goes backwards over the known way: states are the place relative to the target and the heading,

@@ -1,6 +1,6 @@
 """The filter on recorded movers: does its 95 % ellipse hold them, and how far off is it?
 
-    python tests/bench/test_real_targets.py FOLDER [--kind KIND] [--biases drawn] [--draws N] [--worst N]
+    python -m tests.bench.test_real_targets FOLDER [--kind KIND] [--biases drawn] [--draws N] [--worst N]
     python -m pytest -s tests/bench/test_real_targets.py
 
 FOLDER holds tracks as ``sidelong study --targets`` takes them; a track's kind is in ``manifest.csv`` (columns

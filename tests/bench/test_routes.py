@@ -1,6 +1,6 @@
 """Flights that know a route of the target: its own way, a wrong one, a road's, and departures at a random moment.
 
-    python tests/bench/test_routes.py FOLDER [--mode MODE] [--airspeed 12|20|30] [--draws 3] [--horizon 20]
+    python -m tests.bench.test_routes FOLDER [--mode MODE] [--airspeed 12|20|30] [--draws 3] [--horizon 20]
     python -m pytest -s tests/bench/test_routes.py
 
 Modes: none; own (the track's path simplified to 5 m and displaced by 3 to 8 m, speeds and stops unknown); reversed,
