@@ -54,6 +54,11 @@ def tracker_of(config: Config) -> Tracker:
     return Tracker(tracker_settings(config.sensors, config.planner.lost_after_s))
 
 
+def _track_of(config: Config) -> Track:
+    """Return a track for the configured sensors, to warm up with."""
+    return Track(tracker_settings(config.sensors, config.planner.lost_after_s))
+
+
 def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSettings:
     """Return the tracker's settings for the configured sensors."""
     mount = sensors.mount_deg
@@ -146,14 +151,13 @@ def _controller(
         return controller.surroundings.sight(*target)
 
     # Made before the flight: no step may wait for a disk or a computation.
-    lost_after_s = config.planner.lost_after_s
     make_planner = kind.factory(planner_needs(config, progress, check, sight))
 
     controller = StandoffController(
         StandoffSettings(
             requirement,
             aircraft,
-            lost_after_s=lost_after_s,
+            lost_after_s=config.planner.lost_after_s,
             give_up_after_s=config.planner.give_up_after_s,
             give_up_action=config.planner.at_end,
             # The coordinator of a fleet calls for relief, and sends an aircraft home.
@@ -164,7 +168,7 @@ def _controller(
     )
     beyond_m = requirement.range_max_m - 190.0
     warm_up_planner(make_planner(aircraft, requirement), beyond_m, config.route.is_known)
-    warm_up_track(Track(tracker_settings(config.sensors, lost_after_s)))
+    warm_up_track(_track_of(config))
     return controller
 
 
@@ -303,7 +307,7 @@ def settle(
     )
     over = surroundings.heights = FlightHeights(ground, rules)
     field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
-    warm_up_over(ground, Track(tracker_settings(config.sensors, config.planner.lost_after_s)), over, field)
+    warm_up_over(ground, _track_of(config), over, field)
 
     def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
         heights = surroundings.heights
@@ -343,7 +347,7 @@ def _compile_part(part: str) -> None:
         return
     if isinstance(kind, CompilesInParts):
         kind.compile_part(config.aircraft.aircraft(), config.requirement.requirement(), DECISION_INPUTS)
-    warm_up_track(Track(tracker_settings(config.sensors, config.planner.lost_after_s)))
+    warm_up_track(_track_of(config))
 
 
 if __name__ == "__main__":

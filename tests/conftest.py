@@ -35,7 +35,6 @@ _ports = itertools.count(101 * os.getpid())  # processes begun one after the oth
 
 # The planner and the filter, which every flight loads from disk once they are compiled.
 _COMPILE = (
-    "import gc; gc.disable()\n"  # an eighth of the time
     "from sidelong.app.assembly import controller_of; from sidelong.app.config import Config; controller_of(Config())"
 )
 # One of two workers begins with these, in this order: first those that need no compiled planner, while the other one

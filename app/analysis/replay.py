@@ -17,10 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.records.journal import encode, to_builtins
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.readings import (
-    PositionReading,
-    Reading,
-)
+from sidelong.estimators.sensing.readings import PositionReading, Reading
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.circle import Circle

@@ -1,5 +1,9 @@
+import os
 import resource
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,6 +67,22 @@ def test_a_table_of_another_configuration_is_not_taken(computed, tmp_path):
     shares = []
     value_table(other, shares.append, tmp_path)
     assert shares
+
+
+def test_a_user_without_a_home_keeps_tables_in_the_temporary_folder(tmp_path):
+    program = """
+from pathlib import Path
+from unittest.mock import Mock
+Path.home = Mock(side_effect=RuntimeError("Could not determine home directory."))
+from sidelong.app.value_cache import DIRECTORY
+(DIRECTORY / "value.table").touch()
+print(DIRECTORY)
+"""
+    none = {"HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"}
+    environment = {name: value for name, value in os.environ.items() if name not in none} | {"TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60.0)
+    assert Path(done.stdout.strip()) == tmp_path / f"sidelong-{os.getuid()}"
 
 
 def test_a_full_disk_costs_only_time_and_leaves_nothing(computed, tmp_path):
