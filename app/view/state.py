@@ -266,6 +266,7 @@ def _route(progress: RouteProgress) -> Json:
     ahead = progress.places_m(_AHEAD_S).tolist() if progress.on_route else []
     return {
         "on": progress.on_route,
+        "of_use": progress.of_use,
         "along_m": _number(progress.along_m, 0),
         "length_m": _number(progress.route.length_m, 0),
         "to_end_s": _number(progress.to_end_s, 0),

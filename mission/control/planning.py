@@ -37,7 +37,7 @@ class Planning:
         self._neighbours: dict[str, NeighbourPlanned] = {}
         self._route: Route | None = None
         self._progress = fresh_progress(0)  # along the route: a new planner continues with it
-        self._on_route = False  # as it was last reported
+        self._route_reported = (False, False)  # on the route; and of use
         self.planner: Planner = make_planner(aircraft, requirement)
 
     def renew(self, aircraft: Aircraft, requirement: Requirement) -> None:
@@ -90,7 +90,7 @@ class Planning:
             self._route = route_from(given)
         except ValueError as error:
             return f"the route is not used: {error}"
-        self._on_route, self._progress = False, fresh_progress(self._route.east_m.size)
+        self._route_reported, self._progress = (False, False), fresh_progress(self._route.east_m.size)
         self.planner.follow(self._route, self._progress)
         return f"the target is expected on a route of {self._route.length_m:.0f} m"
 
@@ -100,11 +100,14 @@ class Planning:
         return None if self._route is None else progress_of(self._route, self._progress)
 
     def route_news(self) -> str:
-        """Return in words whether the target has joined or left its route since the last call; '' if neither."""
+        """Return in words whether the target has joined or left its route, or its use has changed; '' if neither."""
         progress = self.route_progress
-        if progress is None or progress.on_route == self._on_route:
+        if progress is None:
             return ""
-        self._on_route = progress.on_route
+        now = progress.on_route, progress.on_route and progress.of_use
+        if now == self._route_reported:
+            return ""
+        self._route_reported = now
         if progress.on_route:
             return f"on route: the target is {describe(progress)}"
         return "off route: the target has left its route, and sidelong plans without it"

@@ -83,8 +83,8 @@ class Looker(NamedTuple):
 
 
 @inlined
-def with_table(one: Looker, table: Table, depth: Depth) -> Looker:
-    """Return the same with another table, and the depth that goes with it."""
+def with_table(one: Looker, table: Table, prices: Prices, depth: Depth) -> Looker:
+    """Return the same with another table, and the prices and the depth that go with it."""
     return Looker(
         one.craft,
         one.target_speed_max_m_s,
@@ -92,7 +92,7 @@ def with_table(one: Looker, table: Table, depth: Depth) -> Looker:
         one.terms,
         table,
         one.motions,
-        one.prices,
+        prices,
         one.memory,
         one.kept,
         one.turns,
@@ -231,8 +231,8 @@ def look_deeper(
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
     The cost of all other moves becomes infinite. That look is spared where staying would be cheaper than every move
-    even if moves were free, and where the ground hides something: second moves know nothing of it. What gains less
-    than min_gain may be given any cost above that.
+    even if moves were free, and the target comes too near in none of the futures; and where the ground hides
+    something: second moves know nothing of it. What gains less than min_gain may be given any cost above that.
     """
     # Turns that the target may begin only matter with a second move; a likely repetition of its trail does at once.
     repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
@@ -243,7 +243,7 @@ def look_deeper(
         return stay_cost
     under_way = left_m(scene, now) > 0.0
     price = prices.change if under_way else prices.leave
-    if least(costs) - price > stay_cost:
+    if least(costs) - price > stay_cost and not leaves(scene, now, futures, looker, looker.terms.near_m, np.inf):
         return stay_cost
     second = Second(
         foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),
@@ -270,19 +270,26 @@ def look_deeper(
 
 
 @compiled
-def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -> float:
-    """Return what a new plan must gain beyond its price because the present one departed only just now."""
-    prices, terms, place = looker.prices, looker.terms, futures.place
-    if now.line.shape[1] == 0 or now.age_s >= prices.commit_s:
-        return 0.0
-    ahead, time_s = flown_on(scene, now, prices.threat_s * scene.air.airspeed_m_s)
+def leaves(scene: Scene, now: Situation, futures: Futures, looker: Looker, near_m: float, far_m: float) -> bool:
+    """Return whether the present plan leads out of a band within threat_s in one of the futures."""
+    place = futures.place
+    ahead, time_s = flown_on(scene, now, looker.prices.threat_s * scene.air.airspeed_m_s)
     for k in range(len(time_s)):
         i = min(int(time_s[k] / STEP_S + 0.5), place.shape[1] - 1)
         for one in range(len(place)):
             range_m = math.hypot(ahead[0, k] - place[one, i, 0], ahead[1, k] - place[one, i, 1])
-            if range_m < terms.near_m or range_m > terms.far_m:
-                return 0.0
-    return prices.commit
+            if range_m < near_m or range_m > far_m:
+                return True
+    return False
+
+
+@compiled
+def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -> float:
+    """Return what a new plan must gain beyond its price because the present one departed only just now."""
+    prices, terms = looker.prices, looker.terms
+    if now.line.shape[1] == 0 or now.age_s >= prices.commit_s:
+        return 0.0
+    return 0.0 if leaves(scene, now, futures, looker, terms.near_m, terms.far_m) else prices.commit
 
 
 @compiled

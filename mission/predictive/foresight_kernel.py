@@ -15,7 +15,15 @@ from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, best_line, commitment, look_deeper, with_table
+from sidelong.mission.predictive.decision_kernel import (
+    Depth,
+    Looker,
+    Prices,
+    best_line,
+    commitment,
+    look_deeper,
+    with_table,
+)
 from sidelong.mission.predictive.future_kernel import fill_classes, watched, winding
 from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.programme_kernel import (
@@ -33,7 +41,7 @@ from sidelong.mission.predictive.programme_kernel import (
 )
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
-from sidelong.mission.route.progress_kernel import CHANCE, ON_ROUTE, PART, forecast, update_progress
+from sidelong.mission.route.progress_kernel import CHANCE, OF_USE, ON_ROUTE, PART, forecast, update_progress
 from sidelong.mission.viewpoint.viewpoint_kernel import STANDING
 
 _ROUTE = 0  # the future along the route is the first one
@@ -41,16 +49,17 @@ _TRUST = 0.8  # the most that it counts
 _LEAST_TRUST = 0.3  # a less probable route is not planned along
 _RENEW_S = 2.5  # how long the layers are used
 _OTHER_WIND_RAD = 0.3
+_PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are needed, and they gain more
 
 
 @compiled
 def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, bool]:
-    """Return futures of which the first follows the route, and True, if the target is on it; else the same and False.
+    """Return futures of which the first follows the route, and True; the same and False off the route, or of no use.
 
     The route replaces the future along the target's own trail.
     """
     way, progress = looker.foresight.way, looker.foresight.progress
-    if len(way.points) == 0 or progress[ON_ROUTE] == 0.0:
+    if len(way.points) == 0 or progress[ON_ROUTE] == 0.0 or progress[OF_USE] == 0.0:
         return every, False
     chance, turns, k = _TRUST * progress[CHANCE], len(looker.turns.rate_rad_s), every.place.shape[1]
     if chance < _LEAST_TRUST:
@@ -118,6 +127,8 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
     if not on_route:
         state[COMPUTED_S] = -np.inf
         return f, looker
+    p = looker.prices
+    prices = Prices(_PRICE_SHARE * p.leave, _PRICE_SHARE * p.change, p.commit, p.commit_s, p.threat_s)
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
     layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)
     since_s = scene.departure_s - state[COMPUTED_S]
@@ -132,8 +143,8 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
             table,
             scene.air,
             scene.radius_m,
-            looker.prices.leave,
-            looker.prices.change,
+            prices.leave,
+            prices.change,
             s.cell_m,
             s.after_turn[count:],
             s.values[count:],
@@ -153,7 +164,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
     timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
     depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn)
-    return f, with_table(looker, timed, depth)
+    return f, with_table(looker, timed, prices, depth)
 
 
 @compiled

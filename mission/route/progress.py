@@ -19,6 +19,7 @@ from sidelong.mission.core.plan import Planner
 from sidelong.mission.route.progress_kernel import (
     ALONG_M,
     DIRECTION,
+    OF_USE,
     OFF_CHANCE,
     ON_ROUTE,
     SPEED_M_S,
@@ -44,6 +45,7 @@ class RouteProgress:
         speed_m_s: Speed along the route, negative against its direction, m/s; NaN where it is unknown.
         probability: Probability that the target follows the route, 0..1.
         to_end_s: Time to the end of the route at this speed, s; NaN for a lap, and where it is unknown.
+        of_use: Whether it is planned along: whether forecasts along it have been better than straight on.
     """
 
     route: Route
@@ -52,6 +54,7 @@ class RouteProgress:
     speed_m_s: float
     probability: float
     to_end_s: float
+    of_use: bool = True
 
     def places_m(self, in_s: FloatArray) -> FloatArray:
         """Return where (n, 2) the target is expected after times (n,) at its present speed; NaN where unknown.
@@ -138,7 +141,8 @@ def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
         along_m, speed_m_s = float(memory[ALONG_M]), float(memory[SPEED_M_S])
         if not route.lap and abs(speed_m_s) > 0.1:
             to_end_s = (route.length_m - along_m if memory[DIRECTION] > 0.0 else along_m) / abs(speed_m_s)
-    return RouteProgress(route, on_route, along_m, speed_m_s, 1.0 - float(memory[OFF_CHANCE]), to_end_s)
+    probability, of_use = 1.0 - float(memory[OFF_CHANCE]), bool(memory[OF_USE] > 0.0)
+    return RouteProgress(route, on_route, along_m, speed_m_s, probability, to_end_s, of_use)
 
 
 def describe(progress: RouteProgress) -> str:
@@ -150,4 +154,5 @@ def describe(progress: RouteProgress) -> str:
     if not progress.on_route:
         return "off route"
     to_end = f", {progress.to_end_s:.0f} s to its end" if math.isfinite(progress.to_end_s) else ""
-    return f"{progress.along_m:.0f} of {progress.route.length_m:.0f} m along the route{to_end}"
+    not_used = "" if progress.of_use else ", not used: straight on predicts the target better"
+    return f"{progress.along_m:.0f} of {progress.route.length_m:.0f} m along the route{to_end}{not_used}"

@@ -19,10 +19,16 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
 # The memory: time of the last update; probability of "off the route"; whether "on route" is reported; position, speed
 # (negative: backward), direction (1, -1) and probability of the most probable part of the route; how often that part
-# has changed; usual speed; present speed, less smoothed. Then the probabilities: those of the points in their order,
-# and in the reverse order for the backward direction.
+# has changed; usual speed; present speed, less smoothed; whether forecasts along the route are of use; mean squared
+# errors of those, and of forecasts straight on. Then the forecasts that are not due yet, and the probabilities: those
+# of the points in their order, and in the reverse order for the backward direction.
 LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S, _PRESENT_M_S = range(10)
-_FIRST = 10
+OF_USE, _ROUTE_ERROR_M2, _STRAIGHT_ERROR_M2, _DUE = range(10, 14)
+# A forecast is made each second, and compared after this many seconds. It holds when it was made, the velocity, and
+# where the target was and is expected after 1, 2 ... s (east, north).
+_AHEAD_S, _FORETOLD = 10, 21
+_FORECAST = 3 + 2 * _FORETOLD
+_FIRST = _DUE + _AHEAD_S * _FORECAST
 
 _LEAVES_AFTER_S = 150.0
 # Share of the probability that is moved each second: from "off" to points near the target, from all points to those,
@@ -48,6 +54,10 @@ _MIN_CHANCE, _NO_CHANCE = 1e-4, 1e-9
 _ON_ABOVE, _OFF_BELOW = 0.7, 0.5
 _SPEED_S, _PRESENT_S, _USUAL_S = 2.0, 0.7, 40.0
 _SETTLES_S = 8.0
+# Forecasts are compared by the target's distance from their lines: over this time, up to this distance, and initially
+# with these mean squares. The route is of use below the first ratio of them, and of none above the second.
+_COMPARED_S, _WORST_M, _FIRST_ROUTE_M2, _FIRST_STRAIGHT_M2 = 120.0, 30.0, 35.0, 50.0
+_OF_USE_BELOW, _OF_NO_USE_ABOVE, _ROUNDING_M2 = 0.75, 0.85, 1.0
 
 
 class Way(NamedTuple):
@@ -70,6 +80,8 @@ def fresh_progress(points: int) -> FloatArray:
     memory = np.zeros(_FIRST + 2 * points)
     memory[LAST_S], memory[OFF_CHANCE], memory[ALONG_M] = np.nan, 1.0, np.nan
     memory[USUAL_M_S] = np.nan
+    memory[OF_USE], memory[_ROUTE_ERROR_M2], memory[_STRAIGHT_ERROR_M2] = 1.0, _FIRST_ROUTE_M2, _FIRST_STRAIGHT_M2
+    memory[_DUE:_FIRST] = np.nan
     return memory
 
 
@@ -205,6 +217,7 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
     elif memory[OFF_CHANCE] > 1.0 - _OFF_BELOW:
         memory[ON_ROUTE] = 0.0
     _summarise(way, target, dt_s, memory, chance)
+    _compare(way, target, memory)
 
 
 @compiled
@@ -294,3 +307,42 @@ def forecast(way: Way, memory: FloatArray, time_s: float, found: FloatArray) -> 
         found[i, 0], found[i, 1] = point_along(way, along_m)
         speed_m_s = settled_m_s + (now_m_s - settled_m_s) * math.exp(-(i + 0.5) / _SETTLES_S)
         along_m += memory[DIRECTION] * max(speed_m_s, 0.1)
+
+
+@inlined
+def _from_line_m(east_m: float, north_m: float, from_e: float, from_n: float, to_e: float, to_n: float) -> float:
+    """Return the distance of a place from the line between two points."""
+    line_e, line_n, off_e, off_n = to_e - from_e, to_n - from_n, east_m - from_e, north_m - from_n
+    along = (off_e * line_e + off_n * line_n) / max(line_e * line_e + line_n * line_n, 1e-9)
+    along = min(max(along, 0.0), 1.0)
+    return math.hypot(off_e - along * line_e, off_n - along * line_n)
+
+
+@compiled
+def _compare(way: Way, target: Known, memory: FloatArray) -> None:
+    """Compare the forecast that is due with where the target is, decide whether the route is of use, and forecast."""
+    e, n = target.east_m, target.north_m
+    at = _DUE + _FORECAST * (math.floor(target.time_s) % _AHEAD_S)
+    due = memory[at : at + _FORECAST]
+    points = due[3:].reshape(_FORETOLD, 2)
+    if abs(target.time_s - due[0] - _AHEAD_S) < 0.6:
+        from_e, from_n, reach_s = points[0, 0], points[0, 1], _FORETOLD - 1
+        straight_m = _from_line_m(e, n, from_e, from_n, from_e + reach_s * due[1], from_n + reach_s * due[2])
+        route_m = _WORST_M
+        for i in range(reach_s):
+            line_m = _from_line_m(e, n, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1])
+            route_m = min(route_m, line_m)
+        memory[_ROUTE_ERROR_M2] += (route_m**2 - memory[_ROUTE_ERROR_M2]) / _COMPARED_S
+        memory[_STRAIGHT_ERROR_M2] += (min(straight_m, _WORST_M) ** 2 - memory[_STRAIGHT_ERROR_M2]) / _COMPARED_S
+        ratio = _OF_NO_USE_ABOVE if memory[OF_USE] > 0.0 else _OF_USE_BELOW
+        limit_m2 = ratio * memory[_STRAIGHT_ERROR_M2] + _ROUNDING_M2
+        memory[OF_USE] = 1.0 if memory[_ROUTE_ERROR_M2] < limit_m2 else 0.0
+    due[0] = np.nan
+    if memory[ON_ROUTE] == 0.0:
+        return
+    due[0], due[1], due[2] = target.time_s, target.velocity_east_m_s, target.velocity_north_m_s
+    forecast(way, memory, target.time_s, points)
+    off_e, off_n = e - points[0, 0], n - points[0, 1]
+    for i in range(_FORETOLD):
+        points[i, 0] += off_e
+        points[i, 1] += off_n

@@ -363,3 +363,18 @@ def test_a_plan_that_leads_out_of_the_band_is_left_at_once(paper_aircraft, paper
     decision = planner.decide(flight.aircraft, target, flight.present, CALM, LATENCY_S)
     assert flight.aircraft.time_s - flight.present.departure_s < 10.0
     assert decision.plan is not None
+
+
+def test_a_turn_that_would_bring_the_target_too_near_counts_however_cheap_staying_seems(
+    paper_aircraft, paper_requirement, paper_table
+):
+    east_m, north_m = ALONGSIDE.position_at_course(0.53)
+    aircraft = AircraftState(0.0, east_m, north_m, 0.53, 10.0, ALONGSIDE.curvature_per_m)
+    target = seen(0.0, (-40.0, -14.7), (-3.7, 1.5))
+    moved = []
+    for threat_s in (PredictiveSettings().threat_s, 0.0):
+        planner = PredictivePlanner(
+            paper_aircraft, paper_requirement, paper_table, PredictiveSettings(threat_s=threat_s)
+        )
+        moved.append(planner.decide(aircraft, target, Plan(ALONGSIDE), CALM, LATENCY_S).plan is not None)
+    assert moved == [True, False]

@@ -83,22 +83,40 @@ def test_stop_keeps_the_target_on_the_route_and_turning_back_is_followed() -> No
     assert not _follow(one_way, forward + stand + back)[-1].on_route
 
 
-def test_progress_keeps_to_the_order_of_rows_that_lie_close_together() -> None:
-    rows, length_m, apart_m, speed_m_s = 8, 160.0, 6.0, 2.0
+def _rows(rows: int, length_m: float, apart_m: float) -> np.ndarray:
+    """Return the corners (n, 2) of a path up and down the rows of a field."""
     corners = [(apart_m * row, length_m * ((row + end) % 2)) for row in range(rows) for end in range(2)]
-    east_m, north_m = np.array(corners).T
-    # The recorded route is a row's distance aside: by its position alone the target is always on the next row.
-    route = route_of(east_m + apart_m, north_m)
-    leg_m = np.hypot(np.diff(east_m), np.diff(north_m))
-    gone_m = np.arange(0.0, leg_m.sum(), speed_m_s)
+    return np.array(corners)
+
+
+def _along(corners: np.ndarray, speed_m_s: float) -> list[tuple[float, float, float, float]]:
+    leg_m = np.hypot(*np.diff(corners, axis=0).T)
     arc_m = np.append(0.0, np.cumsum(leg_m))
-    place = np.stack([np.interp(gone_m, arc_m, east_m), np.interp(gone_m, arc_m, north_m)])
-    velocity = np.gradient(place, axis=1)
-    found = _follow(route, list(zip(*place, *velocity, strict=True)))
-    for one, at_m in zip(found[20:], gone_m[20:], strict=True):
+    gone_m = np.arange(0.0, arc_m[-1], speed_m_s)
+    place = np.stack([np.interp(gone_m, arc_m, one) for one in corners.T])
+    return list(zip(*place, *np.gradient(place, axis=1), strict=True))
+
+
+def test_progress_keeps_to_the_order_of_rows_that_lie_close_together() -> None:
+    corners, apart_m, speed_m_s = _rows(8, 160.0, 6.0), 6.0, 2.0
+    # The recorded route is a row's distance aside: by its position alone the target is always on the next row.
+    route = route_of(corners[:, 0] + apart_m, corners[:, 1])
+    found = _follow(route, _along(corners, speed_m_s))
+    for k, one in enumerate(found[20:], 20):
         assert one.on_route
         assert one.speed_m_s >= 0.0
-        assert one.along_m == pytest.approx(at_m, abs=30.0)
+        assert one.along_m == pytest.approx(k * speed_m_s, abs=30.0)
+
+
+def test_route_whose_rows_are_taken_in_another_order_is_of_no_use() -> None:
+    path, speed_m_s = _rows(12, 160.0, 60.0), 4.0
+    own = _follow(route_of(*path.T), _along(path, speed_m_s))
+    assert all(one.of_use for one in own)
+    shifted = _follow(route_of(path[:, 0] + 60.0, path[:, 1]), _along(path, speed_m_s))
+    wrong = [one for one in shifted[len(shifted) // 2 :] if one.on_route]
+    assert len(wrong) > 60  # s; on each row it is taken for the row of the route
+    assert not any(one.of_use for one in wrong)
+    assert "not used" in describe(wrong[-1])
 
 
 def test_parallel_route_60_m_aside_is_not_followed() -> None:

@@ -154,8 +154,10 @@ function keyTiles() {
 // The target's progress along its route, if it has one.
 function progress({ route }) {
   if (!route) return [];
-  const end = route.on && route.to_end_s !== null ? `, ${duration(route.to_end_s)} to go` : "";
-  return [["route", route.on ? `${lengthOf(route.along_m).toFixed()} of ${length(route.length_m)}${end}` : "off route", route.on ? "" : "warn"]];
+  if (!route.on) return [["route", "off route", "warn"]];
+  const end = route.to_end_s !== null ? `, ${duration(route.to_end_s)} to go` : "";
+  const unused = route.of_use ? "" : ", not used";
+  return [["route", `${lengthOf(route.along_m).toFixed()} of ${length(route.length_m)}${end}${unused}`, unused && "warn"]];
 }
 
 const duration = (s) => (s < 90 ? `${s} s` : s < 3600 ? `${Math.round(s / 60)} min` : `${(s / 3600).toFixed(1)} h`);
