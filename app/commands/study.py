@@ -160,8 +160,8 @@ def study(
 ) -> None:
     """Compare planners against many targets, random or recorded, without an autopilot.
 
-    Band 100 to 500 m, left side; noisy laser and gimbal go through the real filter to the real planners. lvfg and
-    park are guidance laws of the literature. The side is that of the course that the target made good over
+    Band 100 to 500 m, left side; noisy laser and gimbal go through the real filter to the real planners. lvfg,
+    park and orbit are guidance laws of the literature. The side is that of the course that the target made good over
     requirement.course_horizon_s, once it has moved 10 m. Recorded tracks are smoothed over 2.5 s.
 
     On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).

@@ -23,6 +23,7 @@ from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Side
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.laws.lateral_guidance import LateralGuidance
+from sidelong.mission.laws.standoff_orbit import StandoffOrbit
 from sidelong.mission.laws.vector_field import VectorField
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import PredictivePlanner
@@ -35,9 +36,11 @@ _BANK_RESERVE = 1.1
 
 # The guidance laws, tuned by grid search over 20 other targets with perfect sensors: of those that always keep the
 # band the one most on the side, with room to both edges. Radii 150 to 400 m, gains 0.25 to 2 1/s, look-aheads 40 to
-# 180 m; the other way round they are on the side for 42 % of the time.
+# 180 m; the other way round they are on the side for 42 % of the time. The orbit: ten targets, radii 300 to 400 m,
+# approaches 0.005 to 0.03 1/m, gains 0.25 to 1 1/s.
 _FIELD_RADIUS_M, _FIELD_GAIN_PER_S = 350.0, 0.25
 _LATERAL_RADIUS_M, _LATERAL_LOOK_AHEAD_M = 350.0, 80.0
+_ORBIT_RADIUS_M, _ORBIT_APPROACH_PER_M, _ORBIT_GAIN_PER_S = 300.0, 0.005, 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +171,11 @@ def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]
 
 
 def _law(planner: PlannerName, clockwise: bool) -> GuidanceLaw:
-    if planner is PlannerName.LVFG:
-        return VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m
-    return LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m
+    match planner:
+        case PlannerName.LVFG:
+            return VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m
+        case PlannerName.ORBIT:
+            orbit = StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_APPROACH_PER_M, _ORBIT_GAIN_PER_S)
+            return orbit.curvature_per_m
+        case _:
+            return LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m

@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 
 class PlannerName(StrEnum):
-    """What can be compared: this project's planners, two laws of the literature, and a program of the user."""
+    """What can be compared: this project's planners, three laws of the literature, and a program of the user."""
 
     PREDICTIVE = "predictive"
     PAPER = "paper"
     LVFG = "lvfg"
     PARK = "park"
+    ORBIT = "orbit"
     CONTROLLER = "controller"
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.laws.course_field import curvature_per_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,28 +30,15 @@ class VectorField:
             aircraft: State of the aircraft.
             target: Estimate of the target.
         """
-        speed = aircraft.ground_speed_m_s
-        course_rad = self._course_rad(aircraft.east_m, aircraft.north_m, speed, target, 0.0)
-        # The field's turn is felt by looking a moment ahead along the present course.
-        ahead_s = 0.2
-        ahead_rad = self._course_rad(
-            aircraft.east_m + ahead_s * speed * math.sin(aircraft.course_rad),
-            aircraft.north_m + ahead_s * speed * math.cos(aircraft.course_rad),
-            speed,
-            target,
-            ahead_s,
-        )
-        turn_rad_s = math.remainder(ahead_rad - course_rad, 2.0 * math.pi) / ahead_s
-        off_rad = math.remainder(course_rad - aircraft.course_rad, 2.0 * math.pi)
-        return (turn_rad_s + self.course_gain_per_s * off_rad) / speed
 
-    def _course_rad(
-        self, east_m: float, north_m: float, speed_m_s: float, target: TargetEstimate, ahead_s: float
-    ) -> float:
+        def course_at(x_m: float, y_m: float) -> float:
+            return self._course_rad(x_m, y_m, aircraft.ground_speed_m_s, target)
+
+        return curvature_per_m(course_at, self.course_gain_per_s, aircraft, target)
+
+    def _course_rad(self, x: float, y: float, speed_m_s: float, target: TargetEstimate) -> float:
         """Return the course whose velocity relative to the target points along the field there."""
         velocity_east, velocity_north = target.velocity_east_m_s, target.velocity_north_m_s
-        x = east_m - target.east_m - velocity_east * ahead_s
-        y = north_m - target.north_m - velocity_north * ahead_s
         range_m = max(math.hypot(x, y), 1e-3)
         radial = range_m**2 - self.radius_m**2
         tangential = 2.0 * range_m * self.radius_m * (1.0 if self.clockwise else -1.0)

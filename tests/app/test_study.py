@@ -19,7 +19,7 @@ from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES
 from tests.studies import run_study
 
-LAWS = (PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK)
+LAWS = (PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK, PlannerName.ORBIT)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def command():
 def test_the_result_does_not_depend_on_the_number_of_processes(small):
     result, finished = small
     again = run_study(result.settings, None, jobs=2)
-    assert sum(finished) == 9
+    assert sum(finished) == 3 * len(LAWS)
     for name in LAWS:
         for measure in MEASURES:
             np.testing.assert_array_equal(result.planners[name][measure], again.planners[name][measure])
@@ -53,7 +53,7 @@ def test_the_summary_has_every_key(small):
         *("noise_draws", "targets", "skipped", "skipped_targets", "fidelity", "parts"),
     }
     assert (summary["runs"], summary["targets"], summary["skipped"]) == (3, 3, 0)
-    assert summary["simulated_s"] == 3 * 3 * 150.0
+    assert summary["simulated_s"] == 3 * len(LAWS) * 150.0
     for planner in summary["planners"].values():
         assert {"mean", "p5", "worst"} == set(planner["time_in_band"]) == set(planner["time_on_side"])
         assert planner["time_on_side"]["worst"] <= planner["time_on_side"]["p5"] <= planner["time_on_side"]["mean"]

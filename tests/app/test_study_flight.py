@@ -64,7 +64,7 @@ def test_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, settings):
     assert moves > 0.0
 
 
-@pytest.mark.parametrize("planner", [PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK])
+@pytest.mark.parametrize("planner", [PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK, PlannerName.ORBIT])
 def test_other_planners_fly_in_it_too(monkeypatch, planner):
     flown = run(SETTINGS, planner, 1, None, keep_track=True)
     assert_same(flown, step_by_step(monkeypatch, SETTINGS, planner, 1, None))

@@ -6,6 +6,7 @@ import pytest
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.laws.lateral_guidance import LateralGuidance
+from sidelong.mission.laws.standoff_orbit import StandoffOrbit
 from sidelong.mission.laws.vector_field import VectorField
 
 SPEED_M_S, STEP_S, STAND_OFF_M = 10.0, 0.1, 200.0
@@ -34,8 +35,9 @@ def fly(law, clockwise_start_rad, target_velocity, duration_s=400.0):
     [
         lambda clockwise: VectorField(STAND_OFF_M, clockwise, 0.5),
         lambda clockwise: LateralGuidance(STAND_OFF_M, clockwise, 80.0),
+        lambda clockwise: StandoffOrbit(STAND_OFF_M, clockwise, 0.02, 0.5),
     ],
-    ids=["vector field", "lateral guidance"],
+    ids=["vector field", "lateral guidance", "stand-off orbit"],
 )
 def test_settles_on_a_circle_round_the_target(make, target_velocity, clockwise):
     ranges, bearings = fly(make(clockwise), math.pi / 2, target_velocity)

@@ -1,0 +1,58 @@
+"""The stand-off orbit of occlusion-aware tracking: a circle that moves with the target, for comparison.
+
+The source inscribes the circle in the volume from which nothing hides the target. On open ground that volume is
+limited by the range alone, so the radius does not change; the rate of the radius is left out here.
+
+Source: Hague, Wolek, "Occlusion-Aware Ground Target Tracking by a Dubins Vehicle using Visibility Volumes", arXiv
+2506.03400, 2025: the steering controller.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.laws.course_field import curvature_per_m
+
+
+@dataclass(frozen=True, slots=True)
+class StandoffOrbit:
+    """A circle around the target.
+
+    Attributes:
+        radius_m: Radius of the circle, m.
+        clockwise: Direction, seen from above.
+        approach_per_m: How sharply the circle is approached, 1/m.
+        course_gain_per_s: Turn rate for each radian off the field's course, 1/s.
+    """
+
+    radius_m: float
+    clockwise: bool
+    approach_per_m: float
+    course_gain_per_s: float
+
+    def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
+        """Return the curvature to fly now, 1/m.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+        """
+
+        def course_at(x_m: float, y_m: float) -> float:
+            return self._course_rad(x_m, y_m, aircraft.ground_speed_m_s, target)
+
+        return curvature_per_m(course_at, self.course_gain_per_s, aircraft, target)
+
+    def _course_rad(self, x_m: float, y_m: float, speed_m_s: float, target: TargetEstimate) -> float:
+        """Return the course along which the distance from the circle decreases at the field's rate."""
+        velocity_east, velocity_north = target.velocity_east_m_s, target.velocity_north_m_s
+        range_m = max(math.hypot(x_m, y_m), 1e-3)
+        out_e, out_n = x_m / range_m, y_m / range_m
+        spare_m_s = max(speed_m_s - math.hypot(velocity_east, velocity_north), 0.0)
+        inward_m_s = spare_m_s * 2.0 / math.pi * math.atan(self.approach_per_m * (range_m - self.radius_m))
+        radial_m_s = velocity_east * out_e + velocity_north * out_n - inward_m_s
+        around_m_s = math.sqrt(max(speed_m_s**2 - radial_m_s**2, 0.0)) * (1.0 if self.clockwise else -1.0)
+        return math.atan2(radial_m_s * out_e + around_m_s * out_n, radial_m_s * out_n - around_m_s * out_e)
