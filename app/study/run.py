@@ -40,7 +40,7 @@ _BANK_RESERVE = 1.1
 # approaches 0.005 to 0.03 1/m, gains 0.25 to 1 1/s.
 _FIELD_RADIUS_M, _FIELD_GAIN_PER_S = 350.0, 0.25
 _LATERAL_RADIUS_M, _LATERAL_LOOK_AHEAD_M = 350.0, 80.0
-_ORBIT_RADIUS_M, _ORBIT_APPROACH_PER_M, _ORBIT_GAIN_PER_S = 300.0, 0.005, 0.25
+_ORBIT_RADIUS_M, _ORBIT_GAIN_PER_S, _ORBIT_APPROACH_PER_M = 300.0, 0.25, 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +175,7 @@ def _law(planner: PlannerName, clockwise: bool) -> GuidanceLaw:
         case PlannerName.LVFG:
             return VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m
         case PlannerName.ORBIT:
-            orbit = StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_APPROACH_PER_M, _ORBIT_GAIN_PER_S)
+            orbit = StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_GAIN_PER_S, _ORBIT_APPROACH_PER_M)
             return orbit.curvature_per_m
         case _:
             return LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m

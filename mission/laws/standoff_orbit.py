@@ -13,38 +13,18 @@ import math
 from dataclasses import dataclass
 
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.laws.course_field import curvature_per_m
+from sidelong.mission.laws.course_field import CourseField
 
 
 @dataclass(frozen=True, slots=True)
-class StandoffOrbit:
-    """A circle around the target.
+class StandoffOrbit(CourseField):
+    """The field of a circle that moves with the target.
 
     Attributes:
-        radius_m: Radius of the circle, m.
-        clockwise: Direction, seen from above.
         approach_per_m: How sharply the circle is approached, 1/m.
-        course_gain_per_s: Turn rate for each radian off the field's course, 1/s.
     """
 
-    radius_m: float
-    clockwise: bool
     approach_per_m: float
-    course_gain_per_s: float
-
-    def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
-        """Return the curvature to fly now, 1/m.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-        """
-
-        def course_at(x_m: float, y_m: float) -> float:
-            return self._course_rad(x_m, y_m, aircraft.ground_speed_m_s, target)
-
-        return curvature_per_m(course_at, self.course_gain_per_s, aircraft, target)
 
     def _course_rad(self, x_m: float, y_m: float, speed_m_s: float, target: TargetEstimate) -> float:
         """Return the course along which the distance from the circle decreases at the field's rate."""

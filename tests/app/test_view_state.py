@@ -69,6 +69,9 @@ def test_the_route_and_the_expected_path_along_it_are_sent(watching):
     on = state_of(replace(watching, route=RouteProgress(route, True, 290.0, 4.0, 0.9, math.nan)))["route"]
     assert (on["on"], on["along_m"], on["length_m"], on["to_end_s"]) == (True, 290.0, 1200.0, None)
     assert on["ahead"][2] == pytest.approx([30.0, 300.0], abs=3.0)  # 10 s later, around the corner
+    assert on["of_use"]
+    unused = RouteProgress(route, True, 290.0, 4.0, 0.9, math.nan, of_use=False)
+    assert not state_of(replace(watching, route=unused))["route"]["of_use"]
     off = state_of(replace(watching, route=RouteProgress(route, False, math.nan, math.nan, 0.1, math.nan)))["route"]
     assert (off["on"], off["along_m"], off["ahead"]) == (False, None, [])
     drawn = setting(Config(), None, "", route=route)["route"]

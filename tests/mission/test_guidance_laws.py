@@ -35,7 +35,7 @@ def fly(law, clockwise_start_rad, target_velocity, duration_s=400.0):
     [
         lambda clockwise: VectorField(STAND_OFF_M, clockwise, 0.5),
         lambda clockwise: LateralGuidance(STAND_OFF_M, clockwise, 80.0),
-        lambda clockwise: StandoffOrbit(STAND_OFF_M, clockwise, 0.02, 0.5),
+        lambda clockwise: StandoffOrbit(STAND_OFF_M, clockwise, 0.5, 0.02),
     ],
     ids=["vector field", "lateral guidance", "stand-off orbit"],
 )
