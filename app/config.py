@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from sidelong.app.errors import InputError
+from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM
 from sidelong.app.payload.address import checked_payload_url
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
@@ -40,7 +41,7 @@ _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 # The automatic radius gives a 22 s orbit, the best value for recorded targets, if the range band has room for it.
 # _BANK_RESERVE is the margin to the bank limit.
 _AUTO_RADIUS_S, _BANK_RESERVE = 3.5, 1.1
-_DISTANCE_SENSOR_MAX_M = 655.0  # centimetres in 16 bits
+_DISTANCE_SENSOR_MAX_M = DISTANCE_SENSOR_MAX_CM / 100
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
 Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
@@ -483,7 +484,7 @@ def reach_warning(config: Config) -> str | None:
     reached_m = math.sqrt(max(_DISTANCE_SENSOR_MAX_M**2 - height_m**2, 0.0))
     return (
         f"requirement.range_max_m = {far_m:g} is farther than a laser behind DISTANCE_SENSOR can report "
-        f"({_DISTANCE_SENSOR_MAX_M:g} m along the line of sight), so the target may be lost; make it "
+        f"({_DISTANCE_SENSOR_MAX_M:.0f} m along the line of sight), so the target may be lost; make it "
         f"{reached_m:.0f} m at most, unless the laser sends RANGEFINDER or the payload has a driver"
     )
 

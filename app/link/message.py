@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+DISTANCE_SENSOR_MAX_CM = 0xFFFF  # its fields have 16 bits
+
 
 class Message(NamedTuple):
     """A tuple, because a log yields a million of them and a frozen dataclass takes three times as long to make.

@@ -7,6 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM
 from sidelong.app.payload.driver import AnglesMeasured, Frame, Measured
 
 COMPONENT = mavlink.MAV_COMP_ID_GIMBAL
@@ -20,7 +21,7 @@ _FLAGS: dict[Frame, int] = {
 }
 _SENSOR_ID = 1
 _COVARIANCE_UNKNOWN = 255
-_BOOT_MS_WRAP, _CENTIMETRES_MAX = 1 << 32, (1 << 16) - 1
+_BOOT_MS_WRAP = 1 << 32
 
 
 def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]]:
@@ -48,7 +49,7 @@ def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]
     return "DISTANCE_SENSOR", {
         "time_boot_ms": boot_ms,
         "min_distance": 0,
-        "max_distance": max(_CENTIMETRES_MAX, math.ceil(centimetres)),
+        "max_distance": max(DISTANCE_SENSOR_MAX_CM, math.ceil(centimetres)),
         "current_distance": centimetres,
         "type": mavlink.MAV_DISTANCE_SENSOR_LASER,
         "id": _SENSOR_ID,
@@ -62,11 +63,11 @@ def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]
 def packed(name: str, fields: dict[str, Any], encoder: Any) -> bytes | None:
     """Return the message as bytes; None for a range beyond the 655 m that DISTANCE_SENSOR can carry."""
     if name == "DISTANCE_SENSOR":
-        if fields["current_distance"] > _CENTIMETRES_MAX:
+        if fields["current_distance"] > DISTANCE_SENSOR_MAX_CM:
             return None
         fields = fields | {
             "current_distance": round(fields["current_distance"]),
-            "max_distance": _CENTIMETRES_MAX,
+            "max_distance": DISTANCE_SENSOR_MAX_CM,
         }
         message = mavlink.MAVLink_distance_sensor_message(**fields)
     else:

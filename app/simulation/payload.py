@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.link.message import Message
+from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM, Message
 
 PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
 _LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
-_RANGE_MIN_M, _RANGE_MAX_M = 1.0, 655.0
+_DISTANCE_MIN_CM = 100
 _REMEMBERED = 128  # lines of sight that a late reading may be made of
 _ORIENTATION_CUSTOM, _COVARIANCE_UNKNOWN, _GOOD_QUALITY = 100, 255, 90
 
@@ -91,18 +91,16 @@ class Payload:
         range_m = math.hypot(*self._line_at(time_s - errors.range_delay_s)) + errors.range_sigma_m * range_noise
         if errors.outliers and self._rng.random() < errors.outliers:
             range_m += self._rng.uniform(-errors.outlier_max_m, errors.outlier_max_m)
-        if (
-            not (with_range and errors.has_laser)
-            or self._is_dropped(time_s)
-            or not _RANGE_MIN_M <= range_m <= _RANGE_MAX_M
-        ):
+        range_cm = round(100.0 * range_m)
+        is_in_reach = _DISTANCE_MIN_CM <= range_cm <= DISTANCE_SENSOR_MAX_CM
+        if not (with_range and errors.has_laser) or self._is_dropped(time_s) or not is_in_reach:
             return [gimbal]
         laser = self._message(
             "DISTANCE_SENSOR",
             time_boot_ms=boot_ms,
-            min_distance=round(100.0 * _RANGE_MIN_M),
-            max_distance=round(100.0 * _RANGE_MAX_M),
-            current_distance=round(100.0 * range_m),
+            min_distance=_DISTANCE_MIN_CM,
+            max_distance=DISTANCE_SENSOR_MAX_CM,
+            current_distance=range_cm,
             id=1,
             orientation=_ORIENTATION_CUSTOM,
             covariance=_COVARIANCE_UNKNOWN,

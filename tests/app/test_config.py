@@ -124,7 +124,7 @@ def test_a_radius_that_fits_is_found(tmp_path, aircraft, requirement, radius_m):
 def test_a_band_beyond_the_laser_s_message_is_warned_of():
     far = {"requirement": {"range_max_m": 750.0}}
     assert reach_warning(load_config(None)) is None
-    assert "make it 647 m at most" in reach_warning(load_config(None, far))
+    assert "make it 648 m at most" in reach_warning(load_config(None, far))
     assert reach_warning(load_config(None, {**far, "payload": {"kind": "siyi"}})) is None
 
 
