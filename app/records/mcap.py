@@ -164,7 +164,7 @@ class McapLog:
     def _progress(self, estimate: TargetEstimate) -> None:
         progress = None if self._follower is None else self._follower.update(estimate)
         if progress is not None:
-            numbers = _fields(progress, "on_route", "probability", "along_m", "speed_m_s", "to_end_s")
+            numbers = _fields(progress, "on_route", "of_use", "probability", "along_m", "speed_m_s", "to_end_s")
             numbers["length_m"] = progress.route.length_m
             self._write("/route", "sidelong.Route", estimate.time_s, numbers)
 

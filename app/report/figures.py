@@ -145,12 +145,15 @@ def _route(history: History) -> Drawing | None:
     time_s = np.array([at_s for at_s, _ in progress]) - history.start_s
     along_m = np.array([one.along_m for _, one in progress])
     off, length_m = ~np.isfinite(along_m), progress[-1][1].route.length_m
-    axes.fill_between(time_s, 0.0, length_m, where=off.tolist(), color=FAINT, alpha=0.25, lw=0, label="off route")
+    unused = ~off & ~np.array([one.of_use for _, one in progress])
+    for where, colour, label in ((off, FAINT, "off route"), (unused, BAD, "not used")):
+        axes.fill_between(time_s, 0.0, length_m, where=where.tolist(), color=colour, alpha=0.25, lw=0, label=label)
     axes.plot(*_unjoined(time_s, along_m, 0.5 * length_m), color=TARGET, linewidth=1.2, label="target (estimate)")
     axes.set_ylim(0.0, length_m)
     _over_time(axes, history, "along the route, m")
-    share = 100.0 * float(np.mean(~off))
-    caption = f"On the route {share:.1f} % of the time; its length is {length_m:.0f} m."
+    on, not_used = (100.0 * float(np.mean(one)) for one in (~off, unused))
+    reason = f", {not_used:.1f} % not used: straight on predicts the target better" if not_used else ""
+    caption = f"On the route {on:.1f} % of the time{reason}; its length is {length_m:.0f} m."
     return Drawing("route", "Progress along the route", caption, made)
 
 

@@ -22,6 +22,8 @@ from sidelong.app.report.page import report_page
 from sidelong.app.report.sources import feed, read_flight
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.requirement import Side
+from sidelong.mission.route.progress import RouteProgress
+from sidelong.mission.route.route import route_of
 
 FIGURES = [
     "path",
@@ -90,6 +92,16 @@ def test_all_figures_are_there_in_order(page):
 
 def test_the_same_flight_gives_the_same_page(page, run_folder):
     assert report_page(read_flight(run_folder)) == page
+
+
+def test_the_figure_of_the_route_shows_when_it_was_not_used(flown):
+    route = route_of(np.zeros(2), np.array([0.0, 500.0]))
+    used = RouteProgress(route, True, 200.0, 4.0, 0.9, 75.0)
+    off = RouteProgress(route, False, math.nan, math.nan, 0.1, math.nan)
+    seconds = enumerate([used, used, replace(used, of_use=False), off], math.ceil(flown.history.start_s))
+    page = report_page(replace(flown, history=replace(flown.history, progress=tuple(seconds))))
+    assert "On the route 75.0 % of the time, 25.0 % not used: straight on predicts the target better;" in page
+    assert ">not used<" in page  # in the legend
 
 
 def test_decisions_are_reported_in_words(page, flown):

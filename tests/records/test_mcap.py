@@ -8,6 +8,7 @@ import math
 import sys
 from contextlib import closing
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,8 @@ from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.path import Path as Line
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Wind
+from sidelong.mission.route.progress import RouteFollower, RouteProgress
+from sidelong.mission.route.route import route_of
 
 mcap_reader = pytest.importorskip("mcap.reader")
 
@@ -96,6 +99,17 @@ def test_every_kind_of_thing_has_its_topic(messages):
         "/health": 1,
         "/route/map": 1,
     }
+
+
+@pytest.mark.parametrize("of_use", [True, False])
+def test_the_progress_says_whether_the_route_is_used(of_use, monkeypatch):
+    route = route_of(np.zeros(2), np.array([0.0, 500.0]))
+    progress = RouteProgress(route, True, 200.0, 4.0, 0.9, 75.0, of_use)
+    monkeypatch.setattr(RouteFollower, "update", lambda *_: progress)
+    written: dict[str, dict] = {}
+    out = SimpleNamespace(write=lambda topic, _schema, _time_ns, values: written.update({topic: values}))
+    flight(McapLog(out, PLANE, Tracker(TrackerSettings())))
+    assert (written["/route"]["on_route"], written["/route"]["of_use"]) == (True, of_use)
 
 
 def test_change_of_an_input_is_written_with_its_state(messages):
