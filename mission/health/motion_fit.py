@@ -203,11 +203,12 @@ class MotionFit:
         Args:
             established: what was found to be wrong before; it holds until what is reported fits clearly better.
         """
-        samples, established = self._samples, self._unless_corrected(established)
-        if established == SOUND and samples and samples[-1].time_s - self.changed_s < WINDOW_S:
-            found = self._continued()
-            if found is not None:
-                return found
+        samples = self._samples
+        if established.frame == self._flagged:  # the flags are corrected; until then a wrong target moved
+            established, self._before = SOUND, None
+        is_recent = bool(samples) and samples[-1].time_s - self.changed_s < WINDOW_S
+        if established == SOUND and is_recent and (found := self._continued()) is not None:
+            return found
         if not self._is_enough():
             return None
         shares = sorted(one.off_level for one in samples)
@@ -239,16 +240,6 @@ class MotionFit:
         if residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
             return SOUND
         return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
-
-    def _unless_corrected(self, established: Verdict) -> Verdict:
-        """Return ``SOUND`` if the flags now name the frame that was found, else what was found.
-
-        The motion before the correction was that of a wrong target, and is forgotten.
-        """
-        if established.frame != self._flagged:
-            return established
-        self._before = None
-        return SOUND
 
     def _is_enough(self) -> bool:
         """Return whether there are enough samples, and the aircraft has turned over them."""
