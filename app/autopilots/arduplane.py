@@ -124,12 +124,6 @@ class ArduPlane:
             return replace(item, param3=float(round(item.param3)))
         return item
 
-    def arm(self) -> VehicleCommand:
-        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
-
-    def disarm(self) -> VehicleCommand:
-        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
-
     def start_mission(self) -> VehicleCommand:
         return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO))
 

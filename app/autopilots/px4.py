@@ -119,12 +119,6 @@ class Px4:
     def stored(self, item: MissionItem) -> MissionItem:
         return item
 
-    def arm(self) -> VehicleCommand:
-        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
-
-    def disarm(self) -> VehicleCommand:
-        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
-
     def start_mission(self) -> VehicleCommand:
         return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _MISSION))
 

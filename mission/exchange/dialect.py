@@ -112,14 +112,6 @@ class AutopilotDialect(Protocol):
         """
         ...
 
-    def arm(self) -> VehicleCommand:
-        """Return the command to arm."""
-        ...
-
-    def disarm(self) -> VehicleCommand:
-        """Return the command to disarm, which is refused in flight."""
-        ...
-
     def start_mission(self) -> VehicleCommand:
         """Return the command to fly the mission."""
         ...

@@ -26,6 +26,7 @@ from sidelong.mission.exchange.vehicle_command import CommandExchange, VehicleCo
 from sidelong.mission.upload.mission_item import MissionItem, e7
 
 _TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
+_ARM, _DISARM = (VehicleCommand(400, (armed,)) for armed in (1.0, 0.0))  # MAV_CMD_COMPONENT_ARM_DISARM
 _RUN_PREARM_CHECKS = 401  # reports by STATUSTEXT what prevents arming
 _TAKE_OFF_HEIGHT_M = 50.0
 _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
@@ -293,7 +294,7 @@ class Takeover:
         try:
             yield from self._start_mission()
         except _FailedError:
-            yield from self._commanded(self._dialect.disarm())  # still on the ground; refused if it is not
+            yield from self._commanded(_DISARM)  # still on the ground; refused if it is not
             raise
         self._note("taking off")
         yield from self._until_circling(first, _TAKE_OFF_WITHIN_S)
@@ -316,14 +317,14 @@ class Takeover:
         self._note("arming")
         deadline_s, reasons_asked = self._outbox.time_s + _ARM_WITHIN_S, False
         while True:
-            yield from self._commanded(self._dialect.arm())
+            yield from self._commanded(_ARM)
             assert self._command is not None
             if self._command.accepted:
                 return
             if self._command.stuck or self._outbox.time_s > deadline_s:
                 reason = f"the autopilot did not arm ({self._answer()})"
                 if self._command.unsettled:
-                    yield from self._commanded(self._dialect.disarm())
+                    yield from self._commanded(_DISARM)
                 raise _FailedError(reason)
             if not reasons_asked:
                 reasons_asked = True
