@@ -252,6 +252,7 @@ def test_the_own_route_helps_and_a_wrong_one_costs_nothing():
     none, own, wrong = (compared(OWN, CLASSES[1], mode, 1, every) for mode in ("none", "own", "shifted"))
     assert own["side"] > none["side"]
     assert wrong["side"] > none["side"] - 0.01
+    assert wrong["least range, m"] >= LEAST_M
 
 
 def main() -> None:
