@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from sidelong.app.planners.planner_kind import PlannerKind
-from sidelong.app.planners.predictive import MakePredictive, Predictive
+from sidelong.app.planners.predictive import Predictive
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.estimators.compiled import is_cached
-from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.core.plan import Planner
+
+if TYPE_CHECKING:
+    from sidelong.mission.predictive.planner import PredictivePlanner
 
 
 class TeamPredictive(Predictive):
@@ -19,13 +24,12 @@ class TeamPredictive(Predictive):
 
         return super().is_compiled() and is_cached(team_decide)
 
-    def maker(self, requirement: Requirement) -> MakePredictive:
+    def finished(self, planner: PredictivePlanner) -> Planner:
         """Return the cooperative planner; a requirement without sides to share has the planner of one aircraft."""
-        if requirement.sector is not None or requirement.either_side:
-            return super().maker(requirement)
         from sidelong.mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415  # see PlannerKind
 
-        return TeamPlanner
+        has_sides = planner.requirement.sector is None and not planner.requirement.either_side
+        return TeamPlanner(planner) if has_sides else planner
 
 
 def planner_in_fleet(name: str) -> PlannerKind:

@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from sidelong.app.planners.planner_kind import DecisionInputs, PlannerNeeds
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.feasibility import Change, unflyable
-from sidelong.mission.core.plan import Plan, Planner, PlannerFactory
+from sidelong.mission.core.plan import Planner, PlannerFactory
 from sidelong.mission.core.requirement import Aircraft, Requirement
 
 if TYPE_CHECKING:
-    from sidelong.mission.core.sight import SightAt
-    from sidelong.mission.predictive.planner import PredictiveSettings
+    from sidelong.mission.predictive.planner import PredictivePlanner
     from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
-
-
-class MakePredictive(Protocol):
-    """The constructor of ``PredictivePlanner``, and of planners that are made of the same parts."""
-
-    def __call__(
-        self,
-        aircraft: Aircraft,
-        requirement: Requirement,
-        table: ValueTable,
-        settings: PredictiveSettings,
-        windy: Sequence[ValueTable],
-        check: Callable[[Plan], str | None],
-        sight: SightAt,
-        /,
-        *,
-        table_at: Callable[[float], ValueTable],
-    ) -> Planner:
-        """Return a planner; see :class:`sidelong.mission.predictive.planner.PredictivePlanner`."""
-        ...
 
 
 class Predictive:
@@ -71,15 +50,13 @@ class Predictive:
         min_gain = commitment(scene, now, futures, looker)
         look_deeper(scene, now, futures, looker, sight, min_gain, np.empty(MOVES))
 
-    def maker(self, requirement: Requirement) -> MakePredictive:
-        """Return the constructor of a planner for this requirement."""
-        from sidelong.mission.predictive.planner import PredictivePlanner  # noqa: PLC0415  # see PlannerKind
-
-        return PredictivePlanner
+    def finished(self, planner: PredictivePlanner) -> Planner:
+        """Return what decides: the planner, or one that is made of it."""
+        return planner
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
         from sidelong.app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
-        from sidelong.mission.predictive.planner import PredictiveSettings  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings  # noqa: PLC0415
 
         settings = PredictiveSettings(lost_after_s=needs.lost_after_s)
         tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
@@ -95,8 +72,9 @@ class Predictive:
                 return tables_for(aircraft, wanted, [wind_m_s])[-1]
 
             calm, *windy = tables_for(aircraft, wanted, needs.winds_m_s)
-            make_one = self.maker(wanted)
-            return make_one(aircraft, wanted, calm, settings, windy, needs.check, needs.sight, table_at=table_at)
+            return self.finished(
+                PredictivePlanner(aircraft, wanted, calm, settings, windy, needs.check, needs.sight, table_at)
+            )
 
         tables_for(needs.aircraft, needs.requirement, needs.winds_m_s)
         return make

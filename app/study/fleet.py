@@ -54,6 +54,7 @@ from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.geometry.line_kernel import Circling
 from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.laws.phased import phased
+from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 
 _STEPS = 10  # of a second, after which all decide
@@ -148,7 +149,7 @@ class FleetRun:
         self._coordinator = FleetCoordinator(
             [FleetMember(one.name, aircraft, TrackerSettings(), one.height_m) for one in self._members],
             [FleetTarget(_TARGET, requirement)],
-            lambda _name, flown, wanted: TeamPlanner(flown, wanted, table),
+            lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table)),
             estimate_of=lambda _target, _time_s: self._estimate,
         )
         self._planners = {one.name: one.planner for one in self._members}
@@ -286,7 +287,7 @@ class FleetRun:
                     height_m,
                     new_flight(body.body, ring, height_m, (1, 1), self._steps, 1),
                     body,
-                    TeamPlanner(aircraft, requirement, table),
+                    TeamPlanner(PredictivePlanner(aircraft, requirement, table)),
                     aircraft.airspeed_m_s,
                 )
             )

@@ -20,7 +20,7 @@ class RoleJudge(Protocol):
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """Return what this aircraft would pay in each role.
+        """Return what this aircraft would pay alone in each role, from its next departure on.
 
         Args:
             aircraft: State of the aircraft.
@@ -32,7 +32,7 @@ class RoleJudge(Protocol):
         ...
 
     def presume(self, course_rad: float) -> None:
-        """Count by this course of the target until it has been seen to move.
+        """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
 
         Args:
             course_rad: Course of the target, rad.

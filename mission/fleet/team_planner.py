@@ -8,7 +8,7 @@ Source: docs/explanation/planners.md#several-aircraft.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
-from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
-from sidelong.mission.core.sight import NOTHING_HIDDEN, SightAt
+from sidelong.mission.core.requirement import Side, Wind
 from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.cover_kernel import Team
 from sidelong.mission.fleet.roles import RoleCosts
@@ -25,9 +24,8 @@ from sidelong.mission.fleet.team import next_to_standing, team_of
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
-from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
+from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed
 from sidelong.mission.predictive.situation import situation
-from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
@@ -39,30 +37,22 @@ _PREDICTED = 160  # seconds of the others' lines: longer than any line, and what
 class TeamPlanner:
     """Implements :class:`sidelong.mission.core.fleet.CooperativePlanner`.
 
-    requirement: how the target is to be watched; its side is the wanted one until advice changes it. Raises
-    ValueError where that has no side, either side or a sector. The rest is as for a single aircraft.
+    Args:
+        alone: the planner of a single aircraft. Its required side is the wanted one until advice changes it.
+
+    Raises:
+        ValueError: The requirement has no side: either side, or a sector.
     """
 
-    def __init__(
-        self,
-        aircraft: Aircraft,
-        requirement: Requirement,
-        table: ValueTable,
-        settings: PredictiveSettings | None = None,
-        windy: Sequence[ValueTable] = (),
-        check: Callable[[Plan], str | None] = lambda _plan: None,
-        sight: SightAt = lambda *_target: NOTHING_HIDDEN,
-        table_at: Callable[[float], ValueTable] | None = None,
-    ) -> None:
+    def __init__(self, alone: PredictivePlanner) -> None:
+        requirement = alone.requirement
         if requirement.either_side or requirement.sector is not None:
             raise ValueError("several aircraft share the sides of a target: side has to be left or right")
-        self._alone = PredictivePlanner(aircraft, requirement, table, settings, windy, check, sight, table_at)
-        self._settings, self._check = settings or PredictiveSettings(), check
-        self._wanted, self._airspeed_m_s = 1.0 if requirement.side is Side.LEFT else -1.0, aircraft.airspeed_m_s
-        self._side, self._table_at = requirement.side, table_at
-        self._teams = [team_of(one, self._side) for one in (table, *windy)]
+        self._alone, self._side = alone, requirement.side
+        self._wanted = 1.0 if self._side is Side.LEFT else -1.0
+        self._teams = [team_of(one, self._side) for one in alone.tables]
         if requirement.fleet_size > 1:
-            self._alone.price_share = self._teams[0].price
+            alone.price_share = self._teams[0].price
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
 
@@ -79,31 +69,18 @@ class TeamPlanner:
                 self.presume(news.course_rad)
 
     def presume(self, course_rad: float) -> None:
-        """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
-
-        Args:
-            course_rad: Course of the target, rad.
-        """
+        """See :class:`sidelong.mission.fleet.judges.RoleJudge`."""
         self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`sidelong.mission.core.plan.WindPlanner`."""
         self._alone.prepare(wind_speed_m_s)
-        if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
-            self._teams.append(team_of(self._table_at(wind_speed_m_s), self._side))
+        self._teams += [team_of(one, self._side) for one in self._alone.tables[len(self._teams) :]]
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """Return what this aircraft would pay alone in each role, from its next departure on.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan can depart, s.
-        """
+        """See :class:`sidelong.mission.fleet.judges.RoleJudge`."""
         looker, team = self._for(wind)
         return RoleCosts(*kernel.role_values(situation(aircraft, target, present, wind, latency_s), looker, team))
 
@@ -113,8 +90,8 @@ class TeamPlanner:
         """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
         others = self._others(aircraft.time_s)
         unseen_s = aircraft.time_s - target.last_sighting_s
-        lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s
-        if not others or lost or wind.speed_m_s >= self._airspeed_m_s:
+        lost = target.quality is TrackQuality.LOST or unseen_s > self._alone.settings.lost_after_s
+        if not others or lost or wind.speed_m_s >= self._alone.aircraft.airspeed_m_s:
             return self._alone.decide(aircraft, target, present, wind, latency_s)
         looker, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
@@ -132,7 +109,7 @@ class TeamPlanner:
             costs,
         )
         values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}
-        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
+        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._alone.check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
             reason = f"moving {moved}: better alongside {_names(others)}"

@@ -163,24 +163,24 @@ class PredictivePlanner:
         table_at: Callable[[float], ValueTable] | None = None,
         route: Route | None = None,
     ) -> None:
-        self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
-        self._settings = settings or PredictiveSettings()
-        self._check, self._sight, self._table_at = check, sight, table_at
+        self.aircraft, self.requirement, self.tables = aircraft, requirement, [table, *windy]
+        self.settings = settings or PredictiveSettings()
+        self.check, self._sight, self._table_at = check, sight, table_at
         self.price_share = 1.0  # of what moves cost, in its own decisions
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
         self._kept, self._seconds = nothing_kept(), no_seconds()
         self._route, self._progress = route, fresh_progress(0 if route is None else route.east_m.size)
-        self.lookers = [self._looker(one) for one in self._tables]
-        if self._settings.beam > 0:  # else the first decisions would wait for it
+        self.lookers = [self._looker(one) for one in self.tables]
+        if self.settings.beam > 0:  # else the first decisions would wait for it
             kernel.lay_out(self.lookers[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
 
     def _looker(self, table: ValueTable) -> Looker:
         """Return what looks ahead with a table; all remember the same."""
-        own, price = self._settings, table.configuration.leave_cost
+        own, price = self.settings, table.configuration.leave_cost
         change = price if own.change_cost is None else own.change_cost
         return Looker(
-            craft_of(self._aircraft, turn_share(self._requirement)),
-            self._requirement.target_speed_max_m_s,
+            craft_of(self.aircraft, turn_share(self.requirement)),
+            self.requirement.target_speed_max_m_s,
             self._policy.wish,
             table.configuration.cost.terms,
             table.arrays,
@@ -202,14 +202,15 @@ class PredictivePlanner:
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
         known = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
-        if self._table_at is not None and self._requirement.sector is None and not known:
-            self.lookers.append(self._looker(self._table_at(wind_speed_m_s)))
+        if self._table_at is not None and self.requirement.sector is None and not known:
+            self.tables.append(self._table_at(wind_speed_m_s))
+            self.lookers.append(self._looker(self.tables[-1]))
 
     def follow(self, route: Route, progress: FloatArray) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, looker in enumerate(self.lookers):
-            self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self._tables[0].configuration))
+            self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self.tables[0].configuration))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
@@ -228,12 +229,12 @@ class PredictivePlanner:
     ) -> Decision:
         """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
         unseen_s = aircraft.time_s - target.last_sighting_s
-        if target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s:
+        if target.quality is TrackQuality.LOST or unseen_s > self.settings.lost_after_s:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"
             return Decision(aircraft.time_s, None, reason)
-        if wind.speed_m_s >= self._aircraft.airspeed_m_s:
+        if wind.speed_m_s >= self.aircraft.airspeed_m_s:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
-            reason = f"holding the circle: {words} for an airspeed of {self._aircraft.airspeed_m_s:.1f} m/s"
+            reason = f"holding the circle: {words} for an airspeed of {self.aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
         looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
         full, share = looker.prices, self.price_share
@@ -259,9 +260,9 @@ class PredictivePlanner:
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
         ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
-        breach = describe_breach(ahead, side, self._requirement, scene.departure_s - now.time_s)
+        breach = describe_breach(ahead, side, self.requirement, scene.departure_s - now.time_s)
         bar = stay_cost - min_gain_s
-        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
+        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self.check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
             reason = f"moving {moved}: {breach or _NO_BREACH}"

@@ -42,7 +42,7 @@ class Clairvoyant(PredictivePlanner):
 
     def __init__(self, planner: PredictivePlanner, truth: np.ndarray, known_s: float) -> None:
         settings = replace(PredictiveSettings(), horizon_s=LOOKED_S)
-        super().__init__(planner._aircraft, planner._requirement, *planner._tables, settings)
+        super().__init__(planner.aircraft, planner.requirement, *planner.tables, settings)
         ending = round(2.0 * FORETOLD_S / STEP_S)
         self._place = np.pad(truth[:, :2], ((0, ending), (0, 0)), "edge")
         self._known = round(min(known_s, FORETOLD_S) / STEP_S)

@@ -41,7 +41,7 @@ from sidelong.mission.fleet.events import (
 )
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 from sidelong.mission.predictive.value_table import ValueTable
 from tests.bench.size import size
 from tests.studies import run_study
@@ -150,9 +150,9 @@ def test_decisions_of_four_on_two_targets(settings, table):
             for k, name in enumerate(names)
         ],
         [FleetTarget(name, requirement) for name in ("boat", "bike")],
-        lambda _name, flown, wanted: TeamPlanner(flown, wanted, table),
+        lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table)),
     )
-    planners = {name: TeamPlanner(aircraft, requirement, table) for name in names}
+    planners = {name: TeamPlanner(PredictivePlanner(aircraft, requirement, table)) for name in names}
     circles = {
         name: Circle(3000.0 * (k // 2) + (-300.0, 300.0)[k % 2], 0.0, 50.0, k % 2 == 0)
         for k, name in enumerate(names)

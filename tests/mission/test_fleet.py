@@ -134,7 +134,7 @@ TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT))
 
 
 def planner(check=lambda _plan: None, requirement=REQUIREMENT) -> TeamPlanner:
-    return TeamPlanner(AIRCRAFT, requirement, TABLE, check=check)
+    return TeamPlanner(PredictivePlanner(AIRCRAFT, requirement, TABLE, check=check))
 
 
 def on_circle(east_m: float, north_m: float, clockwise: bool) -> tuple[AircraftState, Plan]:
@@ -300,7 +300,7 @@ def test_the_courses_that_no_one_covers_are_the_gap_beyond_half_a_turn(bearings_
 
 def test_a_requirement_without_sides_is_refused():
     with pytest.raises(ValueError, match="left or right"):
-        TeamPlanner(AIRCRAFT, replace(REQUIREMENT, either_side=True), TABLE)
+        TeamPlanner(PredictivePlanner(AIRCRAFT, replace(REQUIREMENT, either_side=True), TABLE))
 
 
 def test_who_comes_while_the_target_stands_counts_by_the_course_that_the_fleet_knows():

@@ -152,12 +152,12 @@ def test_a_target_that_turns_back_is_never_approached_or_crossed(planner, speed_
     assert range_m.max() <= 500.0
     assert side_share(relative[-120:], velocities[-120:], Side.LEFT) == 1.0  # back on the side after two minutes
     for present, aircraft, plan in flight.plans:
-        assert_flyable(plan, present, aircraft, planner._aircraft)
+        assert_flyable(plan, present, aircraft, planner.aircraft)
 
 
 def fresh(planner):
     """A planner without memory of earlier examples."""
-    return PredictivePlanner(planner._aircraft, planner._requirement, planner._tables[0])
+    return PredictivePlanner(planner.aircraft, planner.requirement, planner.tables[0])
 
 
 def test_right_is_the_mirror_of_left(paper_aircraft, paper_requirement, paper_table):
