@@ -6,13 +6,13 @@ control step once the table is ready.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 
 from sidelong.app.assembly import winds_m_s
 from sidelong.app.config import Config, check_flyable, with_values
 from sidelong.app.errors import InputError
+from sidelong.app.flight.one_task import OneTask
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.mission_change import describe_change
@@ -31,11 +31,11 @@ class MissionChanges:
         say: Callable[[Announce], object],
     ) -> None:
         self._config, self._controller, self._now_s, self._put, self._say = config, controller, now_s, put, say
-        self._under_way: asyncio.Task[None] | None = None
+        self._making_ready = OneTask()
 
     def take(self, change: MissionChange) -> None:
         """Accept a requested change."""
-        if self._under_way is not None and not self._under_way.done():
+        if self._making_ready.is_running:
             self._announce(
                 f"{describe_change(change)} refused: the change before is still being made ready; ask again"
             )
@@ -45,12 +45,11 @@ class MissionChanges:
         except InputError as error:
             self._announce(f"{describe_change(change)} refused: {error}")
             return
-        self._under_way = asyncio.create_task(self._carry_out(change, changed))
+        self._making_ready.begin(lambda: self._carry_out(change, changed))
 
     def stop(self) -> None:
         """Give up what is under way."""
-        if self._under_way is not None:
-            self._under_way.cancel()
+        self._making_ready.stop()
 
     def _checked(self, change: MissionChange) -> Config:
         """Return the configuration as changed. Raises InputError with what keeps it from being flown."""

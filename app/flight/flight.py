@@ -27,13 +27,13 @@ from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.loop import ControlLoop, Display, Stepped
+from sidelong.app.flight.one_task import OneTask
 from sidelong.app.flight.outputs import open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner
 from sidelong.app.flight.point_gimbal import GimbalPointer
 from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.resumption import Resumption
 from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
@@ -123,6 +123,7 @@ class Flight:
         self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
         self._alarms: AlarmWatch | None = None
+        self._resumption = OneTask()  # after a yield
 
     async def fly(self, stopped: asyncio.Event) -> str:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
@@ -259,9 +260,8 @@ class Flight:
         alarms = self._alarm_watch(loop)
         observers.append(alarms)
 
-        resumption = Resumption(self._resume, self._display.note)
-        shared.callback(resumption.stop)
-        self._display.begin(plane, partial(self._request, changes, alarms, loop, resumption))
+        shared.callback(self._resumption.stop)
+        self._display.begin(plane, partial(self._request, changes, alarms, loop))
         shared.callback(_without_garbage_searches())
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
@@ -307,6 +307,12 @@ class Flight:
         flying, mode = is_flying(vehicle), mode_of(vehicle)
         return TakeoverRequested(self._telemetry.now_s, link_s, flying, mode, arm_period_s, round_trip_s)
 
+    async def _try_to_resume(self) -> None:
+        try:
+            await self._resume()
+        except InputError as refusal:
+            self._display.note(f"resume refused: {refusal}")
+
     async def _resume(self) -> None:
         """Check the vehicle again after a yield, then ask the core to take it over.
 
@@ -339,14 +345,7 @@ class Flight:
         check_takeover(self._vehicle, self._config.link.take_over_from)
         loop.put(self._takeover(loop.link_s))
 
-    def _request(
-        self,
-        changes: MissionChanges,
-        alarms: AlarmWatch,
-        loop: ControlLoop,
-        resumption: Resumption,
-        wish: Wish,
-    ) -> None:
+    def _request(self, changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wish: Wish) -> None:
         """Pass a person's wish on to what takes it."""
         match wish:
             case MissionChange():
@@ -356,7 +355,7 @@ class Flight:
             case _:
                 loop.put(wish)
                 if wish.action == "resume" and self._controller.phase is Phase.YIELDED:
-                    resumption.begin()
+                    self._resumption.begin(self._try_to_resume)
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
         """Return all displays of the flight; ``shared`` stops them."""

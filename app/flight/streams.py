@@ -6,6 +6,7 @@ import asyncio
 import re
 from collections.abc import Awaitable, Callable, Sequence
 
+from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.raw_links import UNREAD
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.control.snapshot import Snapshot
@@ -73,7 +74,7 @@ class StreamKeeper:
     def __init__(self, request: Callable[[], Awaitable[None]], note: Callable[[str], object]) -> None:
         self._request, self._note = request, note
         self._stale: set[Input] = set()
-        self._task: asyncio.Task[None] | None = None
+        self._requesting = OneTask()
         self._best_hz: dict[Input, float] = {}
         self._look_s = float("-inf")
 
@@ -85,7 +86,7 @@ class StreamKeeper:
             self._stale.add(change.input)
         else:
             self._stale.discard(change.input)
-        self._start()
+        self._requesting.begin(self._keep_requesting)
 
     def say(self, announcement: Announce) -> None:
         """Nothing: announcements are for people."""
@@ -104,16 +105,11 @@ class StreamKeeper:
                     f"the autopilot sends its {one.input} {one.rate_hz:.1f} times a second, before it was "
                     f"{best_hz:.1f}: requesting the rate again"
                 )
-                self._start()
+                self._requesting.begin(self._keep_requesting)
 
     def stop(self) -> None:
         """Request nothing more."""
-        if self._task is not None:
-            self._task.cancel()
-
-    def _start(self) -> None:
-        if self._task is None or self._task.done():
-            self._task = asyncio.get_running_loop().create_task(self._keep_requesting())
+        self._requesting.stop()
 
     async def _keep_requesting(self) -> None:
         await self._request()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import Vehicle
@@ -16,18 +17,17 @@ class TerrainServer:
 
     def __init__(self, vehicle: Vehicle, data: ElevationData) -> None:
         self._vehicle, self._data = vehicle, data
-        self._answering: asyncio.Task[None] | None = None
+        self._answering = OneTask()
         vehicle.listeners.append(self._received)
 
     def stop(self) -> None:
         """Answer no more."""
         self._vehicle.listeners.remove(self._received)
-        if self._answering is not None:
-            self._answering.cancel()
+        self._answering.stop()
 
     def _received(self, message: Message) -> None:
-        if message.name == "TERRAIN_REQUEST" and (self._answering is None or self._answering.done()):
-            self._answering = asyncio.create_task(self._answer(message))
+        if message.name == "TERRAIN_REQUEST":
+            self._answering.begin(lambda: self._answer(message))
 
     async def _answer(self, request: Message) -> None:
         # Reading tiles is for a thread: the loop waits for no disk.

@@ -7,9 +7,9 @@ event when it is ready, so a replay of the journal uses the table from the same 
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 
+from sidelong.app.flight.one_task import OneTask
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase, Snapshot
@@ -40,7 +40,7 @@ class WindTables:
         self._mean_m_s: float | None = None
         self._since_s = self._latest_s = 0.0
         self._prepared = 0
-        self._under_way: asyncio.Task[None] | None = None
+        self._making = OneTask()
 
     def say(self, announcement: Announce) -> None:
         """Ignore the message: wind tables need none."""
@@ -55,27 +55,22 @@ class WindTables:
         share = min((now_s - self._latest_s) / _AVERAGED_OVER_S, 1.0)
         self._mean_m_s += share * (wind_m_s - self._mean_m_s)
         self._latest_s = now_s
-        if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == _AT_MOST or self._busy:
+        if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == _AT_MOST or self._making.is_running:
             return
         step_m_s = _STEP * self._airspeed_m_s
         nearest_m_s = min(self._ready_m_s, key=lambda one: abs(one - self._mean))
         if abs(nearest_m_s - self._mean) > 0.75 * step_m_s:
             self._prepared += 1
             speed_m_s = round(round(self._mean / step_m_s) * step_m_s, 2)
-            self._under_way = asyncio.create_task(self._make(speed_m_s))
+            self._making.begin(lambda: self._make(speed_m_s))
 
     def stop(self) -> None:
         """Give up what is under way."""
-        if self._under_way is not None:
-            self._under_way.cancel()
+        self._making.stop()
 
     @property
     def _mean(self) -> float:
         return self._mean_m_s or 0.0
-
-    @property
-    def _busy(self) -> bool:
-        return self._under_way is not None and not self._under_way.done()
 
     async def _make(self, speed_m_s: float) -> None:
         settings, made_for = self._controller.settings, None

@@ -63,7 +63,7 @@ class Windy:
             for second in range(seconds):
                 wind = Wind(wind_m_s, 0.0)
                 self.tables.show(replace(snapshot, time_s=float(second), wind=wind))
-            while self.tables._busy:
+            while self.tables._making.is_running:
                 await loop_turn()
 
         asyncio.run(flown())
