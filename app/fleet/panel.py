@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from types import TracebackType
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -16,7 +14,7 @@ from sidelong.app.flight.display import Wish
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.clock import clock
-from sidelong.app.view.panel import REFRESH_HZ, STYLES, target_motion, target_range_m
+from sidelong.app.view.panel import STYLES, LivePanel, target_motion, target_range_m
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import Announce
@@ -93,28 +91,13 @@ class AircraftDisplay:
         return "" if self._start_s is None else clock(max(time_s - self._start_s, 0.0))
 
 
-class FleetPanel:
-    """Use as ``with``; quiet: print nothing. names_targets: there are several targets."""
+class FleetPanel(LivePanel):
+    """The terminal of all aircraft. names_targets: there are several targets."""
 
     def __init__(self, console: Console, quiet: bool = False, names_targets: bool = False) -> None:
-        self._console, self._quiet, self._names_targets = console, quiet, names_targets
+        super().__init__(console, quiet)
+        self._names_targets = names_targets
         self._aircraft: list[AircraftDisplay] = []
-        self._live: Live | None = None
-
-    def __enter__(self) -> FleetPanel:
-        if self._console.is_terminal and not self._quiet:
-            self._live = Live(
-                get_renderable=self._table, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
-            )
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
 
     def of(self, name: str) -> AircraftDisplay:
         """Return the display of one aircraft."""
@@ -123,15 +106,7 @@ class FleetPanel:
         self._aircraft.append(display)
         return display
 
-    def note(self, text: str) -> None:
-        """Print a text about the whole fleet."""
-        self._print(Text(plain(text)))
-
-    def _print(self, text: Text) -> None:
-        if not self._quiet:
-            self._console.print(text, soft_wrap=self._live is None)
-
-    def _table(self) -> Table:
+    def _panel(self) -> Table:
         table = Table.grid(padding=(0, 2))
         for one in self._aircraft:
             table.add_row(Text(one.name, style="bold"), *map(Text, one.cells()))

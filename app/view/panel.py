@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import TracebackType
+from typing import Self
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
@@ -48,8 +50,48 @@ _PHASE_STYLES = {Phase.WATCHING: "green", Phase.HOLDING: "yellow", Phase.YIELDED
 _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", TrackQuality.LOST: "bold red"}
 
 
-class PanelDisplay:
-    """A ``FlightDisplay`` on the terminal. Use as ``with``. In quiet mode it prints nothing.
+class LivePanel:
+    """A panel at the bottom of the terminal with messages above it; else plain lines. Use as ``with``.
+
+    Args:
+        console: the terminal.
+        quiet: print nothing.
+    """
+
+    def __init__(self, console: Console, quiet: bool = False) -> None:
+        self._console, self._quiet = console, quiet
+        self._live: Live | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal and not self._quiet:
+            # The panel is made when it is drawn, by a thread of its own: showing a snapshot costs the loop nothing.
+            self._live = Live(
+                get_renderable=self._panel, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
+            )
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def note(self, text: str) -> None:
+        """Print a message."""
+        self._print(Text(plain(text)))
+
+    def _print(self, text: Text) -> None:
+        if not self._quiet:
+            self._console.print(text, soft_wrap=self._live is None)
+
+    @abstractmethod
+    def _panel(self) -> RenderableType: ...
+
+
+class PanelDisplay(LivePanel):
+    """A ``FlightDisplay`` on the terminal.
 
     keyboard: file descriptor of the terminal for typed changes; None: there is none. calm: without a panel, print
     messages that are not urgent at most every ten seconds; the live map and the journal contain all messages.
@@ -63,25 +105,16 @@ class PanelDisplay:
         calm: bool = False,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._console, self._quiet, self._descriptor = console, quiet, keyboard
+        super().__init__(console, quiet)
+        self._descriptor = keyboard
         self._calm, self._clock_s, self._printed_s = calm, clock_s, -math.inf
         self._keyboard: Keyboard | None = None
         self._prompt: Prompt | None = None
         self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._duration_s: float | None = None
-        self._live: Live | None = None
         self._snapshot: Snapshot | None = None
         self._plain_s = -math.inf
         self._status: Callable[[], VehicleStatus] | None = None
-
-    def __enter__(self) -> PanelDisplay:
-        if self._console.is_terminal and not self._quiet:
-            # The panel is made when it is drawn, by a thread of its own: showing a snapshot costs the loop nothing.
-            self._live = Live(
-                get_renderable=self._panel, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
-            )
-            self._live.start()
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -89,9 +122,7 @@ class PanelDisplay:
         if self._keyboard is not None:
             self._keyboard.stop()
             self._keyboard = None
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
+        super().__exit__(kind, error, trace)
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
         self._status = status
@@ -109,9 +140,6 @@ class PanelDisplay:
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._start_s, self._duration_s = start_s, duration_s
-
-    def note(self, text: str) -> None:
-        self._print(Text(plain(text)))
 
     def say(self, announcement: Announce) -> None:
         if announcement.kind == "alarm" and not self._quiet and self._console.is_terminal:
@@ -133,8 +161,7 @@ class PanelDisplay:
 
     def _print(self, text: Text) -> None:
         self._printed_s = self._clock_s()
-        if not self._quiet:
-            self._console.print(text, soft_wrap=self._live is None)
+        super()._print(text)
 
     # -- one line ------------------------------------------------------------------------------------------
 
