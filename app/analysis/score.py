@@ -28,9 +28,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.analysis.target_course import made_good_rad, present_rad
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Requirement
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Angle = TypeVar("Angle", float, FloatArray)
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.path import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Pair = tuple[float, float]
 
 MIN_WAY_M = 10.0  # a target that moved less keeps its last course made good

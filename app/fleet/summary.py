@@ -14,8 +14,8 @@ from rich.table import Table
 
 from sidelong.app.analysis.score import Asked, Judgement, Moment, judge_moments
 from sidelong.app.analysis.summary import Summary
+from sidelong.mission.core.path import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 _STEP_S, _APART_STEP_S = 0.5, 0.2

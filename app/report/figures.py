@@ -11,10 +11,11 @@ from scipy.stats import chi2
 
 from sidelong.app.analysis.score import Samples, allowed_rad
 from sidelong.app.report import series
-from sidelong.app.report.history import FloatArray, History
+from sidelong.app.report.history import History
 from sidelong.app.report.html import Drawing
 from sidelong.app.report.path_map import flown_path_figure
 from sidelong.app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
+from sidelong.mission.core.path import FloatArray
 
 _COURSE_WORDS = (
     "Over the ground, in whole turns counted on clockwise from north: it rises while the aircraft circles to the "

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.app.analysis.score import Judgement, Moment, judge_moments
 from sidelong.app.analysis.truth import Truth
@@ -39,12 +38,12 @@ from sidelong.mission.core.events import (
     Yield,
 )
 from sidelong.mission.core.fleet import FleetAdvice
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.route.progress import RouteFollower, RouteProgress, follower_of
 from sidelong.mission.route.route import Route
 
-FloatArray = npt.NDArray[np.float64]
 Outline = tuple[tuple[float, float], ...]
 """Corners (east, north), m."""
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from sidelong.app.report.history import FloatArray, History
+from sidelong.app.report.history import History
 from sidelong.app.report.plot_style import (
     AIRCRAFT,
     BAD,
@@ -23,6 +23,7 @@ from sidelong.app.report.plot_style import (
 )
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray
 
 _TICK_S = 50.0
 _LABELS_MAX = 60

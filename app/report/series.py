@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.report.history import AircraftTrack, FloatArray, History
+from sidelong.app.report.history import AircraftTrack, History
 from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.mission.core.path import FloatArray
 
 _CURVATURE_SPAN_S = 1.0
 

@@ -30,14 +30,14 @@ from sidelong.app.study.flight_kernel import (
     take_plan,
 )
 from sidelong.app.study.joint_sight import JointSight
-from sidelong.app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
+from sidelong.app.study.judging import STEP_S, RunResult, judged, shares_of_any
 from sidelong.app.study.pilots import StopWatch
 from sidelong.app.study.run import START_RANGE_M, aircraft_on, first_circle, scene
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.path import Path
+from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.events import (

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.payload import PayloadErrors
@@ -50,7 +49,7 @@ from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.track import Track
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.path import Path
+from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan, Planner
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.line_kernel import Circling, Craft
@@ -64,8 +63,6 @@ from sidelong.mission.predictive.moves_kernel import nothing_kept
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.viewpoint.viewpoint_kernel import Wish, fresh_memory
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class SampledTarget(Protocol):

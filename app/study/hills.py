@@ -11,11 +11,12 @@ import numpy as np
 
 from sidelong.app.study.flight import CompiledFlight, Flown, OverGround
 from sidelong.app.study.flight_kernel import TARGET_M
-from sidelong.app.study.judging import FloatArray, RunResult, judged, judged_log
+from sidelong.app.study.judging import RunResult, judged, judged_log
 from sidelong.app.study.run import aircraft_on, first_circle, scene, sensed_by
 from sidelong.app.study.settings import Hills, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, settled_m
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import Sight

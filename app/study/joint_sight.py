@@ -10,7 +10,6 @@ import numpy as np
 from sidelong.app.study import fleet_kernel as kernel
 from sidelong.app.study.flight import filtering_in, payload_in
 from sidelong.app.study.flight_kernel import Target
-from sidelong.app.study.judging import FloatArray
 from sidelong.app.study.run import Scene, payload_of
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -18,6 +17,7 @@ from sidelong.estimators.filters.biases import Biases
 from sidelong.estimators.filters.imm import TargetImm, prior_of
 from sidelong.estimators.filters.imm_kernel import TARGET, combine, predict
 from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.mission.core.path import FloatArray
 
 
 class JointSight:

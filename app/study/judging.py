@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from sidelong.app.analysis.score import Judgement, Samples, judge, score
 from sidelong.app.study.settings import StudySettings
-
-FloatArray = npt.NDArray[np.float64]
+from sidelong.mission.core.path import FloatArray
 
 STEP_S = 0.1
 

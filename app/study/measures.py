@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.study.judging import FloatArray
+from sidelong.mission.core.path import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,14 +9,12 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.app.errors import InputError
 from sidelong.app.simulation.target import TargetTruth
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.route.route import Route
 from sidelong.sitl.world.track import Track, TrackError, read_track
-
-FloatArray = npt.NDArray[np.float64]
 
 _STEP_S = 0.5
 _SMOOTHED_OVER = 5  # steps: 2.5 s

@@ -14,11 +14,11 @@ from rich.table import Table
 
 from sidelong.app.errors import missing_package
 from sidelong.app.study.design import word
-from sidelong.app.study.judging import FloatArray
 from sidelong.app.study.measures import ON_FLAT_GROUND, OVER_HILLS, Measure, decision_ms
 from sidelong.app.study.settings import PARTS, Fidelity, StudySettings
 from sidelong.app.study.store import MEASURES
 from sidelong.app.study.study import PlannerResult, StudyResult
+from sidelong.mission.core.path import FloatArray
 
 EXPORTED = (".csv", ".parquet")
 _COLUMNS = ("planner", "run", "target", "draw", "seed", *MEASURES, "key")

@@ -9,8 +9,9 @@ from shapely import LineString
 
 from sidelong.app.errors import InputError
 from sidelong.app.route_file import ROUTE_SUFFIXES, read_route
-from sidelong.app.study.recorded import FloatArray, RecordedTarget
+from sidelong.app.study.recorded import RecordedTarget
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.route.route import Route, route_of
 from sidelong.sitl.world.track import Track
 

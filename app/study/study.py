@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.study.design import Design
-from sidelong.app.study.judging import FloatArray, RunResult, Track
+from sidelong.app.study.judging import RunResult, Track
 from sidelong.app.study.parallel import Task, Workers, parallel
 from sidelong.app.study.run import run
 from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
 from sidelong.app.value_cache import value_table
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.value_table import ValueTable
 

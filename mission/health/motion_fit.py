@@ -27,13 +27,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.line_of_sight import line_of_sight
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading
-
-FloatArray = npt.NDArray[np.float64]
+from sidelong.mission.core.path import FloatArray
 
 FRAMES = ("earth", "vehicle", "body")
 FACTORS = {
