@@ -6,13 +6,13 @@ camera or the operator must correct it.
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.estimators.ellipse import confidence_ellipse
@@ -47,7 +47,7 @@ class GimbalPointer:
         self._vehicle, self._plane, self._ground_altitude_m = vehicle, plane, ground_altitude_m
         self._announce, self._always = announce, always
         self._next_s = -math.inf
-        self._sending: asyncio.Task[None] | None = None
+        self._sending = OneTask()
         self._points = True
 
     def say(self, announcement: Announce) -> None:
@@ -61,21 +61,16 @@ class GimbalPointer:
         estimate, aircraft = snapshot.estimate, snapshot.aircraft
         if estimate is None or aircraft is None or estimate.quality is TrackQuality.LOST:
             return
-        if snapshot.time_s < self._next_s or self._sending is not None:
+        if snapshot.time_s < self._next_s or self._sending.is_running:
             return
         self._next_s = snapshot.time_s + _EVERY_S
         east_m, north_m = estimate.position_m(snapshot.time_s)
         range_m = math.hypot(aircraft.east_m - east_m, aircraft.north_m - north_m)
-        self._sending = asyncio.create_task(self._send(estimate, east_m, north_m, range_m))
-        self._sending.add_done_callback(self._sent)
+        self._sending.begin(lambda: self._send(estimate, east_m, north_m, range_m))
 
     def stop(self) -> None:
         """Give up what is under way."""
-        if self._sending is not None:
-            self._sending.cancel()
-
-    def _sent(self, _task: asyncio.Task[None]) -> None:
-        self._sending = None
+        self._sending.stop()
 
     async def _send(self, estimate: TargetEstimate, east_m: float, north_m: float, range_m: float) -> None:
         (x, y), z = e7(self._plane.latitude_longitude_deg(east_m, north_m)), self._ground_altitude_m
