@@ -38,7 +38,7 @@ from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.stopped_clock import StoppedClock
-from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, is_slow
+from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, wants_few
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.link import LinkError
@@ -136,8 +136,7 @@ class Flight:
         self._display.connected(self._status)
         if self._config.terrain.folder is not None:  # the autopilot may want heights before it takes off
             self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))
-        link = self._config.link
-        few = is_slow(link.connections) if link.few_messages is None else link.few_messages
+        few = wants_few(self._config.link)
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
         self._alongside.add(asyncio.create_task(self._request_streams()))

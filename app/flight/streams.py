@@ -6,6 +6,7 @@ import asyncio
 import re
 from collections.abc import Awaitable, Callable, Sequence
 
+from sidelong.app.config import LinkSection
 from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.raw_links import UNREAD
 from sidelong.app.link.vehicle import Vehicle
@@ -46,6 +47,11 @@ def is_slow(urls: Sequence[str]) -> bool:
     """Return whether one of the links is a serial line of 57,600 baud or less."""
     bauds = [re.fullmatch(r"serial\w*://.*:(\d+)", url) for url in urls]
     return any(baud is not None and int(baud[1]) <= _SLOW_BAUD for baud in bauds)
+
+
+def wants_few(link: LinkSection) -> bool:
+    """Return whether to request only the messages that the mission needs."""
+    return is_slow(link.connections) if link.few_messages is None else link.few_messages
 
 
 async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = False) -> None:

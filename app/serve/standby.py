@@ -10,7 +10,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
-from sidelong.app.flight.streams import ask_for_streams, is_slow
+from sidelong.app.flight.streams import ask_for_streams, wants_few
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, is_flying
@@ -43,9 +43,9 @@ class Standby:
 
     async def run(self) -> None:
         """Judge until cancelled. Raises VehicleGoneError."""
-        session, config, few = self._session, self._config, is_slow(self._config.link.connections)
+        session, config, few = self._session, self._config, wants_few(self._config.link)
         vehicle, autopilot = session.vehicle, session.autopilot
-        asking = asyncio.create_task(ask_for_streams(vehicle, config.link.few_messages or few))
+        asking = asyncio.create_task(ask_for_streams(vehicle, few))
         sources = SourceRates(vehicle)
         try:
             table, _ = await asyncio.gather(read_table(vehicle, autopilot, session.release), home_of(vehicle))
@@ -63,7 +63,7 @@ class Standby:
                 self._judge("; ".join(missing) or self._takeover_refused())
                 if missing and time.monotonic() - asked_s > _AGAIN_S and asking.done():
                     asked_s = time.monotonic()  # the autopilot may have started after its link
-                    asking = asyncio.create_task(ask_for_streams(vehicle, config.link.few_messages or few))
+                    asking = asyncio.create_task(ask_for_streams(vehicle, few))
         finally:
             sources.close()
             asking.cancel()

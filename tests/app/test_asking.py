@@ -11,7 +11,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.autopilots.registry import AUTOPILOTS
-from sidelong.app.flight.streams import ask_for_streams, is_slow
+from sidelong.app.config import load_config
+from sidelong.app.flight.streams import ask_for_streams, is_slow, wants_few
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import mission_of, read_mission
 from sidelong.app.link.parameters import read_parameters
@@ -219,3 +220,9 @@ def test_over_elevation_data_it_asks_for_what_is_wanted_and_known_of_the_ground(
 )
 def test_a_slow_serial_line_is_known_by_its_url(urls, slow):
     assert is_slow(urls) is slow
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_the_configured_choice_of_few_messages_counts_on_any_line(few):
+    for url in ("serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14540"):
+        assert wants_few(load_config(None, {"link": {"url": url, "few_messages": few}}).link) is few
