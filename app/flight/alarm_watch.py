@@ -25,7 +25,6 @@ _LOOK_EVERY_S = 0.5
 _STATUS_EVERY_S = 0.2  # of the wall clock: a fast simulation looks more often
 _BATTERY_EVERY_S, _LOW_BATTERY_EVERY_S = 10.0, 1.0  # the controller needs more than one report to fly home
 _TEXT_EVERY_S = 5.0
-_TEXT_MAX = 50  # characters of a STATUSTEXT
 _IN_HAND = (Phase.WATCHING, Phase.HOLDING)
 
 
@@ -113,7 +112,7 @@ class AlarmWatch:
             self._put(AlarmReported(snapshot.time_s, alarm.key, "raised", f"{alarm.text}: {alarm.advice}"))
         if raised and snapshot.phase in _IN_HAND and snapshot.time_s >= self._sent_s + _TEXT_EVERY_S:
             self._sent_s = snapshot.time_s
-            self._send(f"sidelong: {raised[0].text}"[:_TEXT_MAX])
+            self._send(f"sidelong: {raised[0].text}")
 
     def _recent_status(self) -> VehicleStatus:
         if self._known is None or self._clock_s() >= self._known_at_s + _STATUS_EVERY_S:

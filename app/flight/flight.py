@@ -114,7 +114,7 @@ class Flight:
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
         self._controller, self._senders = controller, session.senders
-        self._alongside = session.background
+        self._begin = session.begin
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s, self._takeover_s = math.inf, math.inf
         self._battery_percent: int | None = None  # when watching began
@@ -139,7 +139,7 @@ class Flight:
         few = wants_few(self._config.link)
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
-        self._alongside.add(asyncio.create_task(self._request_streams()))
+        self._begin(self._request_streams())
         sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._vehicle)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
@@ -285,7 +285,7 @@ class Flight:
         if route is not None:
             loop.put(route)
         if system_id is not None:
-            self._alongside.add(asyncio.create_task(self._read_route(system_id, plane, loop)))
+            self._begin(self._read_route(system_id, plane, loop))
 
     async def _read_route(self, system_id: int, plane: LocalPlane, loop: ControlLoop) -> None:
         """Read the target's mission as its route; the flight goes on without one if that fails."""
@@ -372,20 +372,11 @@ class Flight:
         return WindTables(kind, self._controller, winds, loop.put, self._display.note)
 
     def _alarm_watch(self, loop: ControlLoop) -> AlarmWatch:
-        link, sending = self._vehicle.link, set[asyncio.Task[None]]()
-
-        async def send(text: str) -> None:
-            with contextlib.suppress(LinkError):
-                fields = {"severity": mavlink.MAV_SEVERITY_CRITICAL, "text": text, "id": 0, "chunk_seq": 0}
-                await link.send("STATUSTEXT", fields)
-
-        def begin(text: str) -> None:
-            task = asyncio.create_task(send(text))
-            sending.add(task)
-            task.add_done_callback(sending.discard)
+        def send(text: str) -> None:
+            self._begin(self._vehicle.send_text(text, mavlink.MAV_SEVERITY_CRITICAL))
 
         home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
-        self._alarms = AlarmWatch(self._config, home_m, self._vehicle_status, loop.put, begin)
+        self._alarms = AlarmWatch(self._config, home_m, self._vehicle_status, loop.put, send)
         return self._alarms
 
     async def _announce_delay(self, loop: ControlLoop) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.release import Release
@@ -34,7 +35,18 @@ class Session:
     release: Release | None  # of its firmware; None: not reported
     telemetry: Telemetry
     senders: SenderCheck
-    background: set[asyncio.Task[None]]  # background tasks that end with the connection
+    background: set[asyncio.Task[None]]  # tasks that end with the connection
+
+    def begin(self, work: Coroutine[Any, Any, None]) -> None:
+        """Run some work in the background, until the connection ends at the latest."""
+        task = asyncio.create_task(work)
+        self.background.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self.background.discard(task)
+        if not task.cancelled():
+            task.exception()  # what it reports has been reported by its own means
 
 
 @contextlib.asynccontextmanager

@@ -8,12 +8,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from sidelong.app.link.link import Link
+from sidelong.app.link.link import Link, LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.status_texts import StatusTexts
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 
 _ANSWER_S = 1.0
+_TEXT_MAX = 50  # characters of a STATUSTEXT
 _TRIES = 4
 _IN_PROGRESS = 5
 _SET_MESSAGE_INTERVAL = 511
@@ -101,6 +102,12 @@ class Vehicle:
         """Send a message to the autopilot. Raises LinkError when it cannot be sent."""
         address = {"target_system": self.system_id, "target_component": AUTOPILOT_COMPONENT}
         await self.link.send(name, {**address, **fields})
+
+    async def send_text(self, text: str, severity: int) -> None:
+        """Send the beginning of a text to the ground stations (STATUSTEXT), as far as there is a link."""
+        with contextlib.suppress(LinkError):
+            fields = {"severity": severity, "text": text[:_TEXT_MAX], "id": 0, "chunk_seq": 0}
+            await self.link.send("STATUSTEXT", fields)
 
     async def command_int(
         self, command: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float

@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,6 @@ from sidelong.mission.core.events import OperatorRequest
 
 _AGAIN_S = 2.0  # between two attempts to connect
 _ROTATE_EVERY_S = 60.0
-_TEXT_MAX = 50  # characters of a STATUSTEXT
 _RC_CHANNELS, _RC_HZ, _RC_AFTER_S = 65, 2.0, 3.0
 _WHO = {"socket": "a command", "vehicle": "the transmitter or a ground station"}
 
@@ -91,7 +90,6 @@ class Resident:
         self._session: Session | None = None
         self._triggers: Triggers | None = None
         self._folder: Path | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
 
     @property
     def status(self) -> Status:
@@ -257,7 +255,7 @@ class Resident:
             self._triggers = Triggers(self._config.control, vehicle.system_id, own)
         vehicle.bystanders.append(self._on_message)
         if self._config.control.rc_channel is not None:
-            self._begin(self._ask_for_switch(session))
+            session.begin(self._ask_for_switch(session))
 
     async def _ask_for_switch(self, session: Session) -> None:
         await asyncio.sleep(_RC_AFTER_S)  # after the streams, which may switch it off
@@ -360,21 +358,10 @@ class Resident:
         session = self._session
         if session is None:
             return
-        link, severity = session.vehicle.link, mavlink.MAV_SEVERITY_NOTICE
+        severity = mavlink.MAV_SEVERITY_NOTICE
         if self._state in (State.YIELDED, State.FAULT):
             severity = mavlink.MAV_SEVERITY_WARNING
-        fields = {"severity": severity, "text": f"sidelong {text}"[:_TEXT_MAX], "id": 0, "chunk_seq": 0}
-
-        async def send() -> None:
-            with contextlib.suppress(LinkError):
-                await link.send("STATUSTEXT", fields)
-
-        self._begin(send())
-
-    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        session.begin(session.vehicle.send_text(f"sidelong {text}", severity))
 
     # -- the disk ------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ import asyncio
 import json
 import random
 from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
@@ -13,6 +14,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import load_config
 from sidelong.app.flight.streams import ask_for_streams, is_slow, wants_few
+from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import mission_of, read_mission
 from sidelong.app.link.parameters import read_parameters
@@ -220,6 +222,18 @@ def test_over_elevation_data_it_asks_for_what_is_wanted_and_known_of_the_ground(
 )
 def test_a_slow_serial_line_is_known_by_its_url(urls, slow):
     assert is_slow(urls) is slow
+
+
+def test_a_text_for_ground_stations_is_cut_and_a_lost_link_stops_nothing():
+    sent = []
+
+    async def send(name, fields):
+        sent.append((name, fields["text"], fields["severity"]))
+        raise LinkError("the link is closed")
+
+    vehicle = Vehicle(SimpleNamespace(system_id=1, send=send))
+    asyncio.run(vehicle.send_text("0123456789" * 6, mavlink.MAV_SEVERITY_NOTICE))
+    assert sent == [("STATUSTEXT", "0123456789" * 5, mavlink.MAV_SEVERITY_NOTICE)]
 
 
 @pytest.mark.parametrize("few", [True, False])
