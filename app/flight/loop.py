@@ -29,7 +29,7 @@ from sidelong.mission.core.events import (
     PlanStatus,
     Yield,
 )
-from sidelong.mission.exchange.mission_controller import DERIVED, UNSEEN, InboundEvent, MissionController, Output
+from sidelong.mission.exchange.mission_controller import UNSEEN, InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import ShutdownRequested, TimerExpired
 
@@ -42,9 +42,7 @@ _FINISH_S = 3.0  # time limit after the end for pending work
 class Log(Protocol):
     """Where events and commands are kept."""
 
-    def event(self, event: InboundEvent | Output) -> None: ...
-
-    def command(self, command: Output) -> None: ...
+    def write(self, record: InboundEvent | Output) -> None: ...
 
 
 class Display(Protocol):
@@ -130,7 +128,7 @@ class ControlLoop:
         try:
             while not self._has_ended():
                 event = await self._queue.get()
-                self._log.event(event)
+                self._log.write(event)
                 outputs = self.controller.step(event)
                 for output in outputs:
                     self._handle(output)
@@ -150,10 +148,7 @@ class ControlLoop:
     # -- outputs of the core -------------------------------------------------------------------------------
 
     def _handle(self, output: Output) -> None:
-        if isinstance(output, DERIVED):
-            self._log.event(output)
-        else:
-            self._log.command(output)
+        self._log.write(output)
         match output:
             case SendMessage():
                 self._executor.send(output)

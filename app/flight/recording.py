@@ -125,13 +125,10 @@ class Recording:
         self._journal = self._opened(lambda: JournalWriter(self._folder.journal, header, self._on_trouble))
         self._begun = True
 
-    def event(self, event: InboundEvent | Output) -> None:
+    def write(self, record: InboundEvent | Output) -> None:
+        """Write an event or an output of the core, once the journal is open."""
         if self._journal is not None:
-            self._journal.write(event)
-
-    def command(self, command: Output) -> None:
-        if self._journal is not None:
-            self._journal.write(command)
+            self._journal.write(record)
 
     def close(self) -> None:
         """Write what is left."""

@@ -129,9 +129,9 @@ def run_folder(config, flight, tmp_path_factory) -> Path:
     recording.begin(PLANE, (47.4, 8.5))
     rows = ["time_boot_s,target_lat_deg,target_lon_deg,uav_lat_deg,uav_lon_deg"]
     for event, commands, _ in flight(300.0):
-        recording.event(event)
+        recording.write(event)
         for command in commands:
-            recording.command(command)
+            recording.write(command)
         if isinstance(event, PositionReading):
             target = PLANE.latitude_longitude_deg(*target_at(event.time_s))
             aircraft = PLANE.latitude_longitude_deg(event.east_m, event.north_m)
@@ -179,9 +179,9 @@ def recorded(
     announced: list[StepOutput] = []
 
     def note(event: Event, commands: tuple[StepOutput, ...]) -> None:
-        recording.event(event)
+        recording.write(event)
         for command in commands:
-            recording.command(command)
+            recording.write(command)
         announced.extend(commands)
 
     for event, commands in steps(controller, config, duration_s):

@@ -119,10 +119,8 @@ class Core:
 
 
 class Records(list):
-    def event(self, event):
-        self.append(event)
-
-    command = event
+    def write(self, record):
+        self.append(record)
 
 
 def run_loop(core, *inputs):

@@ -109,7 +109,7 @@ def test_records_that_cannot_be_opened_stop_no_watch(tmp_path):
         recording.frame(b"\xfe\x00\x00\x01\x01\x00\x00\x00")
         recording.begin(plane, (47.4, 8.5), "ArduPlane", 400.0)
         assert recording.begun
-        recording.event(ModeReported(1.0, "AUTO", True))
+        recording.write(ModeReported(1.0, "AUTO", True))
         assert "takes no records" in recording.lost
     assert any("goes on without this record" in text for text in announced)
     with (
