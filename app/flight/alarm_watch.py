@@ -19,7 +19,7 @@ from sidelong.estimators.estimate import TrackQuality
 from sidelong.mission.control.alarms import Alarm, Alarms, Situation, battery_is_low
 from sidelong.mission.control.endurance import Endurance, time_to_s
 from sidelong.mission.control.snapshot import Phase, Snapshot
-from sidelong.mission.core.events import AlarmReported, Announce, BatteryReported
+from sidelong.mission.core.events import AlarmReported, BatteryReported
 
 _LOOK_EVERY_S = 0.5
 _STATUS_EVERY_S = 0.2  # of the wall clock: a fast simulation looks more often
@@ -29,7 +29,7 @@ _IN_HAND = (Phase.WATCHING, Phase.HOLDING)
 
 
 class AlarmWatch:
-    """A ``Display`` that judges what it is shown.
+    """An ``Observer`` that judges what it is shown.
 
     Args:
         config: The mission.
@@ -82,9 +82,6 @@ class AlarmWatch:
             await asyncio.sleep(_LOOK_EVERY_S)
             if self._snapshot is not None and self._clock_s() >= self._looked_at_s + _LOOK_EVERY_S:
                 self._look(self._snapshot)
-
-    def say(self, announcement: Announce) -> None:
-        pass
 
     def show(self, snapshot: Snapshot) -> None:
         """Take what is flown; cheap but for once in half a second."""

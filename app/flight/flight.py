@@ -26,7 +26,7 @@ from sidelong.app.flight.alarm_watch import AlarmWatch
 from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.input_health import InputHealth
-from sidelong.app.flight.loop import ControlLoop, Display, Stepped
+from sidelong.app.flight.loop import ControlLoop, Display, Observer, Stepped
 from sidelong.app.flight.one_task import OneTask
 from sidelong.app.flight.outputs import open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner
@@ -54,7 +54,6 @@ from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import (
     AlarmReported,
-    Announce,
     ControlAcquired,
     Event,
     MissionChange,
@@ -226,7 +225,7 @@ class Flight:
         streams = StreamKeeper(self._request_streams, self._display.note)
         shared.callback(streams.stop)
         observers.append(streams)
-        observed = _Observed(observers, self._collector)
+        observed = _Observed(self._display, observers, self._collector)
         loop = ControlLoop(
             self._vehicle,
             self._telemetry,
@@ -356,9 +355,9 @@ class Flight:
                 if wish.action == "resume" and self._controller.phase is Phase.YIELDED:
                     self._resumption.begin(self._try_to_resume)
 
-    def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
-        """Return all displays of the flight; ``shared`` stops them."""
-        observers: list[Display] = [self._display]
+    def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
+        """Return the outputs of the flight; ``shared`` stops them."""
+        observers: list[Observer] = []
         for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)
             observers.append(output)
@@ -390,7 +389,7 @@ class Flight:
             if round_trip_s is not None:
                 loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s))
 
-    def _pointers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
+    def _pointers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
         """Return what points the gimbal, by the payload's own protocol or by the vehicle."""
         if self._payload is not None and self._sharing.point_gimbal:
             return [PayloadPointer(self._payload.point, self._heading_rad)]
@@ -516,16 +515,14 @@ def _without_garbage_searches() -> Callable[[], None]:
 
 
 class _Observed:
-    """All displays as one; also collects the data of the summary."""
+    """The display and the observers as one; also collects the data of the summary."""
 
-    def __init__(self, displays: Sequence[Display], gatherer: SummaryCollector) -> None:
-        self._displays, self._collector = displays, gatherer
-
-    def say(self, announcement: Announce) -> None:
-        for display in self._displays:
-            display.say(announcement)
+    def __init__(self, display: Display, observers: Sequence[Observer], gatherer: SummaryCollector) -> None:
+        self.say, self._show = display.say, display.show
+        self._observers, self._collector = observers, gatherer
 
     def show(self, snapshot: Snapshot) -> None:
         self._collector.observe(snapshot)
-        for display in self._displays:
-            display.show(snapshot)
+        self._show(snapshot)
+        for observer in self._observers:
+            observer.show(snapshot)

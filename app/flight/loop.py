@@ -45,12 +45,16 @@ class Log(Protocol):
     def write(self, record: InboundEvent | Output) -> None: ...
 
 
-class Display(Protocol):
-    """Where a person sees what goes on. ``show`` is called at every position, some ten times a second."""
-
-    def say(self, announcement: Announce) -> None: ...
+class Observer(Protocol):
+    """What looks at the flight. ``show`` is called at every position, some ten times a second."""
 
     def show(self, snapshot: Snapshot) -> None: ...
+
+
+class Display(Observer, Protocol):
+    """Where a person sees what goes on."""
+
+    def say(self, announcement: Announce) -> None: ...
 
 
 Stepped = Callable[[InboundEvent, Sequence[Output]], object]

@@ -19,7 +19,6 @@ from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase, Snapshot
-from sidelong.mission.core.events import Announce
 from sidelong.mission.exchange.vehicle_command import describe_result
 from sidelong.mission.upload.mission_item import e7
 
@@ -29,7 +28,7 @@ _IN_HAND = (Phase.WATCHING, Phase.HOLDING)
 
 
 class GimbalPointer:
-    """A ``Display`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
+    """An ``Observer`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
 
     Nothing is sent for a lost track, before the mission or after a yield; a pending command is then cancelled.
     ground_altitude_m: of the ground under the target, AMSL; always: False sends only while a fleet requires the
@@ -49,9 +48,6 @@ class GimbalPointer:
         self._next_s = -math.inf
         self._sending = OneTask()
         self._points = True
-
-    def say(self, announcement: Announce) -> None:
-        pass
 
     def show(self, snapshot: Snapshot) -> None:
         """Start sending the estimate if it is time to; to be called in the running event loop."""

@@ -8,14 +8,13 @@ from collections.abc import Callable
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import wrap_rad
 from sidelong.mission.control.snapshot import Phase, Snapshot
-from sidelong.mission.core.events import Announce
 
 _EVERY_S = 0.2  # of the vehicle's time: in that time a circling aircraft turns by 4 degrees
 _IN_CONTROL = (Phase.WATCHING, Phase.HOLDING)
 
 
 class PayloadPointer:
-    """A ``Display`` that commands the gimbal's angles five times a second at most.
+    """An ``Observer`` that commands the gimbal's angles five times a second at most.
 
     Nothing is commanded while the track is lost, before the mission or after a yield.
 
@@ -27,9 +26,6 @@ class PayloadPointer:
     def __init__(self, point: Callable[[float, float], object], heading_rad: Callable[[], float | None]) -> None:
         self._point, self._heading_rad = point, heading_rad
         self._next_s = -math.inf
-
-    def say(self, announcement: Announce) -> None:
-        pass
 
     def show(self, snapshot: Snapshot) -> None:
         """Command the angles if it is time to."""

@@ -11,7 +11,7 @@ from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.raw_links import UNREAD
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import Announce, HealthChanged
+from sidelong.mission.core.events import HealthChanged
 from sidelong.mission.core.inputs import Input, InputState
 
 _SLOW_BAUD = 57_600
@@ -70,7 +70,7 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = F
 class StreamKeeper:
     """Requests the streams again while one is silent, and when another ground station has slowed one down.
 
-    It is a display, as it looks at the rates in the snapshots.
+    It observes the rates in the snapshots.
 
     Args:
         request: requests all streams.
@@ -93,9 +93,6 @@ class StreamKeeper:
         else:
             self._stale.discard(change.input)
         self._requesting.begin(self._keep_requesting)
-
-    def say(self, announcement: Announce) -> None:
-        """Nothing: announcements are for people."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Look at the rates from time to time."""

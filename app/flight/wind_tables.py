@@ -13,7 +13,7 @@ from sidelong.app.flight.one_task import OneTask
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase, Snapshot
-from sidelong.mission.core.events import Announce, WindPrepared
+from sidelong.mission.core.events import WindPrepared
 
 # Wind speeds are prepared for in steps of this share of the airspeed, and no more of them than that.
 _STEP, _AT_MOST = 0.05, 5
@@ -41,9 +41,6 @@ class WindTables:
         self._since_s = self._latest_s = 0.0
         self._prepared = 0
         self._making = OneTask()
-
-    def say(self, announcement: Announce) -> None:
-        """Ignore the message: wind tables need none."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Take the current wind, and start a table if one is missing."""

@@ -19,7 +19,6 @@ from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import Announce
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.route.progress import RouteProgress, describe
 from sidelong.mission.route.route import Route
@@ -137,7 +136,7 @@ def _utc(at: datetime) -> str:
 
 
 class CotOutput:
-    """A ``Display`` that sends both by ``sender``. height_m returns the aircraft's ellipsoidal height if known."""
+    """An ``Observer`` that sends both by ``sender``. height_m returns the aircraft's ellipsoidal height if known."""
 
     def __init__(
         self,
@@ -150,9 +149,6 @@ class CotOutput:
         self._sender, self._plane, self._names, self._height_m, self._now = sender, plane, names, height_m, now
         self._own_uid = f"{_UID}-{names.own_callsign}"
         self._next_s = self._route_s = -math.inf
-
-    def say(self, announcement: Announce) -> None:
-        pass
 
     def show(self, snapshot: Snapshot) -> None:
         """Send the available positions if the next event is due."""

@@ -16,7 +16,6 @@ from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import Announce
 
 _FOLLOW_EVERY_S, _HEARTBEAT_EVERY_S, _NMEA_EVERY_S = 0.2, 1.0, 1.0
 _POSITION_AND_VELOCITY = 0b11
@@ -25,7 +24,7 @@ _KNOTS_PER_M_S = 3600.0 / 1852.0
 
 
 class _Periodic:
-    """A ``Display`` that sends the target once every ``every_s`` of the wall clock; it sends no lost target.
+    """An ``Observer`` that sends the target once every ``every_s`` of the wall clock; it sends no lost target.
 
     It always sends the target that its aircraft watched first: a follower must not be redirected to another one.
     """
@@ -34,9 +33,6 @@ class _Periodic:
         self._sender, self._plane, self._altitude_m, self._every_s = sender, plane, altitude_m, every_s
         self._next_s = -math.inf
         self._target = ""
-
-    def say(self, announcement: Announce) -> None:
-        pass
 
     def show(self, snapshot: Snapshot) -> None:
         """Send the estimate if it is time to."""
