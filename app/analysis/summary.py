@@ -69,7 +69,7 @@ class Summary:
         """A warning for the first line; '' if most of the time is known."""
         if self.time_unknown is None or self.time_unknown <= _UNKNOWN_MAX:
             return ""
-        return f"{_percent(self.time_unknown)} of the time is unknown: inputs were missing or contradictory"
+        return f"{percent(self.time_unknown)} of the time is unknown: inputs were missing or contradictory"
 
     def table(self) -> Table:
         """Return the summary as a table for the terminal."""
@@ -84,14 +84,14 @@ class Summary:
             yield "attention", self.attention
         yield "outcome", self.outcome
         yield "watched", f"{self.duration_s:.0f} s"
-        yield "time in band", _percent(self.time_in_band)
-        yield "time on side", _percent(self.time_on_side)
-        yield "time unknown", _percent(self.time_unknown)
-        yield "by the target's present course", _percent(self.time_on_side_now)
+        yield "time in band", percent(self.time_in_band)
+        yield "time on side", percent(self.time_on_side)
+        yield "time unknown", percent(self.time_unknown)
+        yield "by the target's present course", percent(self.time_on_side_now)
         known = self.min_range_m is not None and self.max_range_m is not None
         yield "range", f"{self.min_range_m:.0f} to {self.max_range_m:.0f} m" if known else "-"
         if self.time_in_sight is not None:
-            yield "time in sight", _percent(self.time_in_sight)
+            yield "time in sight", percent(self.time_in_sight)
         if self.min_clearance_m is not None:
             yield "least height over the ground", f"{self.min_clearance_m:.0f} m"
         yield "judged by", self.source
@@ -119,7 +119,7 @@ def describe_link(link: dict[str, Any]) -> str:
     loss, round_trip_s = link["loss"], link["round_trip_s"]
     words = [
         "signed" if link["signed"] else "unsigned",
-        f"lost {_percent(loss)}",
+        f"lost {percent(loss)}",
         f"round trip {'-' if round_trip_s is None else f'{1e3 * round_trip_s:.0f} ms'}",
         f"{link['received_bytes_s'] / 1e3:.1f} kB/s down, {link['sent_bytes_s'] / 1e3:.2f} kB/s up",
     ]
@@ -256,7 +256,8 @@ def summarise(
     )
 
 
-def _percent(fraction: float | None) -> str:
+def percent(fraction: float | None) -> str:
+    """Return a share in words."""
     return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
 
 

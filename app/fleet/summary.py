@@ -13,7 +13,7 @@ import numpy.typing as npt
 from rich.table import Table
 
 from sidelong.app.analysis.score import Asked, Judgement, Moment, judge_moments
-from sidelong.app.analysis.summary import Summary
+from sidelong.app.analysis.summary import Summary, percent
 from sidelong.mission.core.path import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -118,13 +118,13 @@ class FleetSummary:
             table.add_row("attention", "", *(one.attention for one in each))
         table.add_row("outcome", self.outcome, *(one.outcome for one in each))
         table.add_row("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
-        table.add_row("time in band", _percent(self.time_in_band_any), *(_percent(one.time_in_band) for one in each))
-        wanted = (_percent(one.time_on_wanted_side) for one in self.aircraft)
-        table.add_row("time on the required side", _percent(self.time_on_side_any), *wanted)
-        table.add_row("time on the side it was to hold", "", *(_percent(one.time_on_side) for one in each))
-        table.add_row("time unknown", "", *(_percent(one.time_unknown) for one in each))
+        table.add_row("time in band", percent(self.time_in_band_any), *(percent(one.time_in_band) for one in each))
+        wanted = (percent(one.time_on_wanted_side) for one in self.aircraft)
+        table.add_row("time on the required side", percent(self.time_on_side_any), *wanted)
+        table.add_row("time on the side it was to hold", "", *(percent(one.time_on_side) for one in each))
+        table.add_row("time unknown", "", *(percent(one.time_unknown) for one in each))
         for target in self.targets if len(self.targets) > 1 else ():
-            table.add_row(f"  {target.name}", _percent(target.time_on_side_any))
+            table.add_row(f"  {target.name}", percent(target.time_on_side_any))
         table.add_row("longest time off the side", _seconds(self.longest_off_side_any_s))
         table.add_row("least separation", _metres(self.min_separation_m))
         table.add_row("least range", "", *(_metres(one.min_range_m) for one in each))
@@ -232,10 +232,6 @@ def _held(judged: Judgement, times_s: FloatArray, what: Literal["on_side", "in_b
 def _longest_run(flags: BoolArray) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
-
-
-def _percent(fraction: float | None) -> str:
-    return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
 
 
 def _seconds(duration_s: float | None) -> str:
