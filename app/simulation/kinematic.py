@@ -218,12 +218,10 @@ class KinematicVehicle:
         for index, i in enumerate(items):
             item = Item(i.command, i.frame, (i.param1, i.param2, i.param3, i.param4), i.x, i.y, i.z)
             self.mission.put(index, item, current=index == len(head))
+        self.mission.finish()
         if isinstance(self.mission, ArduPlaneMission):
-            self.mission.finish()
             self.mission.index = len(head)
             self.mission.resume()
-        else:
-            self.mission.finish()
         self._begin_leg(self.mission.index, from_here=False)
 
     def set_current(self, index: int) -> None:
