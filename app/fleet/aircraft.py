@@ -19,7 +19,6 @@ from sidelong.app.link.frames import Frame
 from sidelong.app.link.mavsdk_link import OWN_SYSTEM_ID
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.control.snapshot import Phase
 
 
 class FleetAircraft:
@@ -59,8 +58,7 @@ class FleetAircraft:
     @property
     def settled(self) -> bool:
         """Whether it is settled: sidelong controls it, its flight is over, or the fleet does not need it yet."""
-        ours = self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
-        return ours or bool(self.outcome) or not self.wanted.is_set()
+        return self.controller.phase.in_control or bool(self.outcome) or not self.wanted.is_set()
 
     def described(self, simulated: bool) -> str:
         session = self.session

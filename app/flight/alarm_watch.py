@@ -25,7 +25,6 @@ _LOOK_EVERY_S = 0.5
 _STATUS_EVERY_S = 0.2  # of the wall clock: a fast simulation looks more often
 _BATTERY_EVERY_S, _LOW_BATTERY_EVERY_S = 10.0, 1.0  # the controller needs more than one report to fly home
 _TEXT_EVERY_S = 5.0
-_IN_HAND = (Phase.WATCHING, Phase.HOLDING)
 
 
 class AlarmWatch:
@@ -107,7 +106,7 @@ class AlarmWatch:
             self._put(AlarmReported(snapshot.time_s, alarm.key, "cleared", alarm.text))
         for alarm in raised:
             self._put(AlarmReported(snapshot.time_s, alarm.key, "raised", f"{alarm.text}: {alarm.advice}"))
-        if raised and snapshot.phase in _IN_HAND and snapshot.time_s >= self._sent_s + _TEXT_EVERY_S:
+        if raised and snapshot.phase.in_control and snapshot.time_s >= self._sent_s + _TEXT_EVERY_S:
             self._sent_s = snapshot.time_s
             self._send(f"sidelong: {raised[0].text}")
 
@@ -138,7 +137,7 @@ class AlarmWatch:
         gives_up = unseen_s is not None and snapshot.phase is Phase.WATCHING
         return Situation(
             now_s,
-            in_hand=snapshot.phase in _IN_HAND,
+            in_hand=snapshot.phase.in_control,
             connected=sensors.connected,
             silent_s=self._clock_s() - self._received_at_s,
             yielded=snapshot.over if snapshot.phase is Phase.YIELDED else "",

@@ -18,13 +18,12 @@ from sidelong.app.link.vehicle import Vehicle
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.exchange.vehicle_command import describe_result
 from sidelong.mission.upload.mission_item import e7
 
 _EVERY_S = 1.0  # of the vehicle's time
 _ONE_SIGMA = 1.0 - math.exp(-0.5)
-_IN_HAND = (Phase.WATCHING, Phase.HOLDING)
 
 
 class GimbalPointer:
@@ -51,7 +50,7 @@ class GimbalPointer:
 
     def show(self, snapshot: Snapshot) -> None:
         """Start sending the estimate if it is time to; to be called in the running event loop."""
-        if snapshot.phase not in _IN_HAND or not (self._always or snapshot.turn_payload):
+        if not snapshot.phase.in_control or not (self._always or snapshot.turn_payload):
             self.stop()
             return
         estimate, aircraft = snapshot.estimate, snapshot.aircraft

@@ -7,10 +7,9 @@ from collections.abc import Callable
 
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import wrap_rad
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.snapshot import Snapshot
 
 _EVERY_S = 0.2  # of the vehicle's time: in that time a circling aircraft turns by 4 degrees
-_IN_CONTROL = (Phase.WATCHING, Phase.HOLDING)
 
 
 class PayloadPointer:
@@ -30,7 +29,7 @@ class PayloadPointer:
     def show(self, snapshot: Snapshot) -> None:
         """Command the angles if it is time to."""
         estimate, aircraft, heading_rad = snapshot.estimate, snapshot.aircraft, self._heading_rad()
-        if snapshot.phase not in _IN_CONTROL or estimate is None or aircraft is None or heading_rad is None:
+        if not snapshot.phase.in_control or estimate is None or aircraft is None or heading_rad is None:
             return
         if estimate.quality is TrackQuality.LOST or snapshot.time_s < self._next_s:
             return

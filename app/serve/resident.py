@@ -160,7 +160,7 @@ class Resident:
             self._wanted.clear()
             return was_wanted, "the watch does not begin" if was_wanted else "no watch is under way"
         snapshot = display.snapshot
-        if snapshot is not None and display.request is not None and snapshot.phase in (Phase.WATCHING, Phase.HOLDING):
+        if snapshot is not None and display.request is not None and snapshot.phase.in_control:
             display.request(OperatorRequest(snapshot.time_s, "end", who=who))
         else:
             life.stopped.set()

@@ -100,7 +100,6 @@ _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: it is no mere gap of the laser
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
-_FLYING = (Phase.WATCHING, Phase.HOLDING)
 _LOW_BATTERY_REPORTS = 2  # in a row
 
 
@@ -516,12 +515,12 @@ class StandoffController:
 
     def _mode_reported(self, event: ModeReported) -> tuple[StepOutput, ...]:
         self._mode = event.mode
-        if self.phase in _FLYING and event.mode != self._own_mode:
+        if self.phase.in_control and event.mode != self._own_mode:
             return self._yield(event.time_s, f"the flight mode was changed to {event.mode}")
         return ()
 
     def _yield(self, time_s: float, reason: str) -> tuple[StepOutput, ...]:
-        if self.phase not in _FLYING and not self.resuming:
+        if not self.phase.in_control and not self.resuming:
             return ()
         self._end(Phase.YIELDED, reason)
         return (Yield(time_s, reason),)
@@ -553,7 +552,7 @@ class StandoffController:
     def _battery_reported(self, event: BatteryReported) -> tuple[StepOutput, ...]:
         low = battery_is_low(event.left_s, event.home_s)
         self._low_battery_reports = self._low_battery_reports + 1 if low else 0
-        wanted = self.phase in _FLYING and self.settings.at_low_battery == "return"
+        wanted = self.phase.in_control and self.settings.at_low_battery == "return"
         if not wanted or self._low_battery_reports < _LOW_BATTERY_REPORTS:
             return ()
         reason = f"the battery is at {event.percent:.0f} %, home is {event.home_s:.0f} s away"
@@ -582,7 +581,7 @@ class StandoffController:
         if advice.turn_payload:
             self.tracker.restart_delays()
             self.health.payload.expect_another_target()
-        if self.phase not in _FLYING:
+        if not self.phase.in_control:
             return ()
         if advice.role is Role.LEAVE:
             self._end(Phase.ENDED, advice.reason)
@@ -601,7 +600,7 @@ class StandoffController:
             objection = self.resume_objection()
             waits = f", once this has passed: {objection}" if objection else ""
             return (Announce(event.time_s, "operator", f"operator: resume; the vehicle is checked again{waits}"),)
-        if self.phase not in _FLYING:
+        if not self.phase.in_control:
             return (Announce(event.time_s, "operator", f"{event.action} refused: the mission is {self.phase}"),)
         settings = self.settings
         match event.action:
@@ -628,7 +627,7 @@ class StandoffController:
 
     def _mission_changed(self, event: MissionChange) -> tuple[StepOutput, ...]:
         what, settings = describe_change(event), self.settings
-        if self.phase not in _FLYING:
+        if not self.phase.in_control:
             return (Announce(event.time_s, "operator", f"{what} refused: the mission is {self.phase}"),)
         self._ask_for(aircraft_after(event, settings.aircraft), requirement_after(event, settings.requirement))
         if event.height_m is not None:

@@ -22,6 +22,11 @@ class Phase(StrEnum):
     YIELDED = "yielded"
     ENDED = "ended"
 
+    @property
+    def in_control(self) -> bool:
+        """Whether sidelong controls the aircraft."""
+        return self in (Phase.WATCHING, Phase.HOLDING)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
