@@ -183,18 +183,7 @@ class Planning:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Return the planner's decision; outside of its range, approach a circle next to the target first.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan has reached the autopilot, s; a plan departs no earlier.
-
-        Returns:
-            A new plan, or None to continue, with the reason.
-        """
+        """See :class:`sidelong.mission.core.plan.Planner`. Out of the band, approach a circle next to the target."""
         range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
         if range_m <= self._requirement.range_max_m:
             return self.planner.decide(aircraft, target, present, wind, latency_s)

@@ -19,7 +19,7 @@ class Heights(Protocol):
 
         Args:
             plan: The plan.
-            flown_m:  None|Present height above home, m; None before the first circle.
+            flown_m: Present height above home, m; None before the first circle.
             target_m: Target's position (east, north), m.
 
         Returns:
@@ -70,21 +70,11 @@ class OneHeight:
     height_m: float | None = None
 
     def levelled(self, plan: Plan, flown_m: float | None, _target_m: tuple[float, float] | None = None) -> Plan:
-        """Return the plan with its heights.
-
-        Args:
-            plan: The plan.
-            flown_m:  None|Present height above home, m; None before the first circle.
-            _target_m: Not used.
-        """
+        """See :class:`Heights`."""
         if self.height_m is None:
             return plan
         return replace(plan, heights=self.rates.profile(self.height_m if flown_m is None else flown_m, self.height_m))
 
     def at(self, height_m: float) -> OneHeight:
-        """Return the same for another height.
-
-        Args:
-            height_m: Height above home, m.
-        """
+        """See :class:`Heights`."""
         return OneHeight(self.rates, height_m)

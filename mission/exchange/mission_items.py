@@ -184,11 +184,7 @@ class MissionItemBackend:
     # -- plans ---------------------------------------------------------------------------------------------
 
     def upload(self, command: UploadPlan) -> None:
-        """Bring a plan to the autopilot without flying it yet.
-
-        Args:
-            command: The plan with its number.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         change = self._change
         busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
         if busy or self._closed or self._layout is None:
@@ -200,11 +196,7 @@ class MissionItemBackend:
         self._waits = True
 
     def activate(self, command: ActivatePlan) -> None:
-        """Fly a plan now.
-
-        Args:
-            command: Number of the plan.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         change = self._change
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
             self._announce(command.number, "failed", "it is not on board")
@@ -322,12 +314,7 @@ class MissionItemBackend:
     # -- what is reported ----------------------------------------------------------------------------------
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """Process the aircraft's position and flight mode.
-
-        Args:
-            aircraft: State of the aircraft.
-            mode: Flight mode by the autopilot's name.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         self._aircraft = aircraft
         change = self._change
         if change is not None and change.activation is not None:
@@ -335,11 +322,7 @@ class MissionItemBackend:
             self._judge_activation(change)
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         if self._read is not None:
             self._read.receive(report)
         frozen = self._ownership.frozen

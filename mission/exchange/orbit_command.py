@@ -83,20 +83,12 @@ class OrbitCommandBackend:
         self._suspicion.forget()
 
     def upload(self, command: UploadPlan) -> None:
-        """Bring a plan to the autopilot without flying it yet.
-
-        Args:
-            command: The plan with its number.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         self._plan = command
         self._outbox.report(PlanStatus(self._outbox.time_s, command.number, "ready", by_command=True))
 
     def activate(self, command: ActivatePlan) -> None:
-        """Fly a plan now.
-
-        Args:
-            command: Number of the plan.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         plan = self._plan
         if plan is None or plan.number != command.number or self._closed:
             self._announce(command.number, "failed", "it is not the plan that was made ready")
@@ -109,12 +101,7 @@ class OrbitCommandBackend:
         self._closed, self._flown, self._departing = True, None, False
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """Process the aircraft's position and flight mode.
-
-        Args:
-            aircraft: State of the aircraft.
-            mode: Flight mode by the autopilot's name.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         self._aircraft, self._mode = aircraft, mode
         if self._flown is not None and self._command is None and aircraft.time_s >= self._due_s:
             self._waits = True
@@ -131,11 +118,7 @@ class OrbitCommandBackend:
             self._lead(self._flown)
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
         if isinstance(report, CommandAcknowledged) and self._command is not None:
             self._command.receive(report)
             self._judge()

@@ -71,11 +71,7 @@ class FlightHeights:
         self._highest = _highest_about(ground, rules.margin_m)
 
     def at(self, height_m: float) -> FlightHeights:
-        """Return the same rules for another height.
-
-        Args:
-            height_m: Height above the reference of the rules, m.
-        """
+        """See :class:`sidelong.mission.core.heights.Heights`."""
         other = copy(self)
         other._rules, other._carried = replace(self._rules, height_m=height_m), True
         return other
@@ -85,7 +81,7 @@ class FlightHeights:
 
         Args:
             plan: The plan.
-            flown_m:  None|Present height above home, m; None before the first circle.
+            flown_m: Present height above home, m; None before the first circle.
             target_m: Target's position (east, north), m; where its ground is unknown, the ground below the circle
                 serves.
 
@@ -130,7 +126,7 @@ class FlightHeights:
         """Return the height at which the next circle around a target will be flown, apart from clearance, m.
 
         Args:
-            flown_m:  None|Present height above home, m; None before the first circle.
+            flown_m: Present height above home, m; None before the first circle.
             target_m: Target's position (east, north), m.
         """
         rules = self._rules
