@@ -104,7 +104,6 @@ def warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: Si
     track.begin_again()
     track.add(_sighting(1.0))
     here_m = 0.0, 0.0, 100.0
-    ground.patch(*here_m[:2])
     ground.cut_m(*here_m, 0.0, 0.3, 500.0)
     ground.sees(here_m, here_m)
     ground.heights_at_m(np.zeros(2), np.zeros(2))

@@ -115,7 +115,6 @@ class RunFolder(_Folder):
     tlog = _File("flight.tlog")
     truth = _File("truth.csv")
     links = _File("links.csv")
-    config = _File("config.toml")
     plans = _File("plans")
 
     def prepared(self) -> Self:

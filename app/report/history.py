@@ -67,9 +67,7 @@ class AircraftTrack:
 class PlanChange:
     """How a plan fared: None for what did not happen. failed: why, '' if it did not."""
 
-    number: int
     plan: Plan
-    reason: str
     prepared_s: float
     ready_s: float | None = None
     departed_s: float | None = None
@@ -179,9 +177,7 @@ class HistoryBuilder:
         """Take a command."""
         match command:
             case UploadPlan():
-                self._changes[command.number] = PlanChange(
-                    command.number, command.plan, command.reason, command.time_s
-                )
+                self._changes[command.number] = PlanChange(command.plan, command.time_s)
             case Announce():
                 self._announced.append(command)
             case HealthChanged():

@@ -151,11 +151,6 @@ class TargetImm:
         """The height of the target's ground, m."""
         return float(self.state[:, 0] @ self.state[:, 1 + HEIGHT])
 
-    @property
-    def mode_probabilities(self) -> FloatArray:
-        """The probability (models,) of each model."""
-        return self.state[:, 0]
-
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
         return self._combined(4)

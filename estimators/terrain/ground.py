@@ -15,25 +15,12 @@ from sidelong.estimators.terrain.ground_kernel import (
     FloatArray,
     Grid,
     height_and_slope,
-    height_sigma_m,
     heights_at,
     horizon,
     ray_cut_m,
     sight_clearance_m,
     sight_step_m,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class GroundPatch:
-    """The ground about one place: a plane, its height above home, and the standard deviation of that height."""
-
-    east_m: float
-    north_m: float
-    height_m: float
-    slope_east: float
-    slope_north: float
-    sigma_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,22 +72,6 @@ class Ground:
         """
         east, north = np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)
         return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
-
-    def patch(self, east_m: float, north_m: float) -> GroundPatch | None:
-        """Return height and slope of the ground around a position.
-
-        Args:
-            east_m: East in the local plane, m.
-            north_m: North in the local plane, m.
-
-        Returns:
-            The patch; None if unknown.
-        """
-        height_m, slope_east, slope_north = height_and_slope(self.grid, east_m, north_m)
-        if math.isnan(height_m):
-            return None
-        sigma_m = height_sigma_m(self.sigma_m, self.step_m, slope_east, slope_north)
-        return GroundPatch(east_m, north_m, height_m, slope_east, slope_north, sigma_m)
 
     def cut_m(
         self,

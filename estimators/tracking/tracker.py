@@ -311,11 +311,6 @@ class Tracker:
             self._delay_fit.clear()
 
     @property
-    def unpaired(self) -> int:
-        """How many ranges found no line of sight or no position to go with them."""
-        return self._pairing.unpaired
-
-    @property
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
         return self._track.calibration

@@ -48,11 +48,6 @@ class Endurance:
             self._steps.popleft()
 
     @property
-    def percent(self) -> float | None:
-        """The charge reported last; None before the first report."""
-        return None if self._last is None else self._last[1]
-
-    @property
     def percent_per_s(self) -> float | None:
         """The consumption; None until the charge has fallen often enough."""
         if len(self._steps) < _LEAST_STEPS:

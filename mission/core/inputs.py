@@ -43,7 +43,6 @@ class InputReport:
         input: which input.
         state: how it is.
         since_s: since when, on the vehicle's clock.
-        source: the device it comes from, in words; empty where there is only one.
         rate_hz: readings per second of the vehicle's clock over the last seconds; NaN before it is known.
         text: the sentence of the last change.
     """
@@ -51,6 +50,5 @@ class InputReport:
     input: Input
     state: InputState
     since_s: float
-    source: str
     rate_hz: float
     text: str

@@ -126,10 +126,6 @@ class Trapezoids:
         a, b, c, d, e, f = self.shapes[index].tolist()
         return Path(*line_kernel.laid_out((a, b, c, d, e, f), east_m, north_m, course_rad))
 
-    def mirrored(self) -> Trapezoids:
-        """Return the trapezoids with left and right swapped."""
-        return Trapezoids(self.shapes * np.array([-1.0, -1.0, 1.0, -1.0, 1.0, 1.0]))
-
 
 def end_circle(path: Path, radius_m: float) -> Circle:
     """Return the circle that continues a trapezoid's path with the sign of its last curvature.

@@ -240,7 +240,7 @@ class Health:
 
     def _made_reports(self) -> tuple[InputReport, ...]:
         return tuple(
-            InputReport(kind, one.state, one.since_s, _device(one.source), one.rate_hz, one.text)
+            InputReport(kind, one.state, one.since_s, one.rate_hz, one.text)
             for kind, one in self._inputs.items()
             if one.state is not InputState.MISSING
         )

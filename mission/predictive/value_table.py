@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.cost_kernel import Table, table_values
-from sidelong.mission.predictive.future_kernel import Motions, fill_classes
+from sidelong.mission.predictive.cost_kernel import Table
+from sidelong.mission.predictive.future_kernel import Motions
 from sidelong.mission.predictive.value_kernel import add_turned
 
 Float32 = npt.NDArray[np.float32]
@@ -123,19 +123,6 @@ class ValueTable:
     values: Float32
     after_turn: Float32
 
-    def under(self, target_m_s: tuple[float, float], wind_m_s: tuple[float, float] = (0.0, 0.0)) -> MotionTable:
-        """Return the table for velocities of target and wind in the watch frame, interpolated between the classes.
-
-        Of the wind only the direction counts: its speed is the configuration's.
-
-        Args:
-            target_m_s: Velocity of the target in the watch frame, m/s.
-            wind_m_s: Wind in the watch frame, m/s.
-        """
-        classes, share, turn_share = np.empty(4, np.int64), np.empty(4), np.empty(4)
-        fill_classes(self.motions, *target_m_s, *wind_m_s, classes, share, turn_share)
-        return MotionTable(self.arrays, classes, share, turn_share)
-
     @property
     def arrays(self) -> Table:
         """The table as the loops see it."""
@@ -150,44 +137,6 @@ class ValueTable:
         return Motions(
             c.follows_course, c.wind_speed_m_s, c.target_speed_max_m_s, _WIND_DIRECTIONS, _TARGET_DIRECTIONS
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionTable:
-    """The table for one velocity of the target: a share of each of its classes."""
-
-    table: Table
-    classes: npt.NDArray[np.int64]
-    share: FloatArray
-    turn_share: FloatArray
-
-    def value(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> FloatArray:
-        """Return V at places and headings of the watch frame; beyond the grid that of its edge.
-
-        Args:
-            x_m: Right of the target in the watch frame, m.
-            y_m: Ahead of the target in the watch frame, m.
-            heading_rad: Heading in the watch frame, rad.
-        """
-        return self._looked_up(self.table.values, self.share, x_m, y_m, heading_rad)
-
-    def expected_after_turn(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> FloatArray:
-        """Return the expected V if the target turned now.
-
-        Args:
-            x_m: Right of the target in the watch frame, m.
-            y_m: Ahead of the target in the watch frame, m.
-            heading_rad: Heading in the watch frame, rad.
-        """
-        return self._looked_up(self.table.after_turn, self.turn_share, x_m, y_m, heading_rad)
-
-    def _looked_up(self, values: Float32, share: FloatArray, *place: npt.ArrayLike) -> FloatArray:
-        every = np.broadcast_arrays(*place)
-        found = np.empty(every[0].shape)
-        x, y, heading = (a.astype(np.float64).ravel() for a in every)
-        classes, shares = self.classes[None, None], share[None, None]
-        table_values(values, self.table.cell_m, x, y, heading, classes, shares, found.ravel())
-        return found
 
 
 def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:

@@ -61,12 +61,3 @@ class CourseHold:
     def standing(self) -> bool:
         """Whether the target stands."""
         return bool(self._memory[STANDING] > 0.0)
-
-
-def course_sigma_rad(target: TargetEstimate) -> float:
-    """Return one standard deviation of a moving target's course: the velocity's across it, over the speed.
-
-    Args:
-        target: Estimate of the target.
-    """
-    return kernel.course_sigma_rad(known(target))

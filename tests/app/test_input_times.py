@@ -62,6 +62,6 @@ def test_summary_of_a_sound_flight_begins_with_its_outcome():
 def test_times_in_a_state_are_summed_from_the_start_on():
     times = InputTimes()
     for since_s, state in ((0.0, "ok"), (10.0, "stale"), (30.0, "ok"), (50.0, "stale"), (55.0, "inconsistent")):
-        times.note((InputReport(Input.LASER, InputState(state), since_s, "", 10.0, ""),))
+        times.note((InputReport(Input.LASER, InputState(state), since_s, 10.0, ""),))
     found = {one.state: (one.seconds, one.times) for one in times.between(20.0, 100.0)}
     assert found == {InputState.STALE: (15.0, 2), InputState.INCONSISTENT: (45.0, 1)}

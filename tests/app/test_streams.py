@@ -65,7 +65,7 @@ def test_rate_that_another_station_has_lowered_is_requested_again(flight):
         snapshot = controller.snapshot()
 
     def with_rate(time_s: float, rate_hz: float):
-        report = InputReport(Input.POSITION, InputState.OK, 0.0, "", rate_hz, "")
+        report = InputReport(Input.POSITION, InputState.OK, 0.0, rate_hz, "")
         return replace(snapshot, time_s=time_s, health=(report,))
 
     async def flown() -> Keeper:

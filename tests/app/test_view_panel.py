@@ -72,7 +72,7 @@ def test_a_lost_link_is_reported(snapshots):
 def test_inputs_that_are_not_ok_are_shown_with_their_time(snapshots):
     last = snapshots[-1]
     reports = [
-        InputReport(one, InputState.STALE, last.time_s - 12.0, "", 1.0, "")
+        InputReport(one, InputState.STALE, last.time_s - 12.0, 1.0, "")
         for one in (Input.NEIGHBOURS, Input.CLOCK, Input.TERRAIN)
     ]
     shown = replace(last, health=tuple(reports))

@@ -49,7 +49,7 @@ def test_every_state_is_strict_json(snapshots):
 
 def test_inputs_that_are_not_ok_are_sent_in_words(watching):
     reports = [
-        InputReport(one, state, watching.time_s - 7.0, "", 1.0, "")
+        InputReport(one, state, watching.time_s - 7.0, 1.0, "")
         for one, state in ((Input.LASER, InputState.OK), (Input.GIMBAL, InputState.SWITCHED))
     ]
     assert state_of(replace(watching, health=tuple(reports)))["inputs"] == ["gimbal switched for 7 s"]

@@ -148,7 +148,7 @@ def test_the_stacked_filter_is_the_interacting_multiple_model_filter_of_filterpy
         ours, covariance = target.moments()
         assert ours == pytest.approx(reference.x[:4], abs=0.02)
         assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(reference.P))[:4], rel=0.02)
-        assert target.mode_probabilities == pytest.approx(reference.mu, abs=0.02)
+        assert target.state[:, 0] == pytest.approx(reference.mu, abs=0.02)
 
 
 def test_a_standing_target_is_known_to_stand(scene):
@@ -156,7 +156,7 @@ def test_a_standing_target_is_known_to_stand(scene):
     *_, (target, _) = run("imm", sightings, NO_BIAS)
     mean, _ = target.moments()
     assert math.hypot(mean[2], mean[3]) < 0.1
-    assert target.mode_probabilities[STANDING] > 0.8
+    assert target.state[STANDING, 0] > 0.8
 
 
 def test_a_target_that_brakes_is_caught_within_seconds(scene):
@@ -230,7 +230,7 @@ def test_a_far_wrong_prediction_does_not_bend_the_next_sighting(kind, scene, mov
 
 def test_cruising_is_taken_for_cruising(scene):
     *_, (target, _) = run("imm", scene.of(lambda _: (3.0, 3.0), 60.0).sightings(np.random.default_rng(10)), NO_BIAS)
-    assert int(np.argmax(target.mode_probabilities)) == CRUISING
+    assert int(np.argmax(target.state[:, 0])) == CRUISING
 
 
 def test_a_resting_target_that_creeps_is_not_taken_for_an_error_of_the_gimbal(scene):

@@ -17,7 +17,7 @@ GOOD = Situation(
     range_m=300.0,
     unseen_s=0.1,
     gives_up_in_s=299.9,
-    health=tuple(InputReport(one, InputState.OK, 0.0, "", 10.0, "") for one in Input),
+    health=tuple(InputReport(one, InputState.OK, 0.0, 10.0, "") for one in Input),
     gps="3D, 12 satellites",
     good_gps=True,
     battery_percent=80.0,
@@ -27,7 +27,7 @@ GOOD = Situation(
 
 
 def faulty(one, state=InputState.STALE):
-    return (InputReport(one, state, 100.0, "", 0.0, f"no data from the {one}"),)
+    return (InputReport(one, state, 100.0, 0.0, f"no data from the {one}"),)
 
 
 CAUSES = {

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.mission.viewpoint.course_hold import CourseHold, course_sigma_rad
+from sidelong.mission.viewpoint.course_hold import CourseHold, known
+from sidelong.mission.viewpoint.viewpoint_kernel import course_sigma_rad
 
 
 def estimate(time_s, speed_m_s, course_rad, sigma_m_s=0.1):
@@ -55,4 +56,4 @@ def test_course_sigma_is_that_of_the_velocity_across():
     moving_north = TargetEstimate(
         0.0, 0.0, 0.0, 0.0, 4.0, np.diag([1.0, 1.0, 0.2**2, 3.0**2]), TrackQuality.GOOD, 0.0
     )
-    assert course_sigma_rad(moving_north) == pytest.approx(0.05)
+    assert course_sigma_rad(known(moving_north)) == pytest.approx(0.05)

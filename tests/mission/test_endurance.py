@@ -35,7 +35,6 @@ def test_a_stronger_consumption_shows_within_the_window():
 def test_nothing_is_predicted_from_too_little():
     assert observed(3600.0, 60.0).left_s(60.0) is None
     assert Endurance(20.0).left_s(0.0) is None
-    assert Endurance(20.0).percent is None
 
 
 def test_another_battery_begins_another_estimate():

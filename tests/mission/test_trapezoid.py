@@ -87,7 +87,8 @@ def test_coarse_samples_agree_with_the_fine_path(start_per_m, hold, length, sens
 @given(HOLDS, HOLDS, LENGTHS, SENSES, st.floats(0.0, 1.0))
 def test_mirror_swaps_left_and_right(start_per_m, hold, length, sense, course_rad):
     one = trapezoid(start_per_m, hold, length, sense)
-    path, mirrored = one.path(0, 0.0, 0.0, course_rad), one.mirrored().path(0, 0.0, 0.0, -course_rad)
+    other = trapezoid(-start_per_m, -hold, length, -sense)
+    path, mirrored = one.path(0, 0.0, 0.0, course_rad), other.path(0, 0.0, 0.0, -course_rad)
     np.testing.assert_allclose(mirrored.east_m, -path.east_m, atol=1e-9)
     np.testing.assert_allclose(mirrored.north_m, path.north_m, atol=1e-9)
     np.testing.assert_allclose(mirrored.curvature_per_m, -path.curvature_per_m, atol=1e-15)

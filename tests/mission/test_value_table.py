@@ -6,6 +6,8 @@ import pytest
 
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.cost_kernel import table_values
+from sidelong.mission.predictive.future_kernel import fill_classes
 from sidelong.mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
@@ -13,8 +15,32 @@ SMALL = TableConfiguration(10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0
 SECTOR = replace(SMALL, cost=WatchCost.inside(100.0, 500.0, math.radians(60.0)), follows_course=False)
 
 
+class Motion:
+    """A value table for one velocity of the target in the watch frame, m/s, interpolated between its classes."""
+
+    def __init__(self, table, target_m_s):
+        self.table = table.arrays
+        self._classes, self._share = np.empty(4, np.int64), np.empty(4)
+        fill_classes(table.motions, *target_m_s, 0.0, 0.0, self._classes, self._share, np.empty(4))
+
+    def value(self, *place):
+        x, y, heading = (np.atleast_1d(np.asarray(one, float)) for one in np.broadcast_arrays(*place))
+        found = np.empty(x.shape)
+        inputs = (
+            self.table.values,
+            self.table.cell_m,
+            x,
+            y,
+            heading,
+            self._classes[None, None],
+            self._share[None, None],
+        )
+        table_values(*inputs, found)
+        return found[0] if found.size == 1 else found
+
+
 def test_values_are_lowest_next_to_the_target_on_the_side(paper_table):
-    motion = paper_table.under((0.0, 4.0))
+    motion = Motion(paper_table, (0.0, 4.0))
     alongside = float(motion.value(-250.0, 0.0, 0.0))
     assert 0.0 < alongside < float(motion.value(-120.0, 0.0, 0.0))
     assert alongside < float(motion.value(-470.0, 0.0, 0.0))
@@ -26,22 +52,22 @@ def test_a_place_ahead_is_worth_more_the_faster_the_target(paper_table):
     """A fast target runs up to the aircraft ahead and away from the one behind."""
     ahead, behind = ((-150.0, y) for y in (300.0, -300.0))
     gain = [
-        float(paper_table.under((0.0, speed)).value(*behind, 0.0))
-        - float(paper_table.under((0.0, speed)).value(*ahead, 0.0))
+        float(Motion(paper_table, (0.0, speed)).value(*behind, 0.0))
+        - float(Motion(paper_table, (0.0, speed)).value(*ahead, 0.0))
         for speed in (0.0, 5.0)
     ]
     assert gain[1] > gain[0] + 0.5
 
 
 def test_the_table_interpolates_between_its_nodes_and_speeds(paper_table):
-    motion = paper_table.under((0.0, 2.5))
+    motion = Motion(paper_table, (0.0, 2.5))
     node, cell_m = paper_table.values[1, 3, 10, 20], motion.table.cell_m
     half = paper_table.values.shape[-1] // 2
     x_m, y_m, heading_rad = (10 - half) * cell_m, (20 - half) * cell_m, 3 * math.pi / 12
     assert float(motion.value(x_m, y_m, heading_rad)) == pytest.approx(node, rel=1e-4)
     assert float(motion.value(x_m, y_m, heading_rad - 2.0 * math.pi)) == pytest.approx(node, rel=1e-4)
-    between = paper_table.under((0.0, 1.25)).value(-200.0, 30.0, 1.0)
-    slow, fast = (paper_table.under((0.0, speed)).value(-200.0, 30.0, 1.0) for speed in (0.0, 2.5))
+    between = Motion(paper_table, (0.0, 1.25)).value(-200.0, 30.0, 1.0)
+    slow, fast = (Motion(paper_table, (0.0, speed)).value(-200.0, 30.0, 1.0) for speed in (0.0, 2.5))
     assert float(between) == pytest.approx(0.5 * (float(slow) + float(fast)), rel=1e-4)
 
 
@@ -50,7 +76,7 @@ def test_the_table_agrees_with_roll_outs_from_it(paper_table):
     c = paper_table.configuration
     rng = np.random.default_rng(1)
     for speed_m_s in (0.0, 2.5, 5.0):
-        motion = paper_table.under((0.0, speed_m_s))
+        motion = Motion(paper_table, (0.0, speed_m_s))
         roll_out = RollOut(paper_table, (0.0, speed_m_s), Wind(), (0.0, 0.0, 0.0), 10.0)
         off = []
         for _ in range(40):
@@ -105,11 +131,11 @@ def test_a_sector_interpolates_between_directions_and_speeds():
     values = np.random.default_rng(1).random((17, 24, 17, 17)).astype(np.float32)
     table = completed(SECTOR, values)
     # Half way between north and north-east, and between half and full speed.
-    motion = table.under((3.75 * math.sin(math.pi / 8), 3.75 * math.cos(math.pi / 8)))
+    motion = Motion(table, (3.75 * math.sin(math.pi / 8), 3.75 * math.cos(math.pi / 8)))
     cell_m = motion.table.cell_m
     node = 2 * cell_m, -3 * cell_m, 5 * math.pi / 12
     assert float(motion.value(*node)) == pytest.approx(values[[1, 2, 9, 10], 5, 10, 5].mean(), rel=1e-4)
-    assert float(table.under((0.0, 0.0)).value(*node)) == pytest.approx(values[0, 5, 10, 5], rel=1e-4)
+    assert float(Motion(table, (0.0, 0.0)).value(*node)) == pytest.approx(values[0, 5, 10, 5], rel=1e-4)
     # Half a turn takes the class of motion to the south to that of motion to the north.
     back = replace(SECTOR, habits=TargetHabits(stop=0.0, min_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
     np.testing.assert_allclose(expected_after_turn(back, values)[9 + 4], values[9], rtol=1e-5)

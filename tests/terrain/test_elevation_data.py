@@ -16,6 +16,7 @@ from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.app.terrain.tile import Bounds, Posts
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
+from tests.terrain.patch import patch_of
 
 HOME_DEG = (36.59, -84.24)
 STEP_DEG = 1.0 / 1200.0
@@ -47,7 +48,7 @@ def test_the_ground_counts_from_home_and_lies_in_the_plane(
 
 def test_what_no_tile_knows_is_void(ground: Ground) -> None:
     assert math.isnan(ground.height_m(0.0, 24_000.0))
-    assert ground.patch(0.0, 24_000.0) is None
+    assert patch_of(ground, 0.0, 24_000.0) is None
 
 
 def test_neighbouring_tiles_join_without_a_seam(tmp_path: Path) -> None:

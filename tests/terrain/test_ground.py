@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from sidelong.estimators.terrain.ground import Ground
+from tests.terrain.patch import patch_of
 
 # A tilted plane, which bilinear posts report exactly, with a wall 300 m long and 80 m high across it.
 STEP_M = 50.0
@@ -32,12 +33,12 @@ def test_heights_are_bilinear(ground: Ground) -> None:
 
 
 def test_a_patch_reports_slope_and_doubt(ground: Ground) -> None:
-    patch = PLANE.patch(123.0, -321.0)
+    patch = patch_of(PLANE, 123.0, -321.0)
     assert patch is not None
     assert (patch.slope_east, patch.slope_north) == pytest.approx((0.1, -0.05), abs=1e-6)
     assert patch.height_m == pytest.approx(tilted(123.0, -321.0), abs=1e-4)
     assert patch.sigma_m == pytest.approx(math.hypot(4.0, 0.25 * STEP_M * math.hypot(0.1, 0.05)), rel=1e-5)
-    steep = ground.patch(5000.0, 1000.0)
+    steep = patch_of(ground, 5000.0, 1000.0)
     assert steep is not None
     ahead = ground.height_m(5000.0 + 1.0, 1000.0) - ground.height_m(5000.0 - 1.0, 1000.0)
     assert steep.slope_east == pytest.approx(ahead / 2.0, abs=1e-4)

@@ -13,6 +13,7 @@ from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
+from tests.terrain.patch import patch_of
 
 EAST_M, NORTH_M = np.meshgrid(np.arange(81) * 50.0 - 2000.0, np.arange(81) * 50.0 - 2000.0)
 TILTED = Ground((0.1 * EAST_M - 0.05 * NORTH_M).astype(np.float32), -2000.0, -2000.0, 50.0, 50.0, 4.0)
@@ -84,7 +85,7 @@ def test_a_prediction_over_ground_turns_the_height_into_its_offset_and_back(grou
         on_ground = TargetImm.resumed(settings, 0.0, state, ground)
         mean, covariance = on_ground.moments()
         on_ground.predict(step_s)
-        before = ground.patch(float(mean[EAST]), float(mean[NORTH]))
+        before = patch_of(ground, float(mean[EAST]), float(mean[NORTH]))
         if before is None:
             free = TargetImm.resumed(settings, 0.0, state)
             free.predict(step_s)
@@ -95,7 +96,7 @@ def test_a_prediction_over_ground_turns_the_height_into_its_offset_and_back(grou
             speed_m_s = math.sqrt(mean[2] ** 2 + mean[3] ** 2 + covariance[2, 2] + covariance[3, 3])
             kept = math.exp(-speed_m_s * step_s / 1000.0)
             mean, _ = free.moments()
-            after = ground.patch(float(mean[EAST]), float(mean[NORTH])) or before
+            after = patch_of(ground, float(mean[EAST]), float(mean[NORTH])) or before
             to_offset, shift = offset_from(after, 9)
             to_height = 2.0 * np.eye(9) - to_offset
             to_height[HEIGHT, HEIGHT] = kept
@@ -115,7 +116,7 @@ def test_a_line_of_sight_alone_places_a_standing_target(ground: Ground) -> None:
     along = np.array((500.0, 50.0)) / math.hypot(500.0, 50.0)
     slope = 0.1 * along[0] - 0.05 * along[1]
     fall = (100.0 - place[2]) / math.hypot(500.0, 50.0)
-    patch = TILTED.patch(*place[:2])
+    patch = patch_of(TILTED, *place[:2])
     assert patch is not None
     level_m = math.hypot(500.0, 50.0)
     reported_m = math.hypot(patch.sigma_m, 0.006 * level_m * (1.0 + fall**2))
