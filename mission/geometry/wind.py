@@ -11,7 +11,7 @@ import numpy as np
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
-from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
+from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry import line_kernel
 
 STILL_AIR = Wind()
@@ -107,14 +107,3 @@ class LapClock:
         """
         laps, within_s = divmod(time_s, self.lap_s)
         return laps * 2.0 * math.pi + float(np.interp(within_s, self._times_s, self._turns_rad))
-
-
-def min_radius_m(airspeed_m_s: float, wind: Wind, bank_max_rad: float) -> float:
-    """Return the tightest circle over the ground whose bank stays within the limit where the wind is astern.
-
-    Args:
-        airspeed_m_s: Airspeed, m/s.
-        wind: Estimate of the wind.
-        bank_max_rad: Greatest bank, rad.
-    """
-    return (airspeed_m_s + wind.speed_m_s) ** 2 / (GRAVITY_M_S2 * math.tan(bank_max_rad))

@@ -12,7 +12,7 @@ from sidelong.mission.core.sight import NOTHING_HIDDEN
 from sidelong.mission.geometry.line_kernel import circle_after, craft_of
 from sidelong.mission.geometry.progress import line_at, line_of
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
-from sidelong.mission.geometry.wind import ground_speeds_m_s, min_radius_m
+from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.foresight import no_route
 from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
@@ -217,7 +217,7 @@ def test_the_radius_grows_with_the_wind(paper_aircraft, paper_requirement):
     table = a_table(paper_aircraft, paper_requirement)
     steep = replace(paper_aircraft, radius_m=12.0)
     scene = Look(steep, table, Wind(4.0, 0.0)).scene
-    assert scene.radius_m == pytest.approx(min_radius_m(10.0, Wind(4.0, 0.0), steep.bank_max_rad))
+    assert scene.radius_m == pytest.approx(14.0**2 / (9.80665 * math.tan(steep.bank_max_rad)))
     assert scene.turn_radius_m == scene.radius_m
     assert sharpness_per_m2(steep, 10.0) > sharpness_per_m2(paper_aircraft, 10.0)
 

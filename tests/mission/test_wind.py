@@ -13,7 +13,6 @@ from sidelong.mission.geometry.wind import (
     LapClock,
     WindError,
     ground_speed_m_s,
-    min_radius_m,
     path_times_s,
 )
 
@@ -65,7 +64,3 @@ def test_flight_time_of_a_path() -> None:
     still_s = path_times_s(path, 10.0, STILL_AIR)
     assert np.allclose(still_s, path.arc_m / 10.0)
     assert path_times_s(path, 10.0, Wind(5.0, 0.0))[-1] < 0.75 * still_s[-1]
-
-
-def test_the_radius_allows_for_the_bank_where_the_wind_is_astern() -> None:
-    assert min_radius_m(10.0, Wind(3.0, 0.0), math.radians(45.0)) == pytest.approx(13.0**2 / 9.80665)
