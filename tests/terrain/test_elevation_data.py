@@ -13,14 +13,13 @@ from typer.testing import CliRunner
 from sidelong.app.cli import app
 from sidelong.app.errors import InputError
 from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.tile import Bounds, Posts
+from sidelong.app.terrain.tile import Posts
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from tests.terrain.patch import patch_of
 
 HOME_DEG = (36.59, -84.24)
 STEP_DEG = 1.0 / 1200.0
-HILLS = Bounds(36.45, -84.41, 36.73, -84.08)
 
 
 def test_the_posts_of_a_tile_are_found_where_its_format_puts_them(
