@@ -27,7 +27,12 @@ from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.run import run
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
-from sidelong.mission.predictive.decision_kernel import Looker
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.sight import Sight
+from sidelong.mission.predictive import planner as planner_module
+from sidelong.mission.predictive.decision_kernel import Looker, commitment, look_deeper
 from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, fill_classes
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Futures
@@ -60,8 +65,19 @@ class Clairvoyant(PredictivePlanner):
         uninformed = given[-1] + np.cumsum(steps, axis=1)
         return np.concatenate([np.repeat(given[None], len(uninformed), axis=0), uninformed], axis=1)
 
-    def _predicted(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
-        return scene, self._futures(scene, looker), looker
+    def decide(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> Decision:
+        with mock.patch.object(planner_module, "weigh", self._weigh):
+            return super().decide(aircraft, target, present, wind, latency_s)
+
+    def _weigh(
+        self, scene: Scene, now: Situation, looker: Looker, sight: Sight, costs: np.ndarray
+    ) -> tuple[float, float]:
+        """Weigh the moves by what the target does, in place of what it may do."""
+        futures = self._futures(scene, looker)
+        min_gain_s = commitment(scene, now, futures, looker)
+        return look_deeper(scene, now, futures, looker, sight, min_gain_s, costs), min_gain_s
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
