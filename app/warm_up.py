@@ -13,7 +13,7 @@ import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.sighting import Sighting
-from sidelong.estimators.tracking.band_kernel import add_readings, aircraft_at, solve_banded
+from sidelong.estimators.tracking.delay_scene import Scene
 from sidelong.estimators.tracking.track import Track
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan, Planner
@@ -75,12 +75,10 @@ def warm_up_track(track: Track) -> None:
     Args:
         track: The track, which must not be flown afterwards.
     """
-    one, border = np.ones(1), np.ones((4, 4))[:, ::2]
-    solve_banded(np.ones((5, 4)), np.ones((4, 5)))
-    aircraft_at(np.ones((2, 5)), np.ones(1))
-    add_readings(
-        np.zeros(1, np.intp), one, np.ones((1, 2)), np.ones((2, 1)), one, one, np.ones((5, 4)), border, np.ones(4)
-    )
+    times_s, zero, one = np.arange(4.0), np.zeros(4), np.ones(4)
+    positions, sights = np.column_stack([times_s, zero, zero, one, zero]), np.column_stack([times_s, zero, one, zero])
+    scene = Scene(positions, sights[:0], sights, np.column_stack([times_s, one]), "earth", (0.01, 1.0))
+    scene.solve(one, zero, 1.0, settled=False)
     for time_s in (0.0, 0.5, 1.0):
         track.add(_sighting(time_s))
         track.estimate(time_s)

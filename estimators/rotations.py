@@ -79,10 +79,10 @@ def normalized(quaternion: Quaternion) -> Quaternion:
     Raises:
         ValueError: The quaternion is zero, which is not a rotation.
     """
-    length = math.sqrt(sum(part * part for part in quaternion))
+    w, x, y, z = quaternion
+    length = math.sqrt(w * w + x * x + y * y + z * z)
     if length < 1e-6:
         raise ValueError("a quaternion of zero length is no rotation")
-    w, x, y, z = quaternion
     return w / length, x / length, y / length, z / length
 
 
@@ -96,17 +96,10 @@ def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quat
         second: Rotation at fraction 1.
         fraction: Share of the way, 0 to 1.
     """
-    same_side = sum(a * b for a, b in zip(first, second, strict=True)) >= 0.0
-    far = fraction if same_side else -fraction
+    (aw, ax, ay, az), (bw, bx, by, bz) = first, second
+    far = fraction if aw * bw + ax * bx + ay * by + az * bz >= 0.0 else -fraction
     near = 1.0 - fraction
-    return normalized(
-        (
-            near * first[0] + far * second[0],
-            near * first[1] + far * second[1],
-            near * first[2] + far * second[2],
-            near * first[3] + far * second[3],
-        )
-    )
+    return normalized((near * aw + far * bw, near * ax + far * bx, near * ay + far * by, near * az + far * bz))
 
 
 def sight_direction(quaternion: Quaternion) -> Vector:

@@ -141,9 +141,11 @@ class Payload:
 
     def _line_at(self, time_s: float) -> tuple[float, float, float]:
         """Return the way to the target (east, north, up) at a time of the last seconds."""
+        if time_s >= self._lines[-1][0] - 1e-6:
+            return self._lines[-1][1:]
         k = bisect_right(self._lines, (time_s + 1e-6, math.inf))
-        if k in (0, len(self._lines)):
-            return self._lines[max(k - 1, 0)][1:]
+        if k == 0:
+            return self._lines[0][1:]
         (before_s, *before), (after_s, *after) = self._lines[k - 1], self._lines[k]
         share = (time_s - before_s) / (after_s - before_s)
         east_m, north_m, up_m = (a + share * (b - a) for a, b in zip(before, after, strict=True))

@@ -17,16 +17,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.tracking.band_kernel import add_readings, aircraft_at, solve_banded
+from sidelong.estimators.tracking.band_kernel import add_readings, add_turns, aircraft_at, solve_banded, way_at
 
 FloatArray = npt.NDArray[np.float64]
+_Knots = tuple[npt.NDArray[np.intp], FloatArray]  # the knot before each reading, and the share of the one after it
 
 MIN_DELAY_S, MAX_DELAY_S = -1.0, 3.0
 STIFF_M = 0.1
 """Size of the target's turns (second difference of the knots) in a path that is nearly straight."""
 
 _KNOT_S = 2.0
-_BENT = (1.0, -2.0, 1.0)  # second difference of the path
 _FREEDOM = 4.0  # of Student's distribution
 _STIFFEST_M, _STIFF_ITERATIONS = 0.02, 3
 _ITERATIONS_MAX, _SETTLED_S = 12, 0.002
@@ -58,49 +58,42 @@ class _Normal:
 
     def add(
         self,
-        at: tuple[npt.NDArray[np.intp], FloatArray],
+        at: _Knots,
         by_place: FloatArray,
         device: int,
-        by_shared: tuple[FloatArray, FloatArray],
+        by_shared: FloatArray,
         residual: FloatArray,
         sigma: FloatArray,
     ) -> None:
         """Take in readings.
 
         Args:
-            at: knot before each, and the share of the one after it.
+            at: the knots between which each is.
             by_place: derivative by the target's place, (n, 2).
             device: 0 for the gimbal, 1 for the laser.
-            by_shared: derivatives by the device's delay and by its bias.
+            by_shared: derivatives by the device's delay and by its bias, (n, 2).
             residual: of each, m.
             sigma: noise of each, m.
         """
-        k, u = at
-        squared = (residual / sigma) ** 2
-        self.cost += 0.5 * (_FREEDOM + 1) * float(np.log1p(squared / _FREEDOM).sum())
-        weight = (_FREEDOM + 1) / (_FREEDOM + squared) / sigma**2
-        border = self.border[:, device::2]
-        add_readings(k, u, by_place, np.stack(by_shared), weight, residual, self.band, border, self.right)
-        for s, by in zip((device, device + 2), by_shared, strict=True):
-            weighted = weight * by
-            self.right_shared[s] -= weighted @ residual
-            for other, by_other in zip((device, device + 2), by_shared, strict=True):
-                self.corner[s, other] += weighted @ by_other
+        own = slice(device, None, 2)
+        border, corner, right_shared = self.border[:, own], self.corner[own, own], self.right_shared[own]
+        self.cost += add_readings(
+            *at,
+            by_place,
+            by_shared,
+            residual,
+            sigma,
+            _FREEDOM,
+            self.band,
+            border,
+            self.right,
+            corner,
+            right_shared,
+        )
 
     def hold_straight(self, path: FloatArray, scale_m2: float, robust: bool) -> None:
         """Take in that the target's velocity seldom changes."""
-        turns = path[2:] - 2 * path[1:-1] + path[:-2]
-        squared = (turns * turns).sum(axis=1) / scale_m2
-        self.cost += 0.5 * (_FREEDOM + 2) * float(np.log1p(squared / _FREEDOM).sum()) + len(turns) * math.log(
-            scale_m2
-        )
-        weight = ((_FREEDOM + 2) / (_FREEDOM + squared) if robust else np.ones_like(squared)) / scale_m2
-        for i, a in enumerate(_BENT):
-            for axis in (0, 1):
-                self.right[2 * i + axis : 2 * i + axis + 2 * len(turns) : 2] -= a * weight * turns[:, axis]
-                for j in range(i, 3):
-                    first = 2 * j + axis
-                    self.band[4 - 2 * (j - i), first : first + 2 * len(turns) : 2] += a * _BENT[j] * weight
+        self.cost += add_turns(path, scale_m2, _FREEDOM, robust, self.band, self.right)
 
     def solved(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the steps of the knots (n, 2) and of the shared numbers (4,), and the covariance (4, 4) of these."""
@@ -177,8 +170,8 @@ class Scene:
         if self._frame != "earth":
             turning += ahead_m * np.interp(time_s, self._attitude_s, self._yaw_rate)
         residual = way[:, 0] * north - way[:, 1] * east + ahead_m * shared[2]
-        across = np.stack([north, -east], axis=1)
-        normal.add(at, across, 0, (turning, ahead_m), residual, self._yaw_sigma_rad * ahead_m)
+        across, by_shared = np.column_stack([north, -east]), np.column_stack([turning, ahead_m])
+        normal.add(at, across, 0, by_shared, residual, self._yaw_sigma_rad * ahead_m)
 
     def _add_ranges(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
         time_s = self._range_s - shared[1]
@@ -189,18 +182,13 @@ class Scene:
         residual = distance_m - self._slant_m * np.sqrt(1.0 - sine * sine) + shared[3]
         closing = -(toward * speed).sum(axis=1)
         sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
-        normal.add(at, toward, 1, (closing, np.broadcast_to(1.0, closing.shape)), residual, sigma)
+        by_shared = np.column_stack([closing, np.ones_like(closing)])
+        normal.add(at, toward, 1, by_shared, residual, sigma)
 
-    def _way(
-        self, path: FloatArray, time_s: FloatArray
-    ) -> tuple[FloatArray, FloatArray, tuple[npt.NDArray[np.intp], FloatArray]]:
+    def _way(self, path: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray, _Knots]:
         """Return way and relative velocity (n, 2) from the aircraft to the target, and the knots between which."""
-        at = (time_s - self._begin_s) / _KNOT_S
-        k = np.clip(at.astype(np.intp), 0, self._knots - 2)
-        u = at - k
-        leg = path[k + 1] - path[k]
-        place, velocity = aircraft_at(self._positions, time_s)
-        return path[k] + u[:, None] * leg - place, leg / _KNOT_S - velocity, (k, u)
+        way, speed, knot, past = way_at(self._positions, path, self._begin_s, _KNOT_S, time_s)
+        return way, speed, (knot, past)
 
     def _directions(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return bearing and sine of the depression, (n,) each, of the lines of sight if they were made at times."""

@@ -12,6 +12,8 @@ Source: docs/explanation/filter.md#delays.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -170,14 +172,13 @@ class _Log:
 
     def __init__(self, columns: int) -> None:
         self._rows = np.empty((1024, columns))
-        self._count = 0
+        self._count, self._newest_s = 0, -math.inf
 
     def takes(self, time_s: float) -> bool:
         """Return whether to keep a row of this time; forget all if the clock is set back."""
-        after_s = time_s - self._rows[self._count - 1, 0] if self._count else np.inf
-        if after_s < -_GAP_MAX_S:
-            self._count = 0
-        return bool(after_s < -_GAP_MAX_S or after_s > _SAMPLE_EVERY_S)
+        if time_s < self._newest_s - _GAP_MAX_S:
+            self.clear()
+        return time_s > self._newest_s + _SAMPLE_EVERY_S
 
     def add(self, *row: float) -> None:
         """Keep a row if :meth:`takes` returns True."""
@@ -189,6 +190,7 @@ class _Log:
                 self._rows = np.empty((2 * len(self._rows), len(row)))
             self._rows[: len(kept)], self._count = kept, len(kept)
         self._rows[self._count] = row
+        self._newest_s = row[0]
         self._count += 1
 
     def since(self, time_s: float) -> FloatArray:
@@ -198,7 +200,7 @@ class _Log:
 
     def clear(self) -> None:
         """Forget all rows."""
-        self._count = 0
+        self._count, self._newest_s = 0, -math.inf
 
 
 def _between(log: FloatArray, first_s: float, last_s: float, gaps_s: list[tuple[float, float]]) -> FloatArray:

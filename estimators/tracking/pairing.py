@@ -62,8 +62,8 @@ class Pairing:
         Returns:
             Whether it is new and its quaternion is a rotation.
         """
-        length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
-        if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
+        w, x, y, z = gimbal.quaternion_wxyz
+        if abs(w * w + x * x + y * y + z * z - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
             return False
         if self.ground is None:
             return True
