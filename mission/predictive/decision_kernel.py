@@ -42,7 +42,7 @@ NEARLY_FLOWN_S = 0.2
 class Prices(NamedTuple):
     """In seconds off side: of leaving the circle, of changing a plan under way, and of one younger than commit_s.
 
-    A plan that leads out of the cost's band within threat_s has no price.
+    A young plan that leads out of the cost's band within threat_s in a likely future has no price.
     """
 
     leave: float
@@ -147,6 +147,13 @@ def doubtful(scene: Scene, motions: Motions) -> bool:
 
 
 @compiled
+def likely(futures: Futures) -> Futures:
+    """Return the target's course alone, and the repetition of its trail where that is more probable."""
+    repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
+    return first_of(futures, 2 if repeats else 1)
+
+
+@compiled
 def left_m(scene: Scene, now: Situation) -> float:
     """Return how much of the present plan's line is left at the departure, 0 where it is nearly flown."""
     line = now.line
@@ -234,10 +241,8 @@ def look_deeper(
     even if moves were free, and the target comes too near in none of the futures; and where the ground hides
     something: second moves know nothing of it. What gains less than min_gain may be given any cost above that.
     """
-    # Turns that the target may begin only matter with a second move; a likely repetition of its trail does at once.
-    repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
-    likely = first_of(futures, 2 if repeats else 1)
-    stay_cost = look_ahead(scene, now, likely, looker, sight, costs)
+    # Turns that the target may begin only matter with a second move.
+    stay_cost = look_ahead(scene, now, likely(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost
@@ -285,11 +290,14 @@ def leaves(scene: Scene, now: Situation, futures: Futures, looker: Looker, near_
 
 @compiled
 def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -> float:
-    """Return what a new plan must gain beyond its price because the present one departed only just now."""
+    """Return what a new plan must gain beyond its price because the present one departed only just now.
+
+    Nothing where the present one leads out of the band in a likely future: for others it is not given up so early.
+    """
     prices, terms = looker.prices, looker.terms
     if now.line.shape[1] == 0 or now.age_s >= prices.commit_s:
         return 0.0
-    return 0.0 if leaves(scene, now, futures, looker, terms.near_m, terms.far_m) else prices.commit
+    return 0.0 if leaves(scene, now, likely(futures), looker, terms.near_m, terms.far_m) else prices.commit
 
 
 @compiled

@@ -66,7 +66,8 @@ _MIN_TARGET_SPEED_M_S = 0.5
 class PredictiveSettings:
     """change_cost: what a change of a plan under way must gain, in seconds off side; None: as much as any move.
 
-    Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band in threat_s.
+    Within commit_s of a departure it must gain commit_cost more, unless in a likely future the plan leads out of the
+    band in threat_s.
     beam: how many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
     target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s.
     """
