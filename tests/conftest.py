@@ -37,10 +37,14 @@ _ports = itertools.count(101 * os.getpid())  # processes begun one after the oth
 _COMPILE = (
     "from sidelong.app.assembly import controller_of; from sidelong.app.config import Config; controller_of(Config())"
 )
-# One of two workers begins with these, in this order: first those that need no compiled planner, while the other one
-# compiles it, then those that compile the studies' loop, which the other one loads later.
-_PLAIN = ("tests/sitl/", "tests/records/", "tests/payload/", "tests/app/test_view", "tests/exchange/")
-_EARLY = (*_PLAIN, "tests/app/test_study", "tests/app/test_prediction", "tests/app/test_fleet_commands")
+# The computing worker begins with these, in this order: first those that need no compiled planner or filter, while
+# another worker compiles them, then those that compile the studies' loop, which the others load later.
+_PLAIN = ("tests/sitl/", "tests/payload/", "tests/records/")
+_NOT_PLAIN = (
+    *("tests/payload/test_flight", "tests/payload/test_pointing"),
+    *("tests/records/test_klv", "tests/records/test_log"),
+)
+_STUDIES = ("tests/app/test_study", "tests/app/test_prediction", "tests/app/test_fleet_commands")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -50,7 +54,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)  # the time does not count against the test's limit
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    if hasattr(item.config, "workerinput") and (_waits(item) or not item.nodeid.startswith(_PLAIN)):
+    if hasattr(item.config, "workerinput") and not _is_plain(item):
         _compile_once()
     return (yield)
 
@@ -70,6 +74,10 @@ def _waits(item: pytest.Item) -> bool:
     return item.get_closest_marker("udp") is not None
 
 
+def _is_plain(item: pytest.Item) -> bool:
+    return item.nodeid.startswith(_PLAIN) and not item.nodeid.startswith(_NOT_PLAIN)
+
+
 @pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
     """Return what gives UDP ports of the loopback, a new one each time."""
@@ -87,17 +95,34 @@ def free_port() -> Callable[[], int]:
     return free
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give one of two workers what waits for the clock, so that the other one computes next to it.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Give all workers but the last the tests that wait for the clock, so that the last one computes in the meantime.
 
-    Of that, what shares a flight comes first: the last ones may be stolen one by one by an idle worker. The tests of
-    the other worker begin at half of the list.
+    Each worker begins with an equal share of the list; an idle worker then steals from the end of another's share. So
+    what waits, and shares its flights, comes first in a share.
     """
-
-    def rank(item: pytest.Item) -> tuple[bool, bool]:
-        return not _waits(item), "autopilot" in item.path.parts
-
-    early = [item for start in _EARLY for item in items if item.nodeid.startswith(start) and not _waits(item)]
-    others = sorted((item for item in items if _waits(item) or not item.nodeid.startswith(_EARLY)), key=rank)
-    half = len(items) // 2
-    items[:] = others[:half] + early + others[half:]
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    if workers == 1:
+        return
+    waiting, working = ([item for item in items if _waits(item) == waits] for waits in (True, False))
+    # Those that need no planner keep the second worker busy while the first one compiles it.
+    second = [item for item in waiting if _is_plain(item)]
+    second += [item for item in waiting if item.nodeid.startswith("tests/autopilot/")]
+    # A fleet comes last: by then the studies have compiled most of what it needs.
+    first = sorted(
+        (item for item in waiting if item not in second), key=lambda item: item.path.name == "test_fleet.py"
+    )
+    early = [item for start in _PLAIN for item in working if item.nodeid.startswith(start) and _is_plain(item)]
+    early += [item for item in working if item.nodeid.startswith(_STUDIES)]
+    taken = set(early)
+    others = [item for item in working if item not in taken]
+    share = -(-len(items) // workers)  # of the last worker
+    others += early[share:]
+    between: list[list[pytest.Item]] = [[] for _ in range(workers - 3)]
+    heads = [first, second, *between] if workers > 2 else [first + second]
+    total = len(items)
+    items.clear()
+    for number, head in enumerate([*heads, early[:share]]):
+        room = max((total - len(items)) // (workers - number) - len(head), 0)
+        items += head + others[:room]
+        del others[:room]
