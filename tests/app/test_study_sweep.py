@@ -230,7 +230,7 @@ def test_a_killed_study_goes_on_where_it_stopped(tmp_path):
     flown = []
     resumed.fly(on_processes(1), lambda _settings: None, 5, flown.append)
     assert sum(flown) == 60 - len(before)
-    study.fly(on_processes(2), lambda _settings: None, 5, lambda _runs: None)
+    study.fly(on_processes(1), lambda _settings: None, 5, lambda _runs: None)
     assert rows(file) == rows(tmp_path / "whole.db")
     assert set(before) <= set(rows(file))
 
