@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import TimeoutError as NotYet
 from rich.console import Console
 
 from sidelong.app.config import Config
@@ -88,7 +89,11 @@ def display(module_display, snapshots):
 def page(browser, display, snapshots):
     """Return the page, open and showing the flight's end; at its own nothing may have been complained about."""
     with opened(browser, display) as page:
-        page.locator("#clock", has_text=clock(snapshots[-1][0].time_s - START_S)).wait_for()
+        end = page.locator("#clock", has_text=clock(snapshots[-1][0].time_s - START_S))
+        while not end.is_visible():
+            display.pump()  # a state is dropped while the pipe to the page is full
+            with suppress(NotYet):
+                end.wait_for(timeout=1_000.0)
         yield page
 
 
