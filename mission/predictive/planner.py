@@ -210,8 +210,8 @@ class PredictivePlanner:
     def follow(self, route: Route, progress: FloatArray) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
-        for k, looker in enumerate(self.lookers):
-            self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self.tables[0].configuration))
+        for k, (looker, table) in enumerate(zip(self.lookers, self.tables, strict=True)):
+            self.lookers[k] = looker._replace(foresight=self._foresight(table.arrays, table.configuration))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
