@@ -54,9 +54,9 @@ def test_what_flies_decides_as_what_is_studied(fleet_size):
     controller = controller_of(load_config(None, {"requirement": {"fleet_size": fleet_size}}), kind=kind)
     aircraft, requirement = controller.settings.aircraft, controller.settings.requirement
     table = value_cache.value_table(planner.table_configuration(aircraft, requirement))
-    studied_type = planner.PredictivePlanner if fleet_size == 1 else TeamPlanner
-    assert type(controller.planning.planner) is studied_type
-    studied, circle = studied_type(aircraft, requirement, table), Circle(-250.0, 0.0, 50.0, True)
+    alone = planner.PredictivePlanner(aircraft, requirement, table)
+    studied, circle = alone if fleet_size == 1 else TeamPlanner(alone), Circle(-250.0, 0.0, 50.0, True)
+    assert type(controller.planning.planner) is type(studied)
     for time_s in range(30):
         course_rad = 0.3 * time_s
         state = AircraftState(

@@ -247,7 +247,7 @@ def test_elevation_data_that_contradicts_laser_and_gimbal_is_reported(ground_m, 
     assert reported == ([Input.TERRAIN] if is_wrong else [])
 
 
-def test_rate_and_source_of_each_input_are_known():
+def test_rate_of_each_input_is_known():
     health, laser = Health(), Source("DISTANCE_SENSOR", 154, 1, 100)
     for k in range(200):
         now_s = 0.1 * k
@@ -256,7 +256,6 @@ def test_rate_and_source_of_each_input_are_known():
     (report,) = health.reports
     assert report.input is Input.LASER
     assert report.rate_hz == pytest.approx(10.0, rel=0.05)
-    assert "component 154" in report.source
 
 
 def test_target_that_turns_does_not_look_like_a_wrong_frame():
