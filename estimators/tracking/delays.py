@@ -27,9 +27,10 @@ FloatArray = npt.NDArray[np.float64]
 
 _WINDOW_S = 300.0
 _SAMPLE_EVERY_S = 0.19  # five of each reading in a second are enough
-_READINGS_MIN, _SPAN_MIN_S = 60, 40.0
+_READINGS_MIN, _SPAN_MIN_S = 50, 12.0
 _GAP_MAX_S = 3.0  # of positions and attitudes
-_EVERY_S, _EVERY_KNOWN_S, _KNOWN_S = 20.0, 60.0, 0.05
+# The next fit comes when the readings span a fifth more, within these limits: a large delay is found early.
+_GROWTH, _EVERY_MIN_S, _EVERY_MAX_S = 0.2, 10.0, 60.0
 _SIGMAS = 4.0  # a target's own motion is not quite the noise that the fit takes it for
 _RANGE_BIAS_SIGMA_M = 3.0  # holds the error of the target's height, too
 _STARTS_S = (
@@ -121,12 +122,11 @@ class DelayFit:
         Returns:
             New delays; None between two estimates, and while they are unknown.
         """
-        if abs(now_s - self._next_s) < _EVERY_KNOWN_S and now_s < self._next_s:
+        if abs(now_s - self._next_s) < _EVERY_MAX_S and now_s < self._next_s:
             return None
-        found = self.fit(now_s)
-        known = found is not None and max(found.gimbal_sigma_s, found.range_sigma_s) < _KNOWN_S
-        self._next_s = now_s + (_EVERY_KNOWN_S if known else _EVERY_S)
-        return found
+        span_s = now_s - self._gimbals.oldest_s(now_s - _WINDOW_S)
+        self._next_s = now_s + min(max(_GROWTH * span_s, _EVERY_MIN_S), _EVERY_MAX_S)
+        return self.fit(now_s)
 
     def fit(self, now_s: float) -> Delays | None:
         """Estimate the delays from the readings of the last minutes.
@@ -197,6 +197,11 @@ class _Log:
         """Return the rows from a time on, (n, columns)."""
         rows = self._rows[: self._count]
         return rows[np.searchsorted(rows[:, 0], time_s) :]
+
+    def oldest_s(self, time_s: float) -> float:
+        """Return the time of the first row from a time on; infinity without one."""
+        rows = self.since(time_s)
+        return float(rows[0, 0]) if len(rows) else math.inf
 
     def clear(self) -> None:
         """Forget all rows."""
