@@ -51,7 +51,7 @@ class Predictive:
         look_deeper(scene, now, futures, looker, sight, min_gain, np.empty(MOVES))
 
     def finished(self, planner: PredictivePlanner) -> Planner:
-        """Return what decides: the planner, or one that is made of it."""
+        """Return what decides: the planner itself, or a planner made of it."""
         return planner
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
