@@ -293,9 +293,10 @@ def turned(degrees):
 
 
 def test_wrong_mounting_of_the_gimbal_is_reported():
-    flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("mount", 0.0, math.inf, turned(20.0))]).fly()
+    """On a steady circle it looks like late stamps; the first change of circle shows the difference."""
+    flown = FaultedFlight(Scenario(1, "px4", 260.0), [Fault("mount", 0.0, math.inf, turned(20.0))]).fly()
     (text,) = [text for _, text in flown.announced if text.startswith("the gimbal's yaw is off by about")]
-    assert "check its mounting, or correct sensors.mount_deg" in text
+    assert "+20 degrees: check its mounting, or correct sensors.mount_deg" in text
 
 
 def test_a_position_that_serves_two_samples_is_no_motion():
