@@ -41,8 +41,10 @@ _COMPILE = (
 # another worker compiles them, then those that compile the studies' loop, which the others load later.
 _PLAIN = ("tests/sitl/", "tests/payload/", "tests/records/")
 _NOT_PLAIN = (
-    *("tests/payload/test_flight", "tests/payload/test_pointing"),
-    *("tests/records/test_klv", "tests/records/test_log"),
+    "tests/payload/test_flight",
+    "tests/payload/test_pointing",
+    "tests/records/test_klv",
+    "tests/records/test_log",
 )
 _STUDIES = ("tests/app/test_study", "tests/app/test_prediction", "tests/app/test_fleet_commands")
 
