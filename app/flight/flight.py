@@ -131,7 +131,7 @@ class Flight:
 
     async def prepare(self) -> None:
         """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
-        self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
+        self._vehicle.listen(self._telemetry.event, "GLOBAL_POSITION_INT")  # the clock and the plane, from the start
         self._display.connected(self._status)
         if self._config.terrain.folder is not None:  # the autopilot may want heights before it takes off
             self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))

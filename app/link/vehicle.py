@@ -53,6 +53,13 @@ class Vehicle:
         for listener in self.listeners:
             listener(message)
 
+    def listen(self, listener: Listener, *known: str) -> None:
+        """Hand a listener the latest messages of these names, if they have come, and each message from now on."""
+        for name in known:
+            if name in self.latest:
+                listener(self.latest[name])
+        self.listeners.append(listener)
+
     def answer_s(self, unknown_s: float) -> float:
         """Return how long to wait for an answer: by the measured round trip, unknown_s as long as there is none."""
         round_trip_s = self.round_trip_s

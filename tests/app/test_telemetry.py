@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
 from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
     AttitudeReading,
@@ -35,6 +37,15 @@ def test_the_first_fix_is_the_origin_and_north_is_north():
     moved = decoder.event(position(10_100, lat=474_000_000 + 8_993))
     assert moved.north_m == pytest.approx(100.0, abs=0.1)
     assert moved.east_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_who_begins_to_listen_between_two_positions_knows_the_place_at_once():
+    vehicle, decoder = Vehicle(SimpleNamespace(system_id=1)), Telemetry(1)
+    vehicle.take(position())
+    vehicle.listen(decoder.event, "GLOBAL_POSITION_INT")
+    assert decoder.plane is not None
+    vehicle.take(position(10_100))
+    assert decoder.now_s == 10.1
 
 
 @pytest.mark.parametrize(("lat", "lon"), [(0, 0), (-312, 4_051)])
