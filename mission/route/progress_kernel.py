@@ -20,10 +20,12 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Known
 # The memory: time of the last update; probability of "off the route"; whether "on route" is reported; position, speed
 # (negative: backward), direction (1, -1) and probability of the most probable part of the route; how often that part
 # has changed; usual speed; present speed, less smoothed; whether forecasts along the route are of use; mean squared
-# errors of those, and of forecasts straight on. Then the forecasts that are not due yet, and the probabilities: those
-# of the points in their order, and in the reverse order for the backward direction.
+# errors of those, and of forecasts straight on; displacement of the target's way from the route (east, north), and
+# its covariance (ee, en, nn). Then the forecasts that are not due yet, and the probabilities: those of the points in
+# their order, and in the reverse order for the backward direction.
 LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S, _PRESENT_M_S = range(10)
-OF_USE, _ROUTE_ERROR_M2, _STRAIGHT_ERROR_M2, _DUE = range(10, 14)
+OF_USE, _ROUTE_ERROR_M2, _STRAIGHT_ERROR_M2 = range(10, 13)
+_DISPLACED, _DISPLACED_M2, _DUE = 13, 15, 18
 # A forecast is made each second, and compared after this many seconds. It holds when it was made, the velocity, and
 # where the target was and is expected after 1, 2 ... s (east, north).
 _AHEAD_S, _FORETOLD = 10, 21
@@ -52,6 +54,9 @@ _OTHER_PART_M = 25.0
 _GATE = 3.0
 _MIN_CHANCE, _NO_CHANCE = 1e-4, 1e-9
 _ON_ABOVE, _OFF_BELOW = 0.7, 0.5
+# A route is displaced by this standard deviation (each axis), which changes over this distance. The target is seen
+# once a second, and what it keeps aside of its own accord lasts for many seconds: hence so large a deviation of that.
+_DISPLACED_SIGMA_M, _DISPLACED_OVER_M, _ASIDE_SIGMA_M = 6.0, 400.0, 10.0
 _SPEED_S, _PRESENT_S, _USUAL_S = 2.0, 0.7, 40.0
 _SETTLES_S = 8.0
 # Forecasts are compared by the target's distance from their lines: over this time, up to this distance, and initially
@@ -81,6 +86,7 @@ def fresh_progress(points: int) -> FloatArray:
     memory[LAST_S], memory[OFF_CHANCE], memory[ALONG_M] = np.nan, 1.0, np.nan
     memory[USUAL_M_S] = np.nan
     memory[OF_USE], memory[_ROUTE_ERROR_M2], memory[_STRAIGHT_ERROR_M2] = 1.0, _FIRST_ROUTE_M2, _FIRST_STRAIGHT_M2
+    memory[_DISPLACED_M2] = memory[_DISPLACED_M2 + 2] = _DISPLACED_SIGMA_M**2
     memory[_DUE:_FIRST] = np.nan
     return memory
 
@@ -229,8 +235,9 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
     sigma_m = math.sqrt(way.tolerance_m**2 + max(0.5 * (p[0, 0] + p[1, 1]), 0.0))
     gate2, beyond, near = (_GATE * sigma_m) ** 2, math.exp(_LEAST_EVIDENCE * exponent), 0
     away2 = np.empty(n)
+    east_m, north_m = target.east_m - memory[_DISPLACED], target.north_m - memory[_DISPLACED + 1]
     for i in range(n):
-        away2[i] = (way.points[i, 0] - target.east_m) ** 2 + (way.points[i, 1] - target.north_m) ** 2
+        away2[i] = (way.points[i, 0] - east_m) ** 2 + (way.points[i, 1] - north_m) ** 2
         near += 1 if away2[i] < gate2 else 0
     for i in range(n):
         if away2[i] >= gate2:
@@ -250,6 +257,34 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
             prior = _BACKWARD if direction < 0.0 and way.direction == 0.0 else 1.0
             evidence = _evidence(math.sqrt(away2[i]), sigma_m, direction * agreement, speed_m_s)
             chance[d, at] = (chance[d, at] + prior * joins) * math.exp(exponent * evidence)
+
+
+@compiled
+def _register(way: Way, target: Known, gone_m: float, memory: FloatArray) -> None:
+    """Estimate the route's displacement from the target's distance aside: a Kalman filter.
+
+    Along the course it shows with the next turn of the route. Then the filter above knows how far that turn is.
+    """
+    d, p = memory[_DISPLACED : _DISPLACED + 2], memory[_DISPLACED_M2 : _DISPLACED_M2 + 3]
+    kept = math.exp(-gone_m / _DISPLACED_OVER_M)
+    new_m2 = (1.0 - kept * kept) * _DISPLACED_SIGMA_M**2
+    d *= kept
+    p *= kept * kept
+    p[0] += new_m2
+    p[2] += new_m2
+    along_m = memory[ALONG_M]
+    point_e, point_n = point_along(way, along_m)
+    forward_e, forward_n = _tangent(way, along_m)
+    right_e, right_n = forward_n, -forward_e
+    aside_m = right_e * (target.east_m - point_e - d[0]) + right_n * (target.north_m - point_n - d[1])
+    east_m2, north_m2 = p[0] * right_e + p[1] * right_n, p[1] * right_e + p[2] * right_n
+    variance_m2 = right_e * east_m2 + right_n * north_m2 + _ASIDE_SIGMA_M**2
+    gain_e, gain_n = east_m2 / variance_m2, north_m2 / variance_m2
+    d[0] += gain_e * aside_m
+    d[1] += gain_n * aside_m
+    p[0] -= gain_e * east_m2
+    p[1] -= gain_e * north_m2
+    p[2] -= gain_n * north_m2
 
 
 @compiled
@@ -286,6 +321,8 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
     for slot, smoothed_s in ((SPEED_M_S, _SPEED_S), (_PRESENT_M_S, _PRESENT_S)):
         memory[slot] += (_share(1.0 / smoothed_s, dt_s) if same else 1.0) * (speed_m_s - memory[slot])
     over_ground_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
+    if memory[ON_ROUTE] > 0.0 and over_ground_m_s > _MOVING_M_S:
+        _register(way, target, over_ground_m_s * dt_s, memory)
     if over_ground_m_s > _SLOW_M_S:
         usual_m_s = memory[USUAL_M_S]
         new_m_s = _share(1.0 / _USUAL_S, dt_s) * (over_ground_m_s - usual_m_s)

@@ -51,6 +51,21 @@ def test_target_next_to_its_route_is_followed_round_the_corner() -> None:
     assert "along the route" in describe(found[110])
 
 
+def test_corner_of_a_displaced_route_is_expected_where_the_target_turns() -> None:
+    # The target's way is 12 m east and 9 m south of the route, which the first leg shows east and the second north.
+    corners = np.array([(0.0, 0.0), (0.0, 300.0), (400.0, 300.0), (400.0, 600.0), (700.0, 600.0)])
+    route = route_of(*corners.T)
+    path = _along(corners + np.array([12.0, -9.0]), 4.0)
+    memory, ahead, rng = fresh_progress(route.east_m.size), np.empty((31, 2)), np.random.default_rng(4)
+    k = 235  # 300 + 400 + 240 m: the last turn is 60 m ahead
+    for at, state in enumerate(path[: k + 1]):
+        known = np.array(state) + rng.normal(0.0, [1.0, 1.0, 0.2, 0.2])
+        update_progress(way_of(route), Known(float(at), *known, _COVARIANCE), memory)
+    forecast(way_of(route), memory, float(k), ahead)
+    predicted = ahead[-1] - ahead[0]
+    assert predicted == pytest.approx(np.array(path[k + 30][:2]) - np.array(path[k][:2]), abs=6.0)
+
+
 def test_target_that_speeds_up_is_not_predicted_to_slow_down() -> None:
     route = route_of(np.zeros(2), np.array([0.0, 600.0]))
     speed_m_s = np.append(np.full(40, 3.0), np.linspace(3.0, 12.0, 9))
