@@ -130,23 +130,30 @@ KERNELS: list[Any] = []
 
 
 class _Cache(FunctionCache):
-    """Loads machine code without numba's library of implementations (0.5 s), which only a compilation needs."""
+    """Loads machine code without numba's library of implementations (0.5 s), which only a compilation needs.
+
+    Where a release of numba lacks the private names that this takes, it loads as numba does.
+    """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)
-        with _hidden("scipy"), self._guard_against_spurious_io_errors():
-            overload: Any = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            if overload is not None:
+        try:
+            rtsys.initialize(target_context)
+            with _hidden("scipy"), self._guard_against_spurious_io_errors():
+                overload: Any = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except AttributeError:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if overload is not None:
+            with contextlib.suppress(AttributeError):
                 _pack(overload.library)
-            return overload
+        return overload
 
 
 def _pack(library: Any) -> None:
     """Keep the intermediate code of a loaded function, which only a compilation needs, as bytes (a tenth)."""
     bitcode = library._shared_module.as_bitcode()
+    library._get_module_for_linking = lambda: parse_bitcode(bitcode)
     library._shared_module.close()
     library._shared_module = None
-    library._get_module_for_linking = lambda: parse_bitcode(bitcode)
 
 
 def _dispatcher(function: Any, **options: Any) -> Any:
