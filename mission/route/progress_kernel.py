@@ -42,8 +42,9 @@ _SPREAD = 0.08  # of a moving target's probability, to the cell before and to th
 _BACKWARD = 0.15
 # A target is expected to join the route again where it left it, or ahead of that: elsewhere counts less.
 _REJOINS_FROM_M, _REJOINS_TO_M, _ELSEWHERE = -60.0, 200.0, 0.1
-# Errors of offset and course are correlated from second to second: their likelihoods count in part.
-_SHARE_PER_S = 0.45
+# Errors of offset and course are correlated from second to second: their likelihoods count in part, and those of a
+# target that stands less again, as it shows the same offset all the time.
+_SHARE_PER_S, _STILL = 0.45, 0.1
 _OFF_WIDTH_M = 100.0  # offsets of a target off the route are spread over this width
 _LEAST_EVIDENCE = -12.0
 _COURSE_SIGMA_RAD, _ANY_COURSE = 0.45, 0.1
@@ -195,6 +196,7 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
     chance, moved = memory[_FIRST:].reshape(2, n), np.empty((2, n))
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     travelled_m = speed_m_s * dt_s if speed_m_s > _MOVING_M_S else 0.0
+    shown_s = dt_s if travelled_m > 0.0 else _STILL * dt_s
     for d in range(2):
         _move(way, chance[d], travelled_m, _share(_SKIPS_PER_S, dt_s) if travelled_m > 0.0 else 0.0, moved[d])
     if travelled_m > 0.0 and way.direction == 0.0:
@@ -203,12 +205,12 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
             forward, backward = moved[0, i], moved[1, n - 1 - i]
             moved[0, i] += turning * (backward - forward)
             moved[1, n - 1 - i] += turning * (forward - backward)
-    off, leaves = memory[OFF_CHANCE], _share(1.0 / _LEAVES_AFTER_S, dt_s)
+    off, leaves = memory[OFF_CHANCE], _share(1.0 / _LEAVES_AFTER_S, shown_s)
     joins, jumps = 0.5 if first else _share(_JOINS_PER_S, dt_s), _share(_JUMPS_PER_S, dt_s)
     for d in range(2):
         for i in range(n):
             moved[d, i] *= 1.0 - leaves - jumps
-    _weigh(way, target, joins * off + jumps * (1.0 - off), dt_s, memory, moved)
+    _weigh(way, target, joins * off + jumps * (1.0 - off), shown_s, memory, moved)
     off = off * (1.0 - joins) + (1.0 - off) * leaves
     total = off
     for d in range(2):
@@ -235,9 +237,8 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
     sigma_m = math.sqrt(way.tolerance_m**2 + max(0.5 * (p[0, 0] + p[1, 1]), 0.0))
     gate2, beyond, near = (_GATE * sigma_m) ** 2, math.exp(_LEAST_EVIDENCE * exponent), 0
     away2 = np.empty(n)
-    east_m, north_m = target.east_m - memory[_DISPLACED], target.north_m - memory[_DISPLACED + 1]
     for i in range(n):
-        away2[i] = (way.points[i, 0] - east_m) ** 2 + (way.points[i, 1] - north_m) ** 2
+        away2[i] = (way.points[i, 0] - target.east_m) ** 2 + (way.points[i, 1] - target.north_m) ** 2
         near += 1 if away2[i] < gate2 else 0
     for i in range(n):
         if away2[i] >= gate2:
@@ -263,7 +264,7 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
 def _register(way: Way, target: Known, gone_m: float, memory: FloatArray) -> None:
     """Estimate the route's displacement from the target's distance aside: a Kalman filter.
 
-    Along the course it shows with the next turn of the route. Then the filter above knows how far that turn is.
+    What was aside before a turn is along the course after it: the position along the route is corrected by that.
     """
     d, p = memory[_DISPLACED : _DISPLACED + 2], memory[_DISPLACED_M2 : _DISPLACED_M2 + 3]
     kept = math.exp(-gone_m / _DISPLACED_OVER_M)
@@ -304,8 +305,12 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
             off_mean += k * chance[best_d, at]
     middle, direction = best_i + off_mean / max(part, _NO_CHANCE), 1.0 - 2.0 * best_d
     along_m = way.spacing_m * (middle if best_d == 0 else n - 1 - middle)
+    tangent_e, tangent_n = _tangent(way, along_m)
+    along_m -= memory[_DISPLACED] * tangent_e + memory[_DISPLACED + 1] * tangent_n
     if way.lap:
         along_m -= length_m(way) * math.floor(along_m / length_m(way))
+    else:
+        along_m = min(max(along_m, 0.0), length_m(way))
     memory[CHANCE] = part
     if memory[ON_ROUTE] == 0.0 and not math.isnan(memory[ALONG_M]):
         return

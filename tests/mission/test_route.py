@@ -15,11 +15,13 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Known
 _COVARIANCE = np.diag([4.0, 4.0, 0.09, 0.09])
 
 
-def _follow(route: Route, path: list[tuple[float, float, float, float]], seed: int = 3) -> list[RouteProgress]:
+def _follow(
+    route: Route, path: list[tuple[float, float, float, float]], seed: int = 3, sigma_m_s: float = 0.3
+) -> list[RouteProgress]:
     """Return the progress after each second of a noisy path of (east, north, velocity east, north)."""
     rng, memory, found = np.random.default_rng(seed), fresh_progress(route.east_m.size), []
     for k, state in enumerate(path):
-        east, north, ve, vn = np.array(state) + rng.normal(0.0, [2.0, 2.0, 0.3, 0.3])
+        east, north, ve, vn = np.array(state) + rng.normal(0.0, [2.0, 2.0, sigma_m_s, sigma_m_s])
         update_progress(way_of(route), Known(float(k), east, north, ve, vn, _COVARIANCE), memory)
         progress = progress_of(route, memory)
         assert progress is not None
@@ -64,6 +66,12 @@ def test_corner_of_a_displaced_route_is_expected_where_the_target_turns() -> Non
     forecast(way_of(route), memory, float(k), ahead)
     predicted = ahead[-1] - ahead[0]
     assert predicted == pytest.approx(np.array(path[k + 30][:2]) - np.array(path[k][:2]), abs=6.0)
+
+
+def test_target_that_stops_aside_of_the_route_stays_on_it() -> None:
+    forward = _along_corner(3.0, 17.0, 60)
+    found = _follow(_corner(), forward + [(*forward[-1][:2], 0.0, 0.0)] * 300, sigma_m_s=0.1)
+    assert all(one.on_route for one in found[40:])
 
 
 def test_target_that_speeds_up_is_not_predicted_to_slow_down() -> None:
