@@ -68,11 +68,3 @@ class MissionLayout:
         """Return the mission with the circle that the present line ends in repeated until it has ``min_items``."""
         missing = self.min_items - len(self.items)
         return replace(self, items=(*self.items, *(self.items[self.end - 1 : self.end] * missing)))
-
-    def closed_by(self, tail: Sequence[MissionItem]) -> MissionLayout:
-        """Return the mission with items at its end that are never reached (PX4 wants a landing).
-
-        Args:
-            tail: The items.
-        """
-        return replace(self, items=(*self.items, *tail))

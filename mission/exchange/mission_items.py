@@ -39,7 +39,6 @@ _REPEAT_AHEAD_S, _REPEAT_ROUND_TRIPS = 1.0, 1.5  # a repeated request may arrive
 
 
 class _Stage(StrEnum):
-    QUEUED = "queued"
     WRITING = "writing"
     READY = "ready"
     ACTIVATING = "activating"
@@ -48,11 +47,11 @@ class _Stage(StrEnum):
 
 @dataclass(slots=True)
 class _Change:
-    """A plan on its way to the autopilot."""
+    """A plan whose line has a place in the mission."""
 
     command: UploadPlan
-    stage: _Stage = _Stage.QUEUED
-    layout: MissionLayout | None = None
+    layout: MissionLayout
+    stage: _Stage = _Stage.WRITING
     activation: Activation | None = None
 
 
@@ -62,7 +61,9 @@ class MissionItemBackend:
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
         self._layout: MissionLayout | None = None
+        self._loading: MissionLayout | None = None
         self._read: MissionRead | None = None
+        self._queued: UploadPlan | None = None  # until the next tick
         self._change: _Change | None = None
         self._not_taken: _Change | None = None  # the latest one; if it is flown after all, that is still reported
         self._left: MissionLayout | None = None  # the line before, until an item of the present one was reported
@@ -112,8 +113,8 @@ class MissionItemBackend:
         first = len(head) + len(lead_in)
         items = (*head, *lead_in, *self.line(plan))
         layout = MissionLayout(items, len(head), first, len(items), self._dialect.min_items).filled()
-        self.load_result = None
-        self._upload.begin(layout, _FIRST_UPLOAD_S, lambda: layout.head)
+        self.load_result, self._loading = None, layout
+        self._upload.begin(layout.items, _FIRST_UPLOAD_S, lambda: layout.head)
         self._judge_upload()
 
     def adopt(self, round_trip_s: float) -> None:
@@ -192,7 +193,7 @@ class MissionItemBackend:
             return
         if change is not None and change.stage is _Stage.NOT_TAKEN:
             self._not_taken = change
-        self._change = _Change(command)
+        self._queued, self._change = command, None
         self._waits = True
 
     def activate(self, command: ActivatePlan) -> None:
@@ -201,7 +202,6 @@ class MissionItemBackend:
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
             self._announce(command.number, "failed", "it is not on board")
             return
-        assert change.layout is not None
         assert self._layout is not None
         change.stage = _Stage.ACTIVATING
         plans = (change.command.plan, change.command.present)
@@ -232,27 +232,28 @@ class MissionItemBackend:
         self._upload.expire()
         self._judge_upload()
         change = self._change
-        if change is not None and change.stage is _Stage.QUEUED:
-            self._lay_out(change)
+        if self._queued is not None:
+            self._lay_out(self._queued)
         elif change is not None and change.activation is not None and change.stage is _Stage.ACTIVATING:
             was_unanswered = change.activation.unanswered
             change.activation.expire(self._first_ahead(change))
             if change.activation.unanswered and not was_unanswered:
                 self._announce(change.command.number, "unconfirmed", "the autopilot has not confirmed the switch")
 
-    def _lay_out(self, change: _Change) -> None:
+    def _lay_out(self, command: UploadPlan) -> None:
         """Find free places for the plan's items next to those that are flown, and write them there."""
         assert self._layout is not None
-        command = change.command
+        self._queued = None
         try:
             line = self.line(replace(command.plan, circle=command.commanded), command.wind)
         except UnflyableError as error:
-            self._fail(change, str(error))
+            self._announce(command.number, "failed", str(error))
             return
         if self._current is not None:
             self._layout = self._layout.since(self._current.seq)
-        change.layout, change.stage = self._layout.with_line(line), _Stage.WRITING
-        self._begin_upload(change.layout, command)
+        layout = self._layout.with_line(line)
+        self._change = _Change(command, layout)
+        self._begin_upload(layout, command)
 
     def _bound_s(self, command: UploadPlan) -> float:
         """Long after its departure a plan is of no use, and a better one waits until this upload has ended."""
@@ -260,7 +261,6 @@ class MissionItemBackend:
 
     def _first_ahead(self, change: _Change) -> int:
         """Return the first item that the aircraft has not passed when a request of now arrives."""
-        assert change.layout is not None
         assert change.activation is not None
         layout, plan = change.layout, change.command.plan
         late_s = self._outbox.time_s - plan.departure_s
@@ -278,18 +278,17 @@ class MissionItemBackend:
     # -- uploading -----------------------------------------------------------------------------------------
 
     def _begin_upload(self, layout: MissionLayout, command: UploadPlan) -> None:
-        self._upload.begin(layout, self._bound_s(command), self._marked)
+        self._upload.begin(layout.items, self._bound_s(command), self._marked)
         self._judge_upload()
 
     def _judge_upload(self) -> None:
-        ended = self._upload.ended()
-        if ended is None:
+        result = self._upload.ended()
+        if result is None:
             return
-        layout, result = ended
         change = self._change
         if change is None:
             self.load_result = result
-            self._layout = layout if result is WriteResult.ACCEPTED else None
+            self._layout = self._loading if result is WriteResult.ACCEPTED else None
             return
         if result is WriteResult.ACCEPTED:
             change.stage = _Stage.READY
@@ -299,9 +298,10 @@ class MissionItemBackend:
             and not self._closed
             and self._outbox.time_s + self._upload.took_s < change.command.plan.departure_s
         ):
-            self._begin_upload(layout, change.command)
+            self._begin_upload(change.layout, change.command)
         else:
-            self._fail(change, f"upload {result}")
+            self._change = None
+            self._announce(change.command.number, "failed", f"upload {result}")
 
     def _marked(self) -> int:
         """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.
@@ -390,20 +390,20 @@ class MissionItemBackend:
     def _taken_after_all(self, seq: int) -> None:
         """Take back that a plan was not taken: what is written over it now is broken off."""
         late = self._not_taken
-        if late is None or late.layout is None or seq not in late.layout:
+        if late is None or seq not in late.layout:
             return
         change = self._change
         self._upload.break_off()
-        if change is not None:
-            if change.layout is not None and change.activation is not None and seq in change.layout:
-                return
-            self._change = None
+        if change is not None and change.activation is not None and seq in change.layout:
+            return
+        command = self._queued if change is None else change.command
+        if command is not None:
+            self._queued = self._change = None
             self._upload.forget()
-            self._announce(change.command.number, "failed", "the plan before was taken after all")
+            self._announce(command.number, "failed", "the plan before was taken after all")
         self._fly(late, seq)
 
     def _fly(self, change: _Change, index: int) -> None:
-        assert change.layout is not None
         self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
         self._ownership.switched()
         self._announce(change.command.number, "departed")
@@ -414,10 +414,6 @@ class MissionItemBackend:
         self._ownership.audit(index if can_ask else None)
 
     # -- reporting -----------------------------------------------------------------------------------------
-
-    def _fail(self, change: _Change, why: str) -> None:
-        self._change = None
-        self._announce(change.command.number, "failed", why)
 
     def _announce(self, number: int, stage: str, detail: str = "") -> None:
         self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]

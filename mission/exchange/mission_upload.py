@@ -6,10 +6,9 @@ Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>;
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from sidelong.mission.exchange.dialect import AutopilotDialect, Home
-from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.mission_ownership import MissionOwnership
 from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
 from sidelong.mission.exchange.outbox import Outbox
@@ -31,7 +30,6 @@ class MissionUpload:
         self._tail = dialect.tail(home)
         self._onboard: tuple[MissionItem | None, ...] = ()  # None where a failed upload leaves doubt
         self._write: MissionWrite | None = None
-        self._layout: MissionLayout | None = None
         self._result: WriteResult | None = None
         self._began_s = 0.0
         self._since_lost = _LOSES_UPLOADS  # number of uploads without a lost item
@@ -56,16 +54,15 @@ class MissionUpload:
         """
         self._onboard = items
 
-    def begin(self, layout: MissionLayout, bound_s: float, marked: Callable[[], int]) -> None:
+    def begin(self, items: Sequence[MissionItem], bound_s: float, marked: Callable[[], int]) -> None:
         """Begin the upload of a mission.
 
         Args:
-            layout: The items to upload.
+            items: The items to upload. Items that are never reached are added at the end (PX4 wants a landing).
             bound_s: Time limit, s.
             marked: Returns the number of the item to fly once the mission is accepted.
         """
-        items = layout.closed_by(self._tail).items
-        self._layout, self._result = layout, None
+        items, self._result = (*items, *self._tail), None
         changed = range(len(items))
         if len(self._onboard) == len(items):
             differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
@@ -112,20 +109,17 @@ class MissionUpload:
         """Ignore further messages about the running upload; what is on board is then unknown."""
         if self._write is not None:
             self._ownership.written(self._write.items, 0, False)
-        self._write = self._layout = self._result = None
+        self._write = self._result = None
         self._onboard = ()
 
-    def ended(self) -> tuple[MissionLayout, WriteResult] | None:
-        """Return, once, what was to be on board and what became of it; None while it goes on."""
-        write = self._write
+    def ended(self) -> WriteResult | None:
+        """Return, once, what became of the upload; None while it goes on."""
+        write, result = self._write, self._result
         if write is not None and write.result is not None:
-            self._write, self._result = None, write.result
-            self._learn(write, write.result)
-        layout, result = self._layout, self._result
-        if layout is None or result is None:
-            return None
-        self._layout = self._result = None
-        return layout, result
+            self._write, result = None, write.result
+            self._learn(write, result)
+        self._result = None
+        return result
 
     def _learn(self, write: MissionWrite, result: WriteResult) -> None:
         self._since_lost = 0 if write.has_lost else self._since_lost + 1

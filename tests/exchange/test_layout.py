@@ -68,9 +68,3 @@ def test_a_line_flown_to_its_circle_leaves_room_for_the_next():
     following = slots.since(slots.end - 1).with_line(line(2, 4))
     assert len(following.items) == len(slots.items)
     assert (following.first, following.end) == (1, 6)
-
-
-def test_items_that_close_the_mission_come_last():
-    closed = start(2).closed_by((item(21, 1),))
-    assert closed.items[-1].command == 21
-    assert (closed.first, closed.end) == (1, 4)
