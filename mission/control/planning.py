@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.events import RouteGiven
@@ -195,5 +194,4 @@ class Planning:
         begun = present.transition is not None and aircraft.time_s - present.departure_s < _APPROACH_S
         if off_m < 0.5 * self._aircraft.radius_m or (begun and ahead_m < self._requirement.range_max_m):
             return Decision(aircraft.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
-        plan = replace(plan, departure_s=aircraft.time_s + latency_s)
         return Decision(aircraft.time_s, plan, f"approaching: the target is {range_m:.0f} m away")

@@ -65,12 +65,7 @@ def _plan_to(
         path = turn_straight_turn(aircraft, circle, first_turn * airframe.radius_m)
         if path is None:
             continue
-        time_s = path.arc_m / airframe.airspeed_m_s
-        range_m = np.hypot(
-            path.east_m - target.east_m - target.velocity_east_m_s * time_s,
-            path.north_m - target.north_m - target.velocity_north_m_s * time_s,
-        )
-        shortfall_m = max(0.0, requirement.range_min_m - float(range_m.min()))
+        shortfall_m = max(0.0, requirement.range_min_m - least_range_m(path, target, airframe.airspeed_m_s))
         rank = (shortfall_m, path.length_m)
         if best is None or rank < best[0]:
             best = (rank, path)
@@ -100,6 +95,22 @@ def _circle_next_to(
         airframe.radius_m,
         requirement.side.clockwise,
     )
+
+
+def least_range_m(path: Path, target: TargetEstimate, airspeed_m_s: float) -> float:
+    """Return the least distance between an aircraft on a path and a target that keeps its velocity, m.
+
+    Args:
+        path: The path.
+        target: Estimate of the target when the path begins.
+        airspeed_m_s: Airspeed of the aircraft, m/s.
+    """
+    time_s = path.arc_m / airspeed_m_s
+    range_m = np.hypot(
+        path.east_m - target.east_m - target.velocity_east_m_s * time_s,
+        path.north_m - target.north_m - target.velocity_north_m_s * time_s,
+    )
+    return float(range_m.min())
 
 
 def turn_straight_turn(aircraft: AircraftState, circle: Circle, first_radius_m: float) -> Path | None:

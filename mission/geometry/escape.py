@@ -12,7 +12,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement
-from sidelong.mission.geometry.approach import turn_straight_turn
+from sidelong.mission.geometry.approach import least_range_m, turn_straight_turn
 
 _BEARINGS, _RINGS = 24, 3
 _ABEAM = 0.5  # cosine of the angle from abeam of the target within which a circle is on a side
@@ -32,9 +32,13 @@ def escapes(
         airframe: Gives the radius and the airspeed.
         requirement: Gives band and side.
     """
+
+    def keeps_range(path: Path) -> bool:
+        return target is None or least_range_m(path, target, airframe.airspeed_m_s) >= requirement.range_min_m
+
     for circle in _circles(target, present, airframe, requirement):
         paths = (turn_straight_turn(start, circle, turn * airframe.radius_m) for turn in (1.0, -1.0))
-        clear = [path for path in paths if path is not None and _keeps_range(path, target, airframe, requirement)]
+        clear = [path for path in paths if path is not None and keeps_range(path)]
         if clear:
             yield Plan(circle, min(clear, key=lambda path: path.length_m), start.time_s)
 
@@ -69,14 +73,3 @@ def _circles(
         for bearing_rad in bearings_rad.tolist()
     ]
     return sorted(circles, key=rank)
-
-
-def _keeps_range(path: Path, target: TargetEstimate | None, airframe: Aircraft, requirement: Requirement) -> bool:
-    if target is None:
-        return True
-    time_s = path.arc_m / airframe.airspeed_m_s
-    range_m = np.hypot(
-        path.east_m - target.east_m - target.velocity_east_m_s * time_s,
-        path.north_m - target.north_m - target.velocity_north_m_s * time_s,
-    )
-    return bool(range_m.min() >= requirement.range_min_m)
