@@ -76,7 +76,6 @@ from sidelong.mission.core.events import (
     RoundTripReported,
     RouteGiven,
     StepOutput,
-    UploadPlan,
     WindPrepared,
     WindReported,
     Yield,
@@ -240,7 +239,7 @@ class StandoffController:
     def coming(self) -> Plan | None:
         """The plan on its way to the autopilot."""
         change = self.changes.under_way
-        return None if change is None else change.plan
+        return None if change is None else change.command.plan
 
     @property
     def flown_height_m(self) -> float | None:
@@ -339,10 +338,10 @@ class StandoffController:
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:
-            self.decision = Decision(self.time_s, None, f"holding the circle: {self.door.doubt}")
+            self._hold(self.door.doubt)
             return announced
         if self.door.no_heartbeat:
-            self.decision = Decision(self.time_s, None, "holding the circle: no heartbeat from the autopilot")
+            self._hold("no heartbeat from the autopilot")
             return announced
         if self.door.faulty:
             return announced
@@ -360,7 +359,7 @@ class StandoffController:
             return escape
         if self.changes.is_off_track(aircraft):
             reason = "the aircraft has left its line: going to the circle directly"
-            return self._upload_circle("plan", present, reason)
+            return self.changes.upload(self.time_s, self._again(present), self._wind, reason, kind="plan")
         unseen_s = self.time_s - target.last_sighting_s
         if min(unseen_s, self.time_s - self._acquired_s) > self.settings.give_up_after_s:
             reason = f"the target has not been seen for {unseen_s:.0f} s"
@@ -373,7 +372,7 @@ class StandoffController:
             if away or fault or target.quality is TrackQuality.GOOD:
                 return away
         if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
-            self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
+            self._hold(f"target unseen for {unseen_s:.0f} s")
             return self._circle_as_changed(aircraft, present)
         return self._planned(aircraft, target, present, reach)
 
@@ -382,7 +381,7 @@ class StandoffController:
     ) -> tuple[StepOutput, ...]:
         """Ask the planner, unless the payload is suspect."""
         if self.health.payload.is_suspect(self.time_s):
-            self.decision = Decision(self.time_s, None, f"holding the circle: {_JUMPED}")
+            self._hold(_JUMPED)
             return ()
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         news = self.planning.route_news()
@@ -403,12 +402,7 @@ class StandoffController:
         if plan is not None:
             arrival_s = plan.departure_s + plan.transition_m / self.settings.aircraft.airspeed_m_s
             text = f"{decision.reason}; there in {arrival_s - self.time_s:.0f} s"
-            return (
-                decided,
-                *announced,
-                Announce(self.time_s, "decision", text),
-                self.changes.upload(self.time_s, plan, self._wind, decision.reason),
-            )
+            return (decided, *announced, *self.changes.upload(self.time_s, plan, self._wind, decision.reason, text))
         changed = self._circle_as_changed(aircraft, present)
         return (decided, *announced, *(changed if changed or announced else self._corrected_radius(present)))
 
@@ -418,16 +412,13 @@ class StandoffController:
         self._crossed = 0 if crossed is None else self._crossed + 1
         if crossed is None or self._crossed % _CROSSED_COUNT:
             return ()
-        settings, latency_s = self.settings, self.latency.expected_s
-        start = dead_reckoned(aircraft, latency_s)
+        settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
         plans = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
-        cleared = (self.cleared(replace(plan, departure_s=self.time_s + latency_s)) for plan in plans)
-        plan = next((one for one in cleared if isinstance(one, Plan)), None)
+        plan = next((one for one in map(self.cleared, plans) if isinstance(one, Plan)), None)
         if plan is None:
             text = f"no separated circle is free: {crossed}"
             return (Announce(self.time_s, "decision", text),) if self._crossed == _CROSSED_COUNT else ()
-        reason = f"leaving the circle: {crossed}"
-        return (Announce(self.time_s, "decision", reason), self.changes.upload(self.time_s, plan, self._wind, reason))
+        return self.changes.upload(self.time_s, plan, self._wind, f"leaving the circle: {crossed}")
 
     def _keeps_away(self, plan: Plan, reach: Reach) -> bool:
         clear_m = reach.after(self.latency.expected_s).clearance_m(plan, self.settings.aircraft.airspeed_m_s)
@@ -444,27 +435,27 @@ class StandoffController:
         if clear_m < keep_m:
             start, later = dead_reckoned(aircraft, latency_s), reach.after(latency_s)
             plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
-            cleared = (self.cleared(replace(plan, departure_s=self.time_s + latency_s)) for plan in plans)
-            plan = next((one for one in cleared if isinstance(one, Plan)), None)
+            plan = next((one for one in map(self.cleared, plans) if isinstance(one, Plan)), None)
         if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
-            self.decision = Decision(self.time_s, None, "holding the circle: the target is not seen")
+            self._hold("the target is not seen")
             return ()
-        reason = f"moving away: the target is not seen and may be within {keep_m:.0f} m"
-        return (Announce(self.time_s, "decision", reason), self.changes.upload(self.time_s, plan, self._wind, reason))
+        return self.changes.upload(
+            self.time_s, plan, self._wind, f"moving away: the target is not seen and may be within {keep_m:.0f} m"
+        )
 
-    def _upload_circle(
-        self, kind: Literal["plan", "decision"], present: Plan, reason: str
-    ) -> tuple[Announce, UploadPlan]:
-        """Send the present circle again, without a transition."""
-        plan = replace(present, transition=None, departure_s=self.time_s + self.latency.expected_s)
-        return Announce(self.time_s, kind, reason), self.changes.upload(self.time_s, plan, self._wind, reason)
+    def _again(self, present: Plan) -> Plan:
+        """Return the present circle as a new plan, without a transition."""
+        return replace(present, transition=None, departure_s=self.time_s + self.latency.expected_s)
+
+    def _hold(self, why: str) -> None:
+        self.decision = Decision(self.time_s, None, f"holding the circle: {why}")
 
     def _corrected_radius(self, present: Plan) -> tuple[StepOutput, ...]:
         wanted_m = self.changes.wanted_radius_m()
         if wanted_m is None:
             return ()
         reason = f"asking for a radius of {wanted_m:.0f} m, so that {present.circle.radius_m:.0f} m is flown"
-        return self._upload_circle("decision", present, reason)
+        return self.changes.upload(self.time_s, self._again(present), self._wind, reason)
 
     def cleared(self, plan: Plan) -> Plan | str:
         """Check a plan against fences, ground and other aircraft.
@@ -673,10 +664,7 @@ class StandoffController:
         reason = f"the same circle as changed: radius {radius_m:.0f} m"
         if cleared.heights is not None:
             reason += f", {cleared.heights.to_m:.0f} m above home"
-        return (
-            Announce(self.time_s, "decision", reason),
-            self.changes.upload(self.time_s, cleared, self._wind, reason),
-        )
+        return self.changes.upload(self.time_s, cleared, self._wind, reason)
 
 
 def _announced(event: AlarmReported) -> tuple[Announce]:

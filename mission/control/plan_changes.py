@@ -37,12 +37,9 @@ _RADIUS_TOLERANCE = 0.03
 
 @dataclass(slots=True)
 class PlanChange:
-    """A plan on its way to the autopilot. ``commanded`` is its circle as sent to the autopilot."""
+    """A plan on its way to the autopilot."""
 
-    number: int
-    plan: Plan
-    commanded: Circle
-    since_s: float
+    command: UploadPlan
     stage: Literal["preparing", "ready", "departing"] = "preparing"
     by_command: bool = False  # nothing of it is on board: it departs when one command is obeyed
     activated_s: float = math.inf
@@ -85,20 +82,31 @@ class PlanChanges:
         if self._commanded is not None:
             self._flown_radius.observe(aircraft, self._commanded)
 
-    def upload(self, time_s: float, plan: Plan, wind: Wind, reason: str) -> UploadPlan:
-        """Begin to upload a plan.
+    def upload(
+        self,
+        time_s: float,
+        plan: Plan,
+        wind: Wind,
+        reason: str,
+        text: str = "",
+        kind: Literal["decision", "plan"] = "decision",
+    ) -> tuple[Announce, UploadPlan]:
+        """Announce a plan, and begin to upload it.
 
         Args:
             time_s: Time on the vehicle's clock, s.
             plan: The plan.
             wind: Estimate of the wind.
             reason: Reason of the decision, in words.
+            text: What is announced; empty: the reason.
+            kind: Kind of the announcement.
         """
         assert self.present is not None
         self.uploads += 1
         commanded = self._flown_radius.commanded(plan.circle)
-        self.under_way = PlanChange(self.uploads, plan, commanded, time_s)
-        return UploadPlan(time_s, self.uploads, plan, commanded, self.present, wind, reason)
+        command = UploadPlan(time_s, self.uploads, plan, commanded, self.present, wind, reason)
+        self.under_way = PlanChange(command)
+        return Announce(time_s, kind, text or reason), command
 
     def withdraw(self) -> None:
         """Let go of the plan under way."""
@@ -114,7 +122,7 @@ class PlanChanges:
         change = self.under_way
         if change is None or change.stage != "ready":
             return ()
-        due_s = change.plan.departure_s - (self._latency.command_s if change.by_command else 0.0)
+        due_s = change.command.plan.departure_s - (self._latency.command_s if change.by_command else 0.0)
         if now_s < due_s:
             return ()
         if not watching:
@@ -126,9 +134,9 @@ class PlanChanges:
         if self._door.doubt is not None or late_s > _LATE_S:
             self.under_way = None
             why = self._door.doubt or f"its time was {late_s:.1f} s ago"
-            return (Announce(now_s, "plan", f"plan {change.number} does not depart: {why}"),)
+            return (Announce(now_s, "plan", f"plan {change.command.number} does not depart: {why}"),)
         change.stage, change.activated_s = "departing", now_s
-        return (ActivatePlan(now_s, change.number),)
+        return (ActivatePlan(now_s, change.command.number),)
 
     def report(
         self, event: PlanStatus, now_s: float, aircraft: AircraftState | None, *, watching: bool
@@ -142,12 +150,12 @@ class PlanChanges:
             watching: Whether control of the aircraft is confirmed.
         """
         late = self._not_taken
-        if event.stage == "departed" and late is not None and late.number == event.number:
+        if event.stage == "departed" and late is not None and late.command.number == event.number:
             self.failures -= 1
             self._departed(late, event.time_s)
             return ()
         change = self.under_way
-        if change is None or change.number != event.number:
+        if change is None or change.command.number != event.number:
             return ()
         match event.stage:
             case "unconfirmed":
@@ -157,9 +165,9 @@ class PlanChanges:
             case "ready":
                 change.by_command = event.by_command
                 if not event.by_command:
-                    self._latency.note(event.time_s - change.since_s)
-                late_s = event.time_s - change.plan.departure_s
-                if late_s > 0.0 and not _can_still_join(aircraft, change.plan, late_s):
+                    self._latency.note(event.time_s - change.command.time_s)
+                late_s = event.time_s - change.command.plan.departure_s
+                if late_s > 0.0 and not _can_still_join(aircraft, change.command.plan, late_s):
                     self.under_way = None
                     text = f"plan {event.number} was on board {late_s:.1f} s too late: the present circle goes on"
                     return (Announce(event.time_s, "plan", text),)
@@ -173,7 +181,7 @@ class PlanChanges:
     def _failed(self, change: PlanChange, event: PlanStatus) -> tuple[StepOutput, ...]:
         if change.stage == "departing":
             self._not_taken = change
-        took_s = event.time_s - (change.activated_s if change.by_command else change.since_s)
+        took_s = event.time_s - (change.activated_s if change.by_command else change.command.time_s)
         awaited = change.by_command or change.stage == "preparing"
         if awaited and took_s > self._latency.expected_s:
             self._latency.note(took_s, by_command=change.by_command)
@@ -184,10 +192,10 @@ class PlanChanges:
     def _departed(self, change: PlanChange, time_s: float) -> None:
         """Take over a plan that is flown: in good time, or one that was thought not to have been taken."""
         assert self.present is not None
-        self.moves += change.plan.circle != self.present.circle
-        self.present, self._commanded = change.plan, change.commanded
+        self.moves += change.command.plan.circle != self.present.circle
+        self.present, self._commanded = change.command.plan, change.command.commanded
         self.under_way = self._not_taken = None
-        self.flown_since_s = change.since_s
+        self.flown_since_s = change.command.time_s
         self._on_line_s = time_s
 
     # -- how the present plan is flown ---------------------------------------------------------------------

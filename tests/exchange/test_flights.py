@@ -168,7 +168,7 @@ def test_a_plan_by_command_counts_with_the_links_delay_and_is_obeyed_at_its_time
     def arrived(name, fields):
         change = flight.core.controller.changes.under_way
         if name == "COMMAND_INT" and change is not None and change.stage == "departing":
-            late_s.setdefault(change.number, flight.simulation.time_s - change.plan.departure_s)
+            late_s.setdefault(change.command.number, flight.simulation.time_s - change.command.plan.departure_s)
 
     flight.arrived = arrived
     flight.run(90.0)

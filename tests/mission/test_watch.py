@@ -209,9 +209,8 @@ def test_a_late_plan_departs_while_the_aircraft_is_near_its_line(late_s, straigh
     course = turn_rad + math.pi / 2 + curvature_per_m * arc
     east_m = RADIUS_M * math.sin(turn_rad) + np.append(0.0, np.cumsum(step_m * np.sin(course[:-1])))
     north_m = RADIUS_M * math.cos(turn_rad) + np.append(0.0, np.cumsum(step_m * np.cos(course[:-1])))
-    controller.changes.under_way.plan = replace(
-        prepare.plan, transition=Path(arc, east_m, north_m, course, np.full(100, curvature_per_m))
-    )
+    line = Path(arc, east_m, north_m, course, np.full(100, curvature_per_m))
+    controller.changes.under_way.command = replace(prepare, plan=replace(prepare.plan, transition=line))
     fly(controller, 3.0, departure_s + late_s)
     announced = controller.step(PlanStatus(departure_s + late_s, prepare.number, "ready"))
     assert bool(kinds(announced, ActivatePlan)) is departs
@@ -244,7 +243,7 @@ def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
     course = np.full(50, start.course_rad)
     line = Path(arc, start.east_m + arc * np.sin(course), start.north_m + arc * np.cos(course), course, 0.0 * arc)
     controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
-    controller.changes.under_way.plan = replace(prepare.plan, transition=line)
+    controller.changes.under_way.command = replace(prepare, plan=replace(prepare.plan, transition=line))
     controller.step(PlanStatus(3.1, prepare.number, "departed"))
     (again,) = kinds(fly(controller, 3.0, 20.0), UploadPlan)
     assert again.plan.circle == far
@@ -259,7 +258,7 @@ def test_an_aircraft_that_orbits_a_waypoint_next_to_its_line_is_sent_to_the_circ
     east_m, north_m = -orbit_m * np.cos(course), orbit_m * np.sin(course)
     line = Path(orbit_m * course, east_m, north_m, course, np.full(200, 1.0 / RADIUS_M))
     controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
-    controller.changes.under_way.plan = replace(prepare.plan, transition=line)
+    controller.changes.under_way.command = replace(prepare, plan=replace(prepare.plan, transition=line))
     controller.step(PlanStatus(3.1, prepare.number, "departed"))
     assert kinds(fly(controller, 3.1, 8.0, radius_m=orbit_m), UploadPlan) == []
     (again,) = kinds(fly(controller, 8.0, 14.0, radius_m=orbit_m), UploadPlan)
