@@ -37,8 +37,11 @@ class Predictive:
         from sidelong.mission.predictive.decision_kernel import commitment, look_deeper  # noqa: PLC0415
         from sidelong.mission.predictive.future_kernel import winding  # noqa: PLC0415
         from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
-        from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration  # noqa: PLC0415
-        from sidelong.mission.predictive.situation import situation  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import (  # noqa: PLC0415
+            PredictivePlanner,
+            situation,
+            table_configuration,
+        )
         from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
 
         configuration = table_configuration(aircraft, requirement)

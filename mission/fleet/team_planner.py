@@ -24,8 +24,7 @@ from sidelong.mission.fleet.team import next_to_standing, team_of
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
-from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed
-from sidelong.mission.predictive.situation import situation
+from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed, situation
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 

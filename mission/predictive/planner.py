@@ -28,6 +28,7 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
 from sidelong.mission.geometry.line_kernel import craft_of
+from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
@@ -41,10 +42,10 @@ from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_k
 from sidelong.mission.predictive.programme_kernel import Foresight
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, scene_of
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
-from sidelong.mission.predictive.situation import situation
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route
+from sidelong.mission.viewpoint.course_hold import known
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.side_policy import SidePolicy
 
@@ -202,8 +203,8 @@ class PredictivePlanner:
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
-        known = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
-        if self._table_at is not None and self.requirement.sector is None and not known:
+        prepared = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
+        if self._table_at is not None and self.requirement.sector is None and not prepared:
             self.tables.append(self._table_at(wind_speed_m_s))
             self.lookers.append(self._looker(self.tables[-1]))
 
@@ -284,6 +285,34 @@ def _least(table: ValueTable) -> FloatArray:
     """Return the least value of each class (classes,)."""
     least: FloatArray = table.values.min(axis=(1, 2, 3)).astype(np.float64)
     return least
+
+
+def situation(
+    aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+) -> Situation:
+    """Return what is known at a decision, as the loops see it.
+
+    Args:
+        aircraft: State of the aircraft.
+        target: Estimate of the target.
+        present: The plan that is flown.
+        wind: Estimate of the wind.
+        latency_s: Time until a new plan can depart, s.
+    """
+    return Situation(
+        aircraft.time_s,
+        aircraft.east_m,
+        aircraft.north_m,
+        aircraft.course_rad,
+        aircraft.ground_speed_m_s,
+        aircraft.curvature_per_m,
+        known(target),
+        *line_of(present),
+        wind.east_m_s,
+        wind.north_m_s,
+        latency_s,
+        aircraft.time_s - present.departure_s,
+    )
 
 
 def cheapest_allowed(

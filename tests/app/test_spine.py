@@ -55,7 +55,7 @@ FORMS = (
 )
 """In the order of the path. With the frame at both of its ends they are 14."""
 
-MOST = {Flavour.ARDUPLANE: (25, 56), Flavour.PX4: (25, 56)}
+MOST = {Flavour.ARDUPLANE: (24, 56), Flavour.PX4: (24, 56)}
 """Files and functions."""
 
 Function = tuple[str, str]
