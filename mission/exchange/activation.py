@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
+from sidelong.mission.core.events import UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.outbox import CANCELLED, Outbox
@@ -41,16 +42,15 @@ class Activation:
     def __init__(
         self,
         outbox: Outbox,
+        command: UploadPlan,
         layout: MissionLayout,
         before: MissionLayout,
-        plans: tuple[Plan, Plan],
         round_trip_s: float,
         target: PositionTargetReported | None,
         read_in_order: bool,
     ) -> None:
         self._read_in_order = read_in_order
-        self._outbox, self.layout, self.before = outbox, layout, before
-        self._plan, self._plan_before = plans
+        self._outbox, self._command, self.layout, self.before = outbox, command, layout, before
         self._round_trip_s = round_trip_s
         self._target_was_on_line = target is not None and self._is_on_line(target)
         self._sends = 0
@@ -141,8 +141,8 @@ class Activation:
         """
         if not self._sends or self.answer is not Answer.OPEN:
             return
-        on_plan, off_plan = _flies(aircraft, self._plan)
-        on_before, off_before = _flies(aircraft, self._plan_before)
+        on_plan, off_plan = _flies(aircraft, self._command.plan)
+        on_before, off_before = _flies(aircraft, self._command.present)
         reported = {
             Answer.FLOWN: on_plan and off_before,
             Answer.NOT_TAKEN: self.unanswered and on_before and off_plan,

@@ -204,12 +204,11 @@ class MissionItemBackend:
             return
         assert self._layout is not None
         change.stage = _Stage.ACTIVATING
-        plans = (change.command.plan, change.command.present)
         change.activation = Activation(
             self._outbox,
+            change.command,
             change.layout,
             self._layout,
-            plans,
             self._upload.round_trip_s,
             self._target,
             read_in_order=not self._dialect.quirks.stores_items_one_by_one,
@@ -255,10 +254,6 @@ class MissionItemBackend:
         self._change = _Change(command, layout)
         self._begin_upload(layout, command)
 
-    def _bound_s(self, command: UploadPlan) -> float:
-        """Long after its departure a plan is of no use, and a better one waits until this upload has ended."""
-        return min(_UPLOAD_S, max(command.plan.departure_s - self._outbox.time_s, 0.0) + _USELESS_S)
-
     def _first_ahead(self, change: _Change) -> int:
         """Return the first item that the aircraft has not passed when a request of now arrives."""
         assert change.activation is not None
@@ -278,7 +273,9 @@ class MissionItemBackend:
     # -- uploading -----------------------------------------------------------------------------------------
 
     def _begin_upload(self, layout: MissionLayout, command: UploadPlan) -> None:
-        self._upload.begin(layout.items, self._bound_s(command), self._marked)
+        # Long after its departure a plan is of no use, and a better one waits until this upload has ended.
+        bound_s = min(_UPLOAD_S, max(command.plan.departure_s - self._outbox.time_s, 0.0) + _USELESS_S)
+        self._upload.begin(layout.items, bound_s, self._marked)
         self._judge_upload()
 
     def _judge_upload(self) -> None:
