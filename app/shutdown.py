@@ -7,7 +7,6 @@ never returns would block both.
 
 from __future__ import annotations
 
-import asyncio
 import atexit
 import contextlib
 import os
@@ -16,7 +15,10 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from typing import NoReturn, TextIO
+from typing import TYPE_CHECKING, NoReturn, TextIO
+
+if TYPE_CHECKING:
+    import asyncio
 
 INTERRUPTED = 130  # the exit code
 _THREADS_END_S = 1.0
@@ -44,6 +46,8 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
 @contextlib.contextmanager
 def fails_with(alongside: asyncio.Task[None]) -> Iterator[None]:
     """Raise the error of a task that fails inside this context: what waits for its work would never end."""
+    import asyncio  # noqa: PLC0415  # it takes a moment to load, and most commands do not need it
+
     inside = asyncio.current_task()
     assert inside is not None
 
