@@ -58,6 +58,7 @@ class VehicleClock:
     """The vehicle's clock: ``now_s`` is its latest accepted stamp, -inf before the first.
 
     Attributes:
+        now_s: The latest accepted stamp.
         shift_s: How far the latest change of sequences moved the clock.
         restarted: Whether that change was an autopilot reboot.
         returned: Whether that change was back to the previous sequence.
@@ -68,6 +69,7 @@ class VehicleClock:
     def __init__(self) -> None:
         self._own: _Line | None = None
         self._other: _Line | None = None
+        self.now_s = -math.inf
         self._in_question = False
         self._misses = 0  # stamps in a row that fit neither line
         self._ticks_s: deque[float] = deque(maxlen=_TICKS)
@@ -75,11 +77,6 @@ class VehicleClock:
         self.restarted = self.returned = False
         self.two_lines_s: float | None = None
         self.slow_lines_s: float | None = None
-
-    @property
-    def now_s(self) -> float:
-        """The latest accepted stamp."""
-        return self._own.last_s if self._own is not None else -math.inf
 
     @property
     def tick_s(self) -> float:
@@ -122,12 +119,12 @@ class VehicleClock:
         """
         own = self._own
         if own is None:
-            self._own = _Line(stamp_s, stamp_s)
+            self._own, self.now_s = _Line(stamp_s, stamp_s), stamp_s
             return True
         if own.last_s - LATE_S <= stamp_s <= own.last_s + self._ahead_s(stamp_s - own.last_s):
             if stamp_s > own.last_s:
                 self._ticks_s.append(stamp_s - own.last_s)
-                own.last_s = stamp_s
+                own.last_s = self.now_s = stamp_s
             own.count += 1
             self._in_question = False
             return True
@@ -172,7 +169,7 @@ class VehicleClock:
         self.restarted = begun and self.shift_s < 0.0 and not other.was_followed
         self.returned = other.was_followed
         own.was_followed, own.other_s, own.turns = True, other.last_s, 0
-        self._own, self._other = other, own
+        self._own, self._other, self.now_s = other, own, other.last_s
         self._in_question = False
         self._ticks_s.clear()
         return Stamp.NEW_LINE
