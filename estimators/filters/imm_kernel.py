@@ -48,11 +48,16 @@ _MODELS = len(MODELS)
 
 
 class Densities(NamedTuple):
-    """Process noise: white acceleration of a cruising and of a manoeuvring target, random walk of a standing one."""
+    """Process noise.
+
+    White acceleration of a cruising and of a manoeuvring target, random walks of a standing one and of the height of
+    unknown ground.
+    """
 
     cruise_m2_s3: float
     manoeuvre_m2_s3: float
     shuffle_m2_s: float
+    height_m2_s: float = HEIGHT_DENSITY_M2_S
 
 
 @compiled
@@ -136,7 +141,7 @@ def move(model: int, mean: FloatArray, p: FloatArray, step_s: float, densities: 
             for place, velocity in ((EAST, VELOCITY_E), (NORTH, VELOCITY_N)):
                 for k in range(n):
                     p[k, place] += step_s * p[k, velocity]
-    p[HEIGHT, HEIGHT] += HEIGHT_DENSITY_M2_S * step_s
+    p[HEIGHT, HEIGHT] += densities.height_m2_s * step_s
     p[TURN, TURN] += TURN_DRIFT_RAD2_S3 * step_s if model == TURNING else TURN_SIGMA_RAD_S**2
     if model == STANDING:
         for place, velocity in ((EAST, VELOCITY_E), (NORTH, VELOCITY_N)):

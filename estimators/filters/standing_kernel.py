@@ -98,7 +98,8 @@ def predict_standing(
     offset = state.copy()
     shift_m = slope_east * east_m + slope_north * north_m - ground_m
     _lean(offset, -slope_east, -slope_north, 1.0, shift_m, 0.0)
-    predict(offset, step_s, densities, found)
+    still = Densities(densities.cruise_m2_s3, densities.manoeuvre_m2_s3, densities.shuffle_m2_s, 0.0)
+    predict(offset, step_s, still, found)
     kept = kept_offset(mean, covariance, step_s)
     combine(found, mean, covariance)
     after_m, east, north = height_and_slope(grid, mean[EAST], mean[NORTH])

@@ -162,13 +162,11 @@ class Pairing:
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
         if reading is not None:
             range_m, range_sigma_m = reading.slant_range_m, reading.sigma_m or settings.range_sigma_m
-            uneven_m = 0.0
         elif self.ground is not None:
             level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
             if level_m is None:
                 return None
             range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), _UNKNOWN_M
-            uneven_m = self.ground.sigma_m  # errors of the elevation data act like an error of the line of sight
         else:
             return None
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
@@ -190,7 +188,7 @@ class Pairing:
             depression_sigma_rad=math.hypot(
                 shared * settings.pitch_sigma_rad,
                 attitude_sigma_rad,
-                math.hypot(settings.position_sigma_m, uneven_m) / range_m,
+                settings.position_sigma_m / range_m,
             ),
             aircraft_east_m=aircraft_m[0],
             aircraft_north_m=aircraft_m[1],
