@@ -43,8 +43,8 @@ _FOLLOWS_RAD = math.radians(5.0)
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD = math.radians(0.1)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
-# On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Delays are corrected
-# once they are sure, or where they are evidently wrong.
+# On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
+# configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
 _SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 3.0, 0.015
 
 
@@ -123,18 +123,18 @@ class Tracker:
         found = None if self._suspected else fit.updated(reading.time_s)
         if found is None:
             return
-        apart_s = (
-            abs(found.gimbal_s - self._pairing.gimbal_delay_s),
-            abs(found.range_s - self._pairing.range_delay_s),
-        )
+        used_s = self._pairing.gimbal_delay_s, self._pairing.range_delay_s
+        apart_s = abs(found.gimbal_s - used_s[0]), abs(found.range_s - used_s[1])
         sigmas_s = found.gimbal_sigma_s, found.range_sigma_s
         sure = max(sigmas_s) < _SURE_S
-        least = 1.0 if sure else _EVIDENT
+        least = 1.0 if sure and used_s != (self.latency_s, self.latency_s) else _EVIDENT
         if any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in zip(apart_s, sigmas_s, strict=True)):
             self._pairing.set_delays(found)
             # The payload's errors were estimated with the previous delays and would change only slowly.
             self._track.restart(self._biases_with(found), self._pairing.repeated(reading.time_s - _REPEATED_S))
-        elif not sure:
+        elif sure:
+            found = replace(found, gimbal_s=used_s[0], range_s=used_s[1])
+        else:
             return  # nothing is known better than before
         self._delays = self._delays_of[devices] = found
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.delays import DelayFit
@@ -118,6 +119,14 @@ def test_tracker_corrects_the_delays_that_it_finds():
     assert late.delays.gimbal_s == pytest.approx(2.0, abs=0.05)
     assert error_m(late) < 3.0
     assert error_m(fed(TrackerSettings(latency_sigma_s=0.0), 2.0, 0.5, "vehicle")) > 10.0
+
+
+@pytest.mark.parametrize(("found_s", "used_s"), [((0.05,), 0.0), ((0.1,), 0.1), ((0.1, 0.07), 0.07)])
+def test_configured_delays_stay_until_they_are_evidently_wrong(found_s, used_s, monkeypatch):
+    """A fit that is off by 2.5 sigmas changes nothing; after a first correction, one that is off by 1.5 does."""
+    fits = [Delays(gimbal_s, 0.0, 0.02, 0.02, YAW_BIAS_RAD, 0.01) for gimbal_s in found_s]
+    monkeypatch.setattr(DelayFit, "updated", lambda *_: fits.pop(0) if len(fits) > 1 else fits[0])
+    assert fed(TrackerSettings(), 0.0, 0.0).delays.gimbal_s == used_s
 
 
 def test_configured_latency_is_where_the_estimate_starts():
