@@ -108,7 +108,7 @@ class TargetImm:
     def _set_up(self, settings: TrackerSettings, time_s: float, state: FloatArray, ground: Ground | None) -> None:
         self.time_s, self.state = time_s, state
         self._ground, self._soft_nis = ground, settings.soft_nis
-        self._densities = self._densities_of(settings)
+        self.densities = self._densities_of(settings)
 
     @staticmethod
     def _densities_of(settings: TrackerSettings) -> Densities:
@@ -125,9 +125,9 @@ class TargetImm:
         if step_s > 0.0:
             ahead, ground = np.empty_like(self.state), self._ground
             if ground is None:
-                kernel.predict(self.state, step_s, self._densities, ahead)
+                kernel.predict(self.state, step_s, self.densities, ahead)
             else:
-                predict_standing(self.state, step_s, self._densities, ground.grid, ground.sigma_m, ahead)
+                predict_standing(self.state, step_s, self.densities, ground.grid, ground.sigma_m, ahead)
             self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:

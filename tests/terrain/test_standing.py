@@ -92,7 +92,7 @@ def test_a_prediction_over_ground_turns_the_height_into_its_offset_and_back(grou
         else:
             on_known_ground += 1
             free = TargetImm.resumed(settings, 0.0, carried(state, *offset_from(before, 9), 0.0))
-            free._densities = free._densities._replace(height_m2_s=0.0)  # the grid has the ground's changes
+            free.densities = free.densities._replace(height_m2_s=0.0)  # the grid has the ground's changes
             free.predict(step_s)
             speed_m_s = math.sqrt(mean[2] ** 2 + mean[3] ** 2 + covariance[2, 2] + covariance[3, 3])
             kept = math.exp(-speed_m_s * step_s / 1000.0)
