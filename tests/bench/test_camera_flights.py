@@ -2,7 +2,7 @@
 
 ``python -m pytest tests/bench/test_camera_flights.py -s`` flies the same targets with each, over flat ground and over
 hills. What the filter does not know differs from flight to flight as much as its settings say: the biases of the
-gimbal's yaw and pitch, and by how much the ground is off its data.
+gimbal's yaw and pitch and of the laser's range, and by how much the ground is off its data.
 
 CAMERA_FLIGHTS: targets over each ground. CAMERA_FLIGHT_S: length of each flight, s. SIDELONG_TARGETS: a folder of
 recorded tracks; without it targets are random.
@@ -43,13 +43,14 @@ _FLATTER = 4  # than the real hills: the aircraft flies 100 m above home
 
 @dataclass(frozen=True)
 class World:
-    """The ground that the target stands on, and what is wrong with the data of it and with the gimbal."""
+    """The ground that the target stands on, and what is wrong with the data of it, the gimbal and the laser."""
 
     terrain: dict[str, object]
     ground: Ground
     off_m: float
     yaw_bias_rad: float
     pitch_bias_rad: float
+    range_bias_m: float
 
 
 class _OnGround(Payload):
@@ -65,8 +66,9 @@ class _OnGround(Payload):
         level_m, range_m = math.hypot(east_m, north_m), math.hypot(east_m, north_m, up_m)
         pitch_rad = math.atan2(up_m, level_m) + self._world.pitch_bias_rad
         share = range_m * math.cos(pitch_rad) / level_m
+        longer = 1.0 + self._world.range_bias_m / range_m  # no camera sees that
         line_m = share * east_m, share * north_m, range_m * math.sin(pitch_rad)
-        return super().measure(time_s, boot_ms, *line_m, with_range=with_range)
+        return super().measure(time_s, boot_ms, *(longer * one for one in line_m), with_range=with_range)
 
 
 class _Flight(FaultedFlight):
@@ -107,7 +109,7 @@ def worlds(kind: str, folder) -> list[World]:
         ground = ElevationData(folder).ground(faults._PLANE, HOME_DEG, sigma_m)
     spread = [NormalDist().inv_cdf((k + 0.5) / FLIGHTS) for k in range(FLIGHTS)]
     rng, settings = np.random.default_rng(1), TrackerSettings()
-    sigmas = sigma_m, settings.yaw_bias_sigma_rad, settings.pitch_bias_sigma_rad
+    sigmas = sigma_m, settings.yaw_bias_sigma_rad, settings.pitch_bias_sigma_rad, settings.range_bias_sigma_m
     drawn = zip(*(sigma * rng.permutation(spread) for sigma in sigmas), strict=True)
     return [World(terrain, ground, *map(float, one)) for one in drawn]
 
