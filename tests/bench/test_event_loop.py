@@ -10,12 +10,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from sidelong.sitl.settings import STARTS_M
 from tests.bench.size import SMOKE, size
 from tests.terrain.conftest import HOME_DEG, write_hills
 
 ROOT = Path(__file__).resolve().parents[2]
+TRACK = ROOT / "app" / "study" / "tracks" / "hike_014.csv"
 LONGEST_MS = 50.0
 DURATION_S = size(300, 60, "DURATION_S")
 FLIGHT = """
@@ -66,15 +69,18 @@ print(json.dumps([code, 1e3 * taken[0][0], len(taken), late, shown]))
 
 
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("flown", ["arduplane", "px4", "hills", "fleet"])
+@pytest.mark.parametrize("flown", ["arduplane", "px4", "hills", "fleet", "route"])
 def test_no_callback_blocks_the_loop_in_flight(flown, tmp_path):
     arguments = {
         "arduplane": ["--autopilot", "arduplane"],
         "px4": ["--autopilot", "px4"],
         "hills": ["--terrain", str(tmp_path), "--home", ",".join(map(str, HOME_DEG))],
         "fleet": ["--fleet", "2", "--autopilot", "arduplane,px4"],
+        "route": ["--target", str(TRACK), "--route", str(tmp_path / "route.csv")],
     }[flown]
     write_hills(tmp_path)
+    way_m = np.loadtxt(TRACK, delimiter=",", skiprows=1, usecols=(1, 2)) + STARTS_M[0]
+    np.savetxt(tmp_path / "route.csv", way_m, delimiter=",", header="east_m,north_m", comments="")
     cache = {} if SMOKE else {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     command = ["launch", *arguments, "--duration", str(DURATION_S), "--no-view", "--quiet", "--out", str(tmp_path)]
     done = subprocess.run(
