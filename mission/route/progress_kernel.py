@@ -261,8 +261,8 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
 
 
 @compiled
-def _register(way: Way, target: Known, gone_m: float, memory: FloatArray) -> None:
-    """Estimate the route's displacement from the target's distance aside: a Kalman filter.
+def _register(way: Way, target: Known, tangent_e: float, tangent_n: float, gone_m: float, memory: FloatArray) -> None:
+    """Estimate the route's displacement from the target's distance aside of a tangent: a Kalman filter.
 
     What was aside before a turn is along the course after it: the position along the route is corrected by that.
     """
@@ -273,10 +273,8 @@ def _register(way: Way, target: Known, gone_m: float, memory: FloatArray) -> Non
     p *= kept * kept
     p[0] += new_m2
     p[2] += new_m2
-    along_m = memory[ALONG_M]
-    point_e, point_n = point_along(way, along_m)
-    forward_e, forward_n = _tangent(way, along_m)
-    right_e, right_n = forward_n, -forward_e
+    point_e, point_n = point_along(way, memory[ALONG_M])
+    right_e, right_n = tangent_n, -tangent_e
     aside_m = right_e * (target.east_m - point_e - d[0]) + right_n * (target.north_m - point_n - d[1])
     east_m2, north_m2 = p[0] * right_e + p[1] * right_n, p[1] * right_e + p[2] * right_n
     variance_m2 = right_e * east_m2 + right_n * north_m2 + _ASIDE_SIGMA_M**2
@@ -327,7 +325,7 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
         memory[slot] += (_share(1.0 / smoothed_s, dt_s) if same else 1.0) * (speed_m_s - memory[slot])
     over_ground_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     if memory[ON_ROUTE] > 0.0 and over_ground_m_s > _MOVING_M_S:
-        _register(way, target, over_ground_m_s * dt_s, memory)
+        _register(way, target, tangent_e, tangent_n, over_ground_m_s * dt_s, memory)
     if over_ground_m_s > _SLOW_M_S:
         usual_m_s = memory[USUAL_M_S]
         new_m_s = _share(1.0 / _USUAL_S, dt_s) * (over_ground_m_s - usual_m_s)

@@ -123,7 +123,7 @@ def test_tracker_corrects_the_delays_that_it_finds():
 
 @pytest.mark.parametrize(("found_s", "used_s"), [((0.05,), 0.0), ((0.1,), 0.1), ((0.1, 0.07), 0.07)])
 def test_configured_delays_stay_until_they_are_evidently_wrong(found_s, used_s, monkeypatch):
-    """A fit that is off by 2.5 sigmas changes nothing; after a first correction, one that is off by 1.5 does."""
+    """A fit that differs by 2.5 sigmas changes nothing; after a first correction, a difference of 1.5 is enough."""
     fits = [Delays(gimbal_s, 0.0, 0.02, 0.02, YAW_BIAS_RAD, 0.01) for gimbal_s in found_s]
     monkeypatch.setattr(DelayFit, "updated", lambda *_: fits.pop(0) if len(fits) > 1 else fits[0])
     assert fed(TrackerSettings(), 0.0, 0.0).delays.gimbal_s == used_s
