@@ -7,7 +7,7 @@ import math
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from math import radians
 from pathlib import Path
@@ -19,7 +19,6 @@ from sidelong.app.errors import InputError
 from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.planners.planner_kind import CompilesInParts, PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
-from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.warm_up import DECISION_INPUTS, warm_up_over, warm_up_planner, warm_up_track
 from sidelong.estimators.compiled import FOLDER, is_cached
@@ -28,7 +27,6 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.heights import ClimbRates, OneHeight
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.exchange.dialect import Home
@@ -38,7 +36,6 @@ from sidelong.mission.exchange.takeover import TakeoverSettings
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
-    from sidelong.app.link.other_mission import OtherMission
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight, SightAt
 
@@ -170,30 +167,6 @@ def _controller(
     warm_up_planner(make_planner(aircraft, requirement), beyond_m, config.route.is_known)
     warm_up_track(_track_of(config))
     return controller
-
-
-def route_given(config: Config, plane: LocalPlane, time_s: float) -> RouteGiven | None:
-    """Return the configured route as an event of the vehicle's time; None without one.
-
-    Raises InputError if the route file cannot be read.
-    """
-    if config.route.file is None:
-        return None
-    east_m, north_m = read_route(config.route.file).in_plane(plane)
-    return _route_event(config, time_s, east_m.tolist(), north_m.tolist())
-
-
-def route_of_mission(config: Config, mission: OtherMission, plane: LocalPlane, time_s: float) -> RouteGiven:
-    """Return the target's own mission as the route, an event of the vehicle's time."""
-    east_m, north_m = zip(*(plane.east_north_m(*point) for point in mission.points_deg), strict=True)
-    return _route_event(config, time_s, east_m, north_m, lap=mission.lap)
-
-
-def _route_event(
-    config: Config, time_s: float, east_m: Iterable[float], north_m: Iterable[float], lap: bool = False
-) -> RouteGiven:
-    own, way = config.route, (tuple(east_m), tuple(north_m))
-    return RouteGiven(time_s, *way, own.lap or lap, own.tolerance_m, own.speed_m_s, own.direction)
 
 
 def winds_m_s(config: Config) -> list[float]:

@@ -64,6 +64,7 @@ _FLEET_EXAMPLES = {
     "motion": '"walk"',
     "start_m": "[250.0, 300.0]",
     "target": '"target"',
+    "route": '{ file = "ferry.gpx" }',
 }
 
 

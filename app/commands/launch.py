@@ -23,7 +23,15 @@ from sidelong.app.commands.output import (
 )
 from sidelong.app.commands.radius import warn_of_band
 from sidelong.app.commands.report import write_report
-from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config, with_values
+from sidelong.app.config import (
+    DEMONSTRATION,
+    MAX_AIRCRAFT,
+    Config,
+    RouteSection,
+    check_flyable,
+    load_config,
+    with_values,
+)
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_sharing
@@ -287,13 +295,17 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
         read_key(settings.link.signing_key_file)
     if settings.terrain.folder is not None:
         elevation_data(Path(settings.terrain.folder))
-    if settings.route.file is not None:
-        read_route(settings.route.file)
+    _check_route(settings.route)
     if point_gimbal and settings.terrain.is_known and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
             "set sensors.angles_alone = false with it."
         )
+
+
+def _check_route(route: RouteSection) -> None:
+    if route.file is not None:
+        read_route(route.file)
 
 
 def _check_target(target: str) -> None:
@@ -318,8 +330,8 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
                 "a fleet reads its payloads by MAVLink; run one `sidelong payload` for each aircraft, "
                 'and leave payload.kind = "mavlink".'
             )
-        if member.config.route.is_known:
-            raise InputError("route: only an aircraft that flies alone uses a route; leave it out.")
+    for route in fleet.routes.values():
+        _check_route(route)
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

@@ -15,7 +15,7 @@ from sidelong.app.flight.loop import Stepped
 from sidelong.app.link.message import Message
 from sidelong.app.records.journal import JournalWriter
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.core.events import Event
+from sidelong.mission.core.events import Event, RouteGiven
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
 from sidelong.mission.core.plan import HeightProfile, Plan
 from sidelong.mission.core.requirement import Requirement, Side
@@ -239,9 +239,11 @@ def _common_heights(event: FleetEvent, by_m: float) -> FleetEvent:
     return event
 
 
-def _own_heights(advised: FleetAdvice | NeighbourPlanned, by_m: float) -> FleetAdvice | NeighbourPlanned:
+def _own_heights(
+    advised: FleetAdvice | NeighbourPlanned | RouteGiven, by_m: float
+) -> FleetAdvice | NeighbourPlanned | RouteGiven:
     """Return an event for an aircraft with heights above its own home."""
-    if by_m == 0.0:
+    if by_m == 0.0 or isinstance(advised, RouteGiven):
         return advised
     if isinstance(advised, NeighbourPlanned):
         return replace(advised, present=_raised(advised.present, -by_m), coming=_raised(advised.coming, -by_m))

@@ -18,6 +18,7 @@ from sidelong.app.config import (
     AircraftSection,
     Config,
     RequirementSection,
+    RouteSection,
     SensorsSection,
     check_flyable,
 )
@@ -68,6 +69,8 @@ class TargetSection(Section):
     """Side of its motion to watch from; none: as [requirement] has it."""
     motion: str | None = None
     """Its motion in simulation; none: as [simulation] has it."""
+    route: RouteSection | None = None
+    """The route that it is expected to follow; none: as [route] has it."""
     start_m: tuple[float, float] | None = None
     """Where it sets off in simulation, [east, north] of the first aircraft's home, m; none: some way off."""
 
@@ -179,6 +182,11 @@ class FleetFile(Config):
     def asked(self) -> dict[str, Requirement]:
         """How each target is to be watched, by its name."""
         return {one.name: self._requirement_of(one).requirement() for one in self.target}
+
+    @property
+    def routes(self) -> dict[str, RouteSection]:
+        """The route of each target, by its name; without a file and a system id: none."""
+        return {one.name: one.route or self.route for one in self.target}
 
     def _first_target(self, number: int) -> TargetSection:
         """Return what that aircraft watches to begin with."""

@@ -35,6 +35,7 @@ from sidelong.app.flight.flight import Flight, Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.link_log import link_log
 from sidelong.app.flight.recording import beginning
+from sidelong.app.flight.route_input import give_route
 from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.discovery import SETTLING_S
@@ -48,8 +49,10 @@ from sidelong.app.link.transport import Transport
 from sidelong.app.records.journal import Header, JournalWriter
 from sidelong.app.records.run_folder import FleetFolder
 from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
+from sidelong.mission.fleet.events import TargetRouteGiven
 
 _POLL_S = 0.1
 
@@ -289,6 +292,12 @@ class FleetFlight:
             vehicle.bystanders.append(bystander)
             vehicle.listeners.append(lambda message, one=one: bystander(message, one))  # type: ignore[misc]
             vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
+        for target, route in self._fleet.routes.items():
+
+            def put(given: RouteGiven, target: str = target) -> None:
+                coordination.put(TargetRouteGiven(target, given))
+
+            give_route(route, self._aircraft[0].session, first.plane, put, self._note)
         flights: list[asyncio.Task[None]] = []
         clocks = [asyncio.create_task(coordination.keep_time()), asyncio.create_task(self._until_over(coordination))]
         try:

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import mission_controller_of, route_given, route_of_mission, settle, winds_m_s
+from sidelong.app.assembly import mission_controller_of, settle, winds_m_s
 from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
@@ -35,14 +35,13 @@ from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.round_trip import RoundTripWatch
+from sidelong.app.flight.route_input import give_route
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.stopped_clock import StoppedClock
 from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, wants_few
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
-from sidelong.app.link.link import LinkError
-from sidelong.app.link.other_mission import read_mission
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.queries import home_of, is_flying, mode_of
 from sidelong.app.link.status_texts import StatusText
@@ -109,7 +108,7 @@ class Flight:
     ) -> None:
         self._payload = payload
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
-        self._release = session.release
+        self._session, self._release = session, session.release
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
         self._controller, self._senders = controller, session.senders
@@ -266,7 +265,7 @@ class Flight:
         interrupt = asyncio.create_task(stopped.wait())
         delay = asyncio.create_task(self._announce_delay(loop))
         listening = asyncio.create_task(alarms.run())
-        self._give_route(plane, loop)
+        give_route(self._config.route, self._session, plane, loop.put, self._display.note)
         loop.put(self._takeover(loop.link_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
@@ -278,22 +277,6 @@ class Flight:
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
-
-    def _give_route(self, plane: LocalPlane, loop: ControlLoop) -> None:
-        route, system_id = route_given(self._config, plane, self._telemetry.now_s), self._config.route.system_id
-        if route is not None:
-            loop.put(route)
-        if system_id is not None:
-            self._begin(self._read_route(system_id, plane, loop))
-
-    async def _read_route(self, system_id: int, plane: LocalPlane, loop: ControlLoop) -> None:
-        """Read the target's mission as its route; the flight goes on without one if that fails."""
-        try:
-            mission = await read_mission(self._vehicle, system_id)
-        except (LookupError, LinkError) as error:
-            self._display.note(f"no route: {error}; the flight continues without it")
-            return
-        loop.put(route_of_mission(self._config, mission, plane, self._telemetry.now_s))
 
     def _takeover(self, link_s: float) -> TakeoverRequested:
         """Return the request to take over, and show the autopilot's warnings from now on."""

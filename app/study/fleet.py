@@ -37,6 +37,8 @@ from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import RouteGiven
+from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
 from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
@@ -44,6 +46,7 @@ from sidelong.mission.fleet.events import (
     ClockReported,
     FleetEvent,
     PlansReported,
+    TargetRouteGiven,
     Tell,
     Tick,
     VehicleLost,
@@ -56,6 +59,8 @@ from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.laws.phased import phased
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
+from sidelong.mission.route.progress_kernel import fresh_progress
+from sidelong.mission.route.route import event_of, route_from
 
 _STEPS = 10  # of a second, after which all decide
 _CHI2_95 = 5.991
@@ -155,6 +160,8 @@ class FleetRun:
         self._planners = {one.name: one.planner for one in self._members}
         for name in self._planners:
             self._step(ClockReported(name, 0.0, 0.0, 0.01))
+        if self._scene.route is not None:
+            self._step(TargetRouteGiven(_TARGET, event_of(self._scene.route, 0.0)))
 
     def joint(self, losses: Sequence[Loss] = ()) -> FleetResult:
         """Fly with joint decisions."""
@@ -244,8 +251,12 @@ class FleetRun:
 
     def _step(self, event: FleetEvent) -> None:
         for command in self._coordinator.step(event):
-            if isinstance(command, Tell):
-                self._planners[command.name].advise(command.event)
+            match command:
+                case Tell(name, RouteGiven() as given):
+                    route = route_from(given)
+                    self._planners[name].follow(route, fresh_progress(route.east_m.size))
+                case Tell(name, FleetAdvice() | NeighbourPlanned() as news):
+                    self._planners[name].advise(news)
 
     def _result(self) -> FleetResult:
         settings, logs = self._settings, np.stack([member.flight.log for member in self._members])

@@ -7,6 +7,7 @@ import math
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
@@ -86,12 +87,17 @@ class Planning:
         if not isinstance(self.planner, RoutePlanner):
             return "this planner does not use a route"
         try:
-            self._route = route_from(given)
+            self._route = route_from(given) if given.east_m else None
         except ValueError as error:
             return f"the route is not used: {error}"
-        self._route_reported, self._progress = (False, False), fresh_progress(self._route.east_m.size)
+        self._route_reported, self._progress = (False, False), self._fresh_progress()
         self.planner.follow(self._route, self._progress)
+        if self._route is None:
+            return "no route of the target is known"
         return f"the target is expected on a route of {self._route.length_m:.0f} m"
+
+    def _fresh_progress(self) -> FloatArray:
+        return fresh_progress(0 if self._route is None else self._route.east_m.size)
 
     @property
     def route_progress(self) -> RouteProgress | None:
@@ -125,7 +131,7 @@ class Planning:
         else:
             self._advice = news
             if before not in ("", news.target):  # the planner's memory belongs to another target
-                self._progress[:] = fresh_progress(0 if self._route is None else self._route.east_m.size)
+                self._progress[:] = self._fresh_progress()
                 self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
             self.planner.advise(news)

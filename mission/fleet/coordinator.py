@@ -1,9 +1,10 @@
 """The fleet's coordinator: assignment of aircraft to targets, of roles and of reliefs.
 
 Each vehicle keeps its own whole core (input checks, tracker, planner, exchange) and yields separately. The
-coordinator commands no vehicle. It sends each core the joint estimate of its target, the side to hold and the
-positions of the others (``FleetAdvice``, ``NeighbourPlanned``), as events of that core, which then decides its own
-plans. A core that receives no advice for some seconds continues with its own track and its last side.
+coordinator commands no vehicle. It sends each core the joint estimate of its target, the side to hold, the positions
+of the others (``FleetAdvice``, ``NeighbourPlanned``) and the target's route (``RouteGiven``), as events of that core,
+which then decides its own plans. A core that receives no advice for some seconds continues with its own track and its
+last side.
 
 How it is used
 --------------
@@ -47,6 +48,7 @@ from dataclasses import dataclass, replace
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.tracking.joint_track import JointTrack
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import Role
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.advice import advice_to, announced_plans
@@ -66,6 +68,7 @@ from sidelong.mission.fleet.events import (
     RequirementReported,
     SideRequested,
     SightingReported,
+    TargetRouteGiven,
     Tell,
     Tick,
     VehicleLost,
@@ -85,6 +88,7 @@ _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
 _REASSIGN_AFTER_S = 5.0  # how long the gain has to last
 _STEP_MAX_S = 2.0  # a smaller step of a clock hardly moves mission time; clocks that agree differ by less
+_NO_ROUTE = RouteGiven(0.0, (), (), lap=False, tolerance_m=1.0, speed_m_s=None, direction="either")
 _PASSED_MAX_S = 2.0  # mission time that jumps ahead is not a silence
 
 
@@ -137,6 +141,7 @@ class FleetCoordinator:
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._proximity = Proximity()
         self._refused: dict[str, Mapping[str, str]] = {}
+        self._routes: dict[str, RouteGiven] = {}
         self._asked: set[str] = set()
         self._gains_since_s = math.inf  # another assignment to the targets
         self._now_s = self._next_s = self._coordinated_s = -math.inf
@@ -211,12 +216,8 @@ class FleetCoordinator:
                 self._lost(self._vehicles[event.name], event.reason, event.yielded)
             case ForeignAircraftReported():
                 self._foreign[event.identity] = event
-            case ReliefRequested():
-                self._vehicles[event.name].relief_asked = True
-            case SideRequested():
-                self._side_requested(event)
-            case RequirementReported():
-                self._requirement_reported(event)
+            case ReliefRequested() | SideRequested() | RequirementReported() | TargetRouteGiven():
+                self._asked_for(event)
         if self._now_s >= self._next_s:
             self._next_s = self._now_s + _PERIOD_S
             self._coordinate()
@@ -311,6 +312,18 @@ class FleetCoordinator:
             if not any(one.takes_part for one in self._vehicles.values() if one.target == vehicle.target):
                 self._launch_reserve(f"{vehicle.member.name} is out", vehicle.target)
 
+    def _asked_for(self, event: ReliefRequested | SideRequested | RequirementReported | TargetRouteGiven) -> None:
+        match event:
+            case ReliefRequested():
+                self._vehicles[event.name].relief_asked = True
+            case SideRequested():
+                self._side_requested(event)
+            case RequirementReported():
+                self._requirement_reported(event)
+            case TargetRouteGiven():
+                self._routes[event.target] = event.route
+                self._judges.expect(event.target, event.route)
+
     def _side_requested(self, event: SideRequested) -> None:
         for name, target in self._targets.items():
             if target.requirement.side is not event.side:
@@ -369,6 +382,15 @@ class FleetCoordinator:
                 near = too_near.get(vehicle.member.name, "")
                 advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad, near)
                 self._out.append(Tell(vehicle.member.name, advice))
+                self._give_route(vehicle)
+
+    def _give_route(self, vehicle: FleetVehicle) -> None:
+        """Send an aircraft the route of its target, unless it has it."""
+        route = self._routes.get(vehicle.target)
+        if route is not vehicle.route:
+            vehicle.route = route
+            own = replace(route or _NO_ROUTE, time_s=self._now_s - vehicle.clock.offset_s)
+            self._out.append(Tell(vehicle.member.name, own))
 
     def _announce_refusals(self) -> None:
         for name, track in self._tracks.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from sidelong.estimators.sensing.sighting import AnySighting
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
@@ -131,6 +132,14 @@ class RequirementReported:
 
 
 @dataclass(frozen=True, slots=True)
+class TargetRouteGiven:
+    """The route that a target is expected to follow. Its aircraft receive it at their own time."""
+
+    target: str
+    route: RouteGiven
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """Mission time goes on: sent at least once a second, so that silence is noticed too."""
 
@@ -148,6 +157,7 @@ FleetEvent = (
     | ReliefRequested
     | SideRequested
     | RequirementReported
+    | TargetRouteGiven
     | Tick
 )
 
@@ -157,7 +167,7 @@ class Tell:
     """Feed ``event`` into the named vehicle's control step, as an event of its own."""
 
     name: str
-    event: FleetAdvice | NeighbourPlanned
+    event: FleetAdvice | NeighbourPlanned | RouteGiven
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,16 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.events import RouteGiven
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.fleet.clocks import shifted_plan
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.vehicle import FleetVehicle
 from sidelong.mission.fleet.watched_course import WatchedCourse
+from sidelong.mission.route.progress import RouteFollower, follower_of
+from sidelong.mission.route.route import Route
 
 
 class RoleJudge(Protocol):
@@ -28,6 +32,15 @@ class RoleJudge(Protocol):
             present: The plan that is flown.
             wind: Estimate of the wind.
             latency_s: Time until a new plan can depart, s.
+        """
+        ...
+
+    def follow(self, route: Route | None, progress: FloatArray) -> None:
+        """See :class:`sidelong.mission.route.progress.RoutePlanner`; the progress is updated by others.
+
+        Args:
+            route: The route of the target; None: none is known.
+            progress: Memory of the progress filter.
         """
         ...
 
@@ -51,6 +64,7 @@ class RoleJudges:
         self._judges: dict[tuple[str, str], RoleJudge] = {}
         self._wanted: dict[str, Requirement] = {}
         self._courses: dict[str, WatchedCourse] = {}
+        self._followers: dict[str, RouteFollower] = {}
 
     def ask(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
         """Judge by this requirement of a target from now on.
@@ -64,6 +78,26 @@ class RoleJudges:
         self._courses.setdefault(target, WatchedCourse(wanted))
         for one in fleet:
             self._judges[one.member.name, target] = self._make_judge(one.member.name, one.member.aircraft, wanted)
+        self._expect_on_route(target)
+
+    def expect(self, target: str, given: RouteGiven) -> None:
+        """Expect a target on a route from now on.
+
+        Args:
+            target: Name of the target.
+            given: The route; not used if its points are no route.
+        """
+        follower = follower_of(given)
+        if follower is not None:
+            self._followers[target] = follower
+            self._expect_on_route(target)
+
+    def _expect_on_route(self, target: str) -> None:
+        follower = self._followers.get(target)
+        if follower is not None:
+            for (_, watched), judge in self._judges.items():
+                if watched == target:
+                    judge.follow(follower.route, follower.memory)
 
     def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
         """Take the targets' estimates, in the order of time.
@@ -77,6 +111,8 @@ class RoleJudges:
                 watching = [one for one in fleet if one.takes_part and one.target == name]
                 first = min(watching, key=lambda one: one.since_s).report if watching else None
                 self._courses[name].update(estimate, None if first is None else first.state)
+                if name in self._followers:
+                    self._followers[name].update(estimate)
 
     def course_rad(self, target: str) -> float | None:
         """Return the course of a target whose sides count.

@@ -25,6 +25,7 @@ from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
 from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed, situation
+from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
@@ -70,6 +71,10 @@ class TeamPlanner:
     def presume(self, course_rad: float) -> None:
         """See :class:`sidelong.mission.fleet.judges.RoleJudge`."""
         self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
+
+    def follow(self, route: Route | None, progress: FloatArray) -> None:
+        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
+        self._alone.follow(route, progress)
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`sidelong.mission.core.plan.WindPlanner`."""

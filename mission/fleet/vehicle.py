@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import Role
 from sidelong.mission.core.requirement import Aircraft
 from sidelong.mission.fleet.clocks import VehicleTime
@@ -55,6 +56,7 @@ class FleetVehicle:
     role: Role = Role.WANTED
     announced: tuple[Role, str] | None = None
     launch_asked: bool = False
+    route: RouteGiven | None = None  # that it has been sent
 
     @property
     def takes_part(self) -> bool:

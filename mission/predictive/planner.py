@@ -208,7 +208,7 @@ class PredictivePlanner:
             self.tables.append(self._table_at(wind_speed_m_s))
             self.lookers.append(self._looker(self.tables[-1]))
 
-    def follow(self, route: Route, progress: FloatArray) -> None:
+    def follow(self, route: Route | None, progress: FloatArray) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, (looker, table) in enumerate(zip(self.lookers, self.tables, strict=True)):

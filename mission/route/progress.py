@@ -69,11 +69,11 @@ class RouteProgress:
 class RoutePlanner(Planner, Protocol):
     """A planner that plans along a known route."""
 
-    def follow(self, route: Route, progress: FloatArray) -> None:
+    def follow(self, route: Route | None, progress: FloatArray) -> None:
         """Expect the target on this route from the next decision on.
 
         Args:
-            route: The route.
+            route: The route; None: none is known.
             progress: Memory of the progress filter, of :func:`fresh_progress`; decisions update it.
         """
         ...
@@ -91,11 +91,11 @@ def way_of(route: Route) -> Way:
 
 
 class RouteFollower:
-    """Estimates a target's progress along a route from its estimates, for reports and exports of a flight."""
+    """Estimates a target's progress along a route from its estimates; ``memory`` is that of the progress filter."""
 
     def __init__(self, route: Route) -> None:
-        self.route = route
-        self._way, self._memory, self._at_s = way_of(route), fresh_progress(route.east_m.size), -math.inf
+        self.route, self.memory = route, fresh_progress(route.east_m.size)
+        self._way, self._at_s = way_of(route), -math.inf
 
     def update(self, target: TargetEstimate) -> RouteProgress | None:
         """Process an estimate, in order of time.
@@ -109,8 +109,8 @@ class RouteFollower:
         if target.time_s < self._at_s + _UPDATE_S:
             return None
         self._at_s = target.time_s
-        update_progress(self._way, known(target), self._memory)
-        return progress_of(self.route, self._memory)
+        update_progress(self._way, known(target), self.memory)
+        return progress_of(self.route, self.memory)
 
 
 def follower_of(given: RouteGiven) -> RouteFollower | None:

@@ -166,3 +166,11 @@ def test_each_aircraft_has_a_target_and_its_side(written):
     both = TWO.replace('name = "north"', 'name = "north"\ntarget = "bike"')
     with pytest.raises(InputError, match="target 'boat' has no aircraft"):
         load_fleet(written(both + targets))
+
+
+def test_each_target_has_its_own_route_or_that_of_all(written):
+    targets = TWO + '[[target]]\nname = "boat"\n[target.route]\nfile = "boat.gpx"\n[[target]]\nname = "bike"\n'
+    routes = load_fleet(written(targets + "[route]\nsystem_id = 7\n")).routes
+    assert (str(routes["boat"].file), routes["boat"].system_id) == ("boat.gpx", None)
+    assert (routes["bike"].file, routes["bike"].system_id) == (None, 7)
+    assert not any(one.is_known for one in load_fleet(written(TWO)).routes.values())

@@ -10,12 +10,15 @@ import subprocess
 import pytest
 
 from tests.command_line import SIDELONG, new_process, sidelong
+from tests.end_to_end.test_route import written
 
 pytestmark = pytest.mark.udp
 FLEET = """
 [simulation]
 speed = 14.0
-target = "straight"
+target = "{track}"
+[route]
+file = "{route}"
 [[aircraft]]
 name = "plane"
 [[aircraft]]
@@ -28,7 +31,8 @@ autopilot = "px4"
 def flown(tmp_path_factory):
     """Return the run folder and the summary of a short flight."""
     folder = tmp_path_factory.mktemp("fleet")
-    (folder / "fleet.toml").write_text(FLEET, encoding="utf-8")
+    track, route = written(folder, speed_m_s=2.0)
+    (folder / "fleet.toml").write_text(FLEET.format(track=track, route=route), encoding="utf-8")
     done = new_process(
         *("launch", folder / "fleet.toml", "--duration", 60, "--out", folder / "runs"),
         *("--json", folder / "summary.json"),
@@ -49,6 +53,14 @@ def test_both_watch_and_stay_apart(flown):
     each = [one["time_on_side"] for one in summary["aircraft"]]
     assert 0.0 <= summary["time_on_side_any"] <= 1.0
     assert summary["duration_s"] <= max(one["duration_s"] for one in summary["aircraft"]) + 1.0, each
+
+
+def test_both_follow_the_route_of_the_target(flown):
+    run, _ = flown
+    for name in ("plane", "wing"):
+        journal = (run / name / "journal.jsonl").read_text()
+        assert "the target is expected on a route of 1600 m" in journal
+        assert "on route: the target is" in journal
 
 
 def test_the_run_replays_to_the_last_bit(flown):

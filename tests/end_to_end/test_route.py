@@ -17,11 +17,12 @@ HOME = LocalPlane(-35.363262, 149.165237)
 CORNERS_M = (250.0, 300.0), (250.0, 900.0), (1250.0, 900.0)  # east, north; simulated targets begin at the first one
 
 
-@pytest.fixture
-def files(tmp_path):
-    """Return a track at 4 m/s around a corner, and its way points."""
-    places = [(250.0, 300.0 + 4.0 * s) for s in range(150)] + [(250.0 + 4.0 * s, 900.0) for s in range(150)]
-    track, route = tmp_path / "track.csv", tmp_path / "route.csv"
+def written(folder, speed_m_s=4.0):
+    """Write a track around a corner, and its way points; return both files."""
+    leg_s = round(600.0 / speed_m_s)
+    places = [(250.0, 300.0 + speed_m_s * s) for s in range(leg_s)]
+    places += [(250.0 + speed_m_s * s, 900.0) for s in range(leg_s)]
+    track, route = folder / "track.csv", folder / "route.csv"
     for file, head, rows in ((track, "time,lat,lon", places), (route, "lat,lon", CORNERS_M)):
         degrees = [",".join(f"{angle:.8f}" for angle in HOME.latitude_longitude_deg(*row)) for row in rows]
         lines = [f"{second},{row}" for second, row in enumerate(degrees)] if file == track else degrees
@@ -29,8 +30,8 @@ def files(tmp_path):
     return track, route
 
 
-def test_a_flight_along_a_route_reports_it_and_replays_the_same(files, tmp_path):
-    track, route = files
+def test_a_flight_along_a_route_reports_it_and_replays_the_same(tmp_path):
+    track, route = written(tmp_path)
     done = new_process(
         *("launch", "--target", track, "--target-speed", 6, "--route", route, "--duration", 150, "--speed", 14),
         *("--no-view", "--out", tmp_path / "runs", "--json", tmp_path / "summary.json"),

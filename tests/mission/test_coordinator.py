@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from dataclasses import replace
 
 import pytest
@@ -14,7 +15,15 @@ from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import Announce, Command, ControlAcquired, End, MissionChange, UploadPlan
+from sidelong.mission.core.events import (
+    Announce,
+    Command,
+    ControlAcquired,
+    End,
+    MissionChange,
+    RouteGiven,
+    UploadPlan,
+)
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
@@ -33,6 +42,7 @@ from sidelong.mission.fleet.events import (
     RequirementChanged,
     SideRequested,
     SightingReported,
+    TargetRouteGiven,
     Tell,
     Tick,
     VehicleReported,
@@ -41,6 +51,7 @@ from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.geometry.separation import MIN_SEPARATION_M, circles_apart_m
+from sidelong.mission.route.progress import progress_of
 
 RADIUS_M, SPEED_M_S = 50.0, 15.0
 AIRCRAFT = Aircraft(SPEED_M_S, RADIUS_M)
@@ -49,6 +60,7 @@ LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
 GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 WEST, EAST = -300.0, 300.0  # of a target that goes north: its left and its right
 TARGET_SPEED_M_S = 1.0
+ROUTE = RouteGiven(0.0, (0.0, 0.0), (-1000.0, 1000.0), False, 10.0, None, "either")
 
 
 class Aside:
@@ -67,6 +79,9 @@ class Aside:
 
     def presume(self, course_rad):
         self.course_rad = course_rad
+
+    def follow(self, route, progress):
+        self.route, self.progress = route, progress
 
 
 class Vehicle:
@@ -130,6 +145,7 @@ class Fleet:
         self.coordinator = self.new_coordinator()
         self.journal: list[FleetEvent] = []
         self.advice: dict[str, FleetAdvice] = {}  # the last of each aircraft
+        self.routes: dict[str, list[RouteGiven]] = defaultdict(list)
         self.announced: list[FleetAnnounce | LaunchRequested | RequirementChanged] = []
         self.time_s = 0.0
         for one in vehicles:
@@ -154,6 +170,8 @@ class Fleet:
             if isinstance(command, Tell):
                 if isinstance(command.event, FleetAdvice):
                     self.advice[command.name] = command.event
+                if isinstance(command.event, RouteGiven):
+                    self.routes[command.name].append(command.event)
                 for news in self.vehicles[command.name].take(command.event, self.time_s):
                     self.put_event(news)
             else:
@@ -365,11 +383,14 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
     targets = [FleetTarget(name, REQUIREMENT) for name in ("boat", "bike")]
     members = [replace(one, target="bike" if one.name == "d" else "boat") for one in members]
     coordinator = FleetCoordinator(members, targets, lambda _name, _aircraft, requirement: Aside(requirement))
+    routes: list[tuple[str, bool]] = []  # which aircraft got a route, or none
     places = {"a": (-300.0, 0.0), "b": (300.0, 0.0), "c": (2700.0, 0.0), "d": (3300.0, 0.0)}
 
     def fly(from_s: int, until_s: int, unseen: str = "") -> None:
         for k in range(from_s, until_s):
-            coordinator.step(Tick(float(k)))
+            for command in coordinator.step(Tick(float(k))):
+                if isinstance(command, Tell) and isinstance(command.event, RouteGiven):
+                    routes.append((command.name, command.event.east_m == ROUTE.east_m))
             for name, (east_m, north_m) in places.items():
                 state = AircraftState(float(k), east_m, north_m, 0.0, SPEED_M_S, 1.0 / RADIUS_M)
                 coordinator.step(VehicleReported(name, float(k), state, 100.0, watching=True))
@@ -385,7 +406,9 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
         coordinator.step(ClockReported(name, 0.0, 0.0, 0.01))
         circle = Circle(*place, RADIUS_M, True)
         coordinator.step(PlansReported(name, Plan(circle)))
+    coordinator.step(TargetRouteGiven("boat", ROUTE))
     fly(0, 10)
+    assert routes == [("a", True), ("b", True)]
     assert {name: target for name, (target, _) in coordinator.roles.items()} == {
         "a": "boat",
         "b": "boat",
@@ -397,6 +420,7 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
     assert coordinator.roles["b"][0] == "boat"  # what is gained has to last
     fly(14, 20)
     assert (coordinator.roles["b"][0], coordinator.roles["c"][0]) == ("bike", "boat")
+    assert routes[2:] == [("b", False), ("c", True)]
     fly(20, 90, unseen="bike")
     assert {target for target, _ in coordinator.roles.values()} == {"boat"}
 
@@ -505,6 +529,22 @@ def test_a_payload_that_sees_something_else_is_reported():
     estimate = fleet.coordinator.estimate("boat")
     assert estimate is not None
     assert math.hypot(estimate.east_m, estimate.north_m - TARGET_SPEED_M_S * estimate.time_s) < 2.0
+
+
+def test_route_goes_to_each_aircraft_at_its_own_time_and_its_progress_to_all_judges():
+    fleet = pair()
+    fleet.put_event(TargetRouteGiven("boat", ROUTE))
+    fleet.fly(20.0)
+    for name, vehicle in fleet.vehicles.items():
+        (given,) = fleet.routes[name]
+        assert given == replace(ROUTE, time_s=given.time_s)
+        assert 0.0 < given.time_s - vehicle.ahead_s < 2.0
+    assert {judge.route.length_m for judge in fleet.judges} == {2000.0}
+    along_m = progress_of(fleet.judges[0].route, fleet.judges[0].progress).along_m
+    assert along_m == pytest.approx(1000.0 + TARGET_SPEED_M_S * fleet.time_s, abs=15.0)
+    assert fleet.judges[0].progress is fleet.judges[1].progress
+    fleet.put_event(SideRequested(fleet.time_s, Side.RIGHT))
+    assert fleet.judges[-1].progress is fleet.judges[0].progress
 
 
 def test_the_same_events_lead_to_the_same_commands():

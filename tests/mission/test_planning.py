@@ -47,6 +47,9 @@ def test_an_approach_that_no_longer_leads_to_the_target_is_given_up():
     assert planning.decide(later, target_at(later.time_s, far_m, (5.0, 0.0)), first, Wind(), 0.5).plan is not None
 
 
+ROUTE = RouteGiven(0.0, (0.0, 0.0), (0.0, 900.0), False, 12.0, None, "either")
+
+
 class _Following:
     """A planner that updates the progress along the route as its decisions would."""
 
@@ -62,7 +65,7 @@ class _Following:
 
 def test_a_new_planner_continues_with_the_progress_along_the_route():
     planning = Planning(lambda *_: _Following(), AIRCRAFT, REQUIREMENT)
-    planning.follow(RouteGiven(0.0, (0.0, 0.0), (0.0, 900.0), False, 12.0, None, "either"))
+    planning.follow(ROUTE)
     for k in range(30):
         planning.planner.see(float(k))
     before = planning.route_progress
@@ -71,3 +74,11 @@ def test_a_new_planner_continues_with_the_progress_along_the_route():
     assert planning.route_progress == before
     planning.planner.see(30.0)
     assert planning.route_progress.along_m == pytest.approx(120.0, abs=5.0)
+
+
+def test_a_route_without_way_points_takes_the_last_one_back():
+    planning = Planning(lambda *_: _Following(), AIRCRAFT, REQUIREMENT)
+    planning.follow(ROUTE)
+    announced = planning.follow(replace(ROUTE, east_m=(), north_m=()))
+    assert announced == "no route of the target is known"
+    assert (planning.planner.route, planning.route_progress) == (None, None)
