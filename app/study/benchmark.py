@@ -31,7 +31,8 @@ VERSION = 1
 """Of the scenarios; results of different versions are not comparable."""
 
 TRACKS = Path(__file__).with_name("tracks")
-WITH_ROUTE, PAIR, PHASED_PAIR = "predictive, route", "pair, joint", "pair, phased"
+WITH_ROUTE = "predictive, route"
+PAIR, PAIR_WITH_ROUTE, PHASED_PAIR = "pair, joint", "pair, route", "pair, phased"
 _DRAWS, _SEED = 3, 1
 
 
@@ -116,7 +117,7 @@ class Benchmark:
     @property
     def total(self) -> int:
         """Number of runs."""
-        each = len(self._planners) + (3 if self._all else 0)
+        each = len(self._planners) + (4 if self._all else 0)
         return sum(each * len(settings.numbers) for settings in self._settings)
 
     def fly(self, jobs: int | None, advance: Callable[[int], None], computing: Computing) -> list[Row]:
@@ -139,22 +140,25 @@ class Benchmark:
         self, k: int, jobs: int | None, advance: Callable[[int], None], computing: Computing
     ) -> Iterator[Row]:
         settings, one = self._settings[k], CLASSES[k]
-        found = [Design(settings)]
+        found, routed = [Design(settings)], settings
         if self._all:
-            routed = tuple(_with_route(track) for track in self.targets[k].flown[: settings.runs])
-            found.append(Design(replace(settings, tracks=routed, planners=(PlannerName.PREDICTIVE,))))
+            routed = replace(settings, tracks=tuple(map(_with_route, self.targets[k].flown[: settings.runs])))
+            found.append(Design(replace(routed, planners=(PlannerName.PREDICTIVE,))))
         with closing(ResultStore()) as store:
             study = Study(found, store)
             study.fly(on_processes(jobs), lambda of: table_of(of, computing), 1, advance)
             for result, name in zip(study.results(), ("", WITH_ROUTE), strict=False):
                 for planner, own in result.planners.items():
                     yield _row(one, name or str(planner), own.measures, own.decision_s)
-        if self._all:
-            names = {FleetPlannerName.JOINT: PAIR, FleetPlannerName.FIELD: PHASED_PAIR}
-            pairs = replace(settings, config=studied(**asdict(one), fleet_size=2))
-            flown = fly_fleets(pairs, table_of(pairs, computing), on_processes(jobs), advance, tuple(names))
-            for steered, runs in flown.items():
-                yield _pair_row(one, names[steered], runs)
+        for name, steered, of in (
+            (PAIR, FleetPlannerName.JOINT, settings),
+            (PAIR_WITH_ROUTE, FleetPlannerName.JOINT, routed),
+            (PHASED_PAIR, FleetPlannerName.FIELD, settings),
+        ):
+            if self._all:
+                pairs = replace(of, config=studied(**asdict(one), fleet_size=2))
+                runs = fly_fleets(pairs, table_of(pairs, computing), on_processes(jobs), advance, (steered,))
+                yield _pair_row(one, name, runs[steered])
 
     def json(self, rows: Sequence[Row]) -> dict[str, Any]:
         """Return the results with everything needed to compare them.

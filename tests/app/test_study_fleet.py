@@ -13,6 +13,7 @@ import pytest
 from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
 from sidelong.app.study.fleet_study import fleet_json
 from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.routes import own_route
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.mission.predictive.planner import table_configuration
@@ -54,12 +55,28 @@ def test_they_keep_apart_by_their_heights_at_least(fleets):
         assert min(run.min_separation_m for run in runs) >= SETTINGS.layer_m
 
 
-def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it():
+@pytest.fixture(scope="module")
+def fast():
+    """Return the settings of a pair at 30 m/s next to a recorded cyclist, and its value table."""
     tracks = recorded_targets([TRACKS / "cycle_016.csv"], 14.0).flown
     of_class = studied(airspeed_m_s=30.0, radius_m=105.0, target_speed_max_m_s=14.0, fleet_size=2)
-    fast = replace(SETTINGS, runs=1, tracks=tracks, config=of_class)
-    table = value_table(table_configuration(fast.aircraft(), fast.requirement()))
-    assert run_fleet(fast, 0, table).min_range_m > 110.0
+    settings = replace(SETTINGS, runs=1, tracks=tracks, config=of_class)
+    return settings, value_table(table_configuration(settings.aircraft(), settings.requirement()))
+
+
+def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it(fast):
+    settings, table = fast
+    assert run_fleet(settings, 0, table).min_range_m > 110.0
+
+
+def test_two_that_know_the_route_lose_the_side_less_and_move_less(fast):
+    settings, table = replace(fast[0], duration_s=600.0), fast[1]
+    (track,) = settings.tracks
+    routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
+    without, along = run_fleet(settings, 0, table), run_fleet(routed, 0, table)
+    assert 1.0 - along.time_on_side_any < 0.5 * (1.0 - without.time_on_side_any)
+    moves = [sum(one.moves_per_hour for one in run.aircraft) for run in (without, along)]
+    assert moves[1] < moves[0]
 
 
 def test_two_payloads_with_errors_of_their_own_place_the_target_within_half_a_metre(fleets):

@@ -1,11 +1,12 @@
 """Flights that know a route of the target: its own way, a wrong one, a road's, and departures at a random moment.
 
-    python -m tests.bench.test_routes FOLDER [--mode MODE] [--airspeed 12|20|30] [--draws 3] [--horizon 20]
+    python -m tests.bench.test_routes FOLDER [--mode MODE] [--airspeed 12|20|30] [--draws 3] [--horizon 20] [--pairs]
     python -m pytest -s tests/bench/test_routes.py
 
 Modes: none; own (the track's path simplified to 5 m and displaced by 3 to 8 m, speeds and stops unknown); reversed,
 shifted (by 60 m) and other (that of another track) are wrong; alongside (each NAME.route.csv). departures:
 the target follows its route and leaves it at a random moment; the rest of its path is turned by 30 to 150 degrees.
+--pairs: two aircraft, of which one counts; moves are those of both.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 import shapely
 
 from sidelong.app.study.benchmark import CLASSES, AircraftClass
+from sidelong.app.study.fleet import run_fleet
 from sidelong.app.study.flight import CompiledFlight
 from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
@@ -46,12 +48,16 @@ BEFORE_S, AFTER_S, OFF_M, DUE_S = 240.0, 180.0, 20.0, 15.0
 
 
 def settings_of(
-    one: AircraftClass, tracks: tuple[RecordedTarget, ...], draws: int = 1, horizon_s: float = HORIZON_S
+    one: AircraftClass,
+    tracks: tuple[RecordedTarget, ...],
+    draws: int = 1,
+    horizon_s: float = HORIZON_S,
+    fleet_size: int = 1,
 ) -> StudySettings:
     return StudySettings(
         (PlannerName.PREDICTIVE,),
         len(tracks),
-        config=studied(**asdict(one), course_horizon_s=horizon_s),
+        config=studied(**asdict(one), course_horizon_s=horizon_s, fleet_size=fleet_size),
         tracks=tracks,
         noise_draws=draws,
     )
@@ -91,8 +97,27 @@ def _routed(target: RecordedTarget, tracks: tuple[RecordedTarget, ...], mode: st
     return replace(target, route=route)
 
 
+def _flown(study: StudySettings, number: int, table: ValueTable) -> tuple[tuple[float, ...], np.ndarray]:
+    """Return side, band, least range, moves and reversals of a run, and the times of its decisions."""
+    if study.requirement().fleet_size == 1:
+        x = run(study, PlannerName.PREDICTIVE, number, table)
+        values = x.time_on_side, x.time_in_band, x.min_range_m, x.moves_per_hour, x.reversals_per_hour
+        return values, x.decision_s
+    pair = run_fleet(study, number, table)
+    moves, reversals = (
+        sum(rates) for rates in zip(*((x.moves_per_hour, x.reversals_per_hour) for x in pair.aircraft), strict=True)
+    )
+    return (pair.time_on_side_any, pair.time_in_band_any, pair.min_range_m, moves, reversals), pair.decision_s
+
+
 def compared(
-    folder: Path, one: AircraftClass, mode: str, draws: int, every: int = 1, horizon_s: float = HORIZON_S
+    folder: Path,
+    one: AircraftClass,
+    mode: str,
+    draws: int,
+    every: int = 1,
+    horizon_s: float = HORIZON_S,
+    fleet_size: int = 1,
 ) -> dict[str, float]:
     """Print one row of results over all tracks of a folder, and return it."""
     tracks = targets_in(folder, one, every)
@@ -100,13 +125,12 @@ def compared(
     took_s: list[float] = []
     for draw in range(draws):
         flown = tuple(_routed(target, tracks, mode, draw) for target in tracks)
-        study = settings_of(one, flown, draws, horizon_s)
+        study = settings_of(one, flown, draws, horizon_s, fleet_size)
         table = value_table(table_configuration(study.aircraft(), study.requirement()))
         for k, target in enumerate(flown):
-            x = run(study, PlannerName.PREDICTIVE, draw * len(flown) + k, table)
-            values = x.time_on_side, x.time_in_band, x.min_range_m, x.moves_per_hour, x.reversals_per_hour
+            values, decision_s = _flown(study, draw * len(flown) + k, table)
             rows.setdefault(target.name, []).append(values)
-            took_s += list(x.decision_s)
+            took_s += list(decision_s)
     by_track = np.array([np.nanmean(several, axis=0) for several in rows.values()])
     runs = np.array([values for several in rows.values() for values in several])
     found = {
@@ -120,7 +144,7 @@ def compared(
         "decision p99, ms": 1e3 * float(np.percentile(took_s, 99)),
     }
     text = ", ".join(f"{name} {value:.4g}" for name, value in found.items())
-    print(f"{one}, route {mode}, {len(rows)} tracks x {draws}: {text}", flush=True)
+    print(f"{one} x {fleet_size}, route {mode}, {len(rows)} tracks x {draws}: {text}", flush=True)
     worst = sorted(rows, key=lambda name: float(np.nanmean([values[0] for values in rows[name]])))[:6]
     print("  " + ", ".join(f"{name} {np.nanmean([v[0] for v in rows[name]]):.3f}" for name in worst), flush=True)
     near = [f"{name} {v[2]:.0f} m" for name, several in rows.items() for v in several if v[2] < LEAST_M]
@@ -263,6 +287,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=3)
     parser.add_argument("--horizon", type=float, default=HORIZON_S, help="requirement.course_horizon_s")
     parser.add_argument("--every", type=int, default=1, help="fly every n-th track")
+    parser.add_argument("--pairs", action="store_true", help="two aircraft on each target")
     parser.add_argument("--runs", type=int, default=100, help="number of departures")
     given = parser.parse_args()
     if given.mode == "departures":
@@ -270,7 +295,7 @@ def main() -> None:
         return
     for one in CLASSES:
         if given.airspeed in (None, one.airspeed_m_s):
-            compared(given.folder, one, given.mode, given.draws, given.every, given.horizon)
+            compared(given.folder, one, given.mode, given.draws, given.every, given.horizon, 1 + given.pairs)
 
 
 if __name__ == "__main__":
