@@ -15,6 +15,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import autopilot_of, check_release
 from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse
+from sidelong.app.link.link import LinkError
 from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
 from sidelong.app.link.queries import release_of
 from sidelong.app.link.senders import SenderCheck
@@ -36,6 +37,7 @@ class Session:
     telemetry: Telemetry
     senders: SenderCheck
     background: set[asyncio.Task[None]]  # tasks that end with the connection
+    note: Callable[[str], object]  # displays what has gone wrong in them
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
         """Run some work in the background, until the connection ends at the latest."""
@@ -45,8 +47,9 @@ class Session:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self.background.discard(task)
-        if not task.cancelled():
-            task.exception()  # what it reports has been reported by its own means
+        error = None if task.cancelled() else task.exception()
+        if error is not None and not isinstance(error, LinkError):  # the link reports its own faults
+            self.note(f"a fault of the program, {error!r}; the flight continues")
 
 
 @contextlib.asynccontextmanager
@@ -106,7 +109,8 @@ async def connected(
         if remark is not None:
             note(f"{remark}.")
         with fails_with(receiving):
-            yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, background)
+            telemetry = Telemetry(vehicle.system_id)
+            yield Session(vehicle, autopilot, release, telemetry, senders, background, note)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()
