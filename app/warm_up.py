@@ -36,6 +36,7 @@ _HERE = AircraftState(1.0, *_CIRCLE.position_at_course(0.0), 0.0, 15.0, _CIRCLE.
 
 DECISION_INPUTS = _HERE, _TARGET, Plan(_CIRCLE), Wind(), 0.5
 """Made-up values to decide by."""
+MADE_UP_ROUTE = route_of(np.array([-300.0, 300.0]), np.zeros(2))
 
 
 def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None:
@@ -48,8 +49,7 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         with_route: Whether the target's route is known.
     """
     if with_route and isinstance(planner, RoutePlanner):
-        route = route_of(np.array([-300.0, 300.0]), np.zeros(2))
-        planner.follow(route, fresh_progress(route.east_m.size))
+        planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
     curvature_per_m = _CIRCLE.curvature_per_m
     path = Trapezoids.between(curvature_per_m, [0.0], [300.0], [curvature_per_m], 1e-3)
     plan = Plan(_CIRCLE)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from sidelong.app.assembly import planner_needs, tracker_settings
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.planner import TeamPredictive
+from sidelong.app.warm_up import MADE_UP_ROUTE
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.joint_track import JointTrack
@@ -21,6 +22,7 @@ from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.fleet.watched_course import WatchedCourse
+from sidelong.mission.route.progress import RouteFollower
 
 
 def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda _share: None) -> FleetCoordinator:
@@ -79,3 +81,6 @@ def _warm_up(planner: TeamPlanner) -> None:
     planner.advise(NeighbourPlanned(0.0, "east", Plan(east), None))
     planner.advise(FleetAdvice(0.0, "target", Role.WANTED, Side.LEFT, estimate, 100.0, (other,)))
     planner.decide(state, estimate, Plan(west), Wind(), 0.5)
+    follower = RouteFollower(MADE_UP_ROUTE)
+    follower.update(estimate)
+    planner.follow(MADE_UP_ROUTE, follower.memory)

@@ -35,11 +35,16 @@ assert sum(decided.moved for decided in flown.decided) > 0
 compare(before)
 """
 FLEET = """
+from sidelong.mission.core.events import RouteGiven
+from sidelong.mission.fleet.events import TargetRouteGiven
 from tests.exchange.conftest import Flight
 from tests.exchange.test_fleet import Fleet
 
 fleet = Fleet(Flight, Path(sys.argv[1]))
 before = compiled()
+fleet.coordination.put(
+    TargetRouteGiven("target", RouteGiven(0.0, (-900.0, 900.0), (0.0, 600.0), False, 10.0, None, "either"))
+)
 fleet.take_off()
 fleet.run(90.0)
 assert sum(craft.flight.core.controller.changes.moves for craft in fleet.crafts) > 0
