@@ -116,49 +116,20 @@ def _hidden(package: str) -> Iterator[None]:
         del sys.modules[package]
 
 
-with _hidden("scipy"):  # numba loads its linear algebra where it is installed (15 MB), and no kernel uses it
+with _hidden(
+    "scipy"
+):  # numba's implementations load its linear algebra where it is installed: 15 MB, not needed here
     import numba
-    from llvmlite.binding import parse_bitcode
-    from numba.core.caching import FunctionCache
-    from numba.core.runtime.nrt import rtsys
+    import numba.np.arraymath
 
 numba.config.CACHE_DIR = str(FOLDER)  # type: ignore[attr-defined]
 
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 KERNELS: list[Any] = []
 """Every compiled function, as numba's dispatcher."""
 
 
-class _Cache(FunctionCache):
-    """Loads machine code without numba's library of implementations (0.5 s), which only a compilation needs.
-
-    Where a release of numba lacks the private names that this takes, it loads as numba does.
-    """
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            rtsys.initialize(target_context)
-            with _hidden("scipy"), self._guard_against_spurious_io_errors():
-                overload: Any = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except AttributeError:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        if overload is not None:
-            with contextlib.suppress(AttributeError):
-                _pack(overload.library)
-        return overload
-
-
-def _pack(library: Any) -> None:
-    """Keep the intermediate code of a loaded function, which only a compilation needs, as bytes (a tenth)."""
-    bitcode = library._shared_module.as_bitcode()
-    library._get_module_for_linking = lambda: parse_bitcode(bitcode)
-    library._shared_module.close()
-    library._shared_module = None
-
-
 def _dispatcher(function: Any, **options: Any) -> Any:
-    made: Any = numba.njit(**_OPTIONS, **options)(function)
-    made._cache = _Cache(function)  # type: ignore[no-untyped-call]
+    made: Any = numba.njit(cache=True, error_model="numpy", **options)(function)
     KERNELS.append(made)
     return made
 

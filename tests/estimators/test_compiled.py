@@ -63,16 +63,6 @@ def test_second_start_loads_the_cached_code(tmp_path):
     assert outer(tmp_path) == ["3.0", "1"]
 
 
-def test_a_numba_without_the_private_names_loads_the_cached_code_its_own_way(tmp_path):
-    (tmp_path / "callee.py").write_text(CALLEE)
-    for name, lacking in (("rtsys", "None"), ("_pack", "lambda library: library.unknown")):
-        (tmp_path / "caller.py").write_text(
-            f"from sidelong.estimators import compiled as module\nmodule.{name} = {lacking}\n" + CALLER
-        )
-        outer(tmp_path)
-        assert outer(tmp_path) == ["3.0", "1"]
-
-
 def test_function_is_compiled_into_another_from_the_cache(tmp_path):
     (tmp_path / "caller.py").write_text(CALLER)
     (tmp_path / "callee.py").write_text(CALLEE)
