@@ -173,19 +173,20 @@ def _turn(mean: FloatArray, p: FloatArray, step_s: float) -> None:
     mean[EAST] += ahead * velocity_e + aside * velocity_n
     mean[NORTH] += ahead * velocity_n - aside * velocity_e
     mean[VELOCITY_E], mean[VELOCITY_N] = east, north
-    n = len(mean)
-    for k in range(n):
+    _turn_rows(p, ahead, aside, cos_a, sin_a, by_rate)
+    _turn_rows(p.T, ahead, aside, cos_a, sin_a, by_rate)
+
+
+@compiled
+def _turn_rows(
+    p: FloatArray, ahead: float, aside: float, cos_a: float, sin_a: float, by_rate: tuple[float, float, float, float]
+) -> None:
+    for k in range(len(p)):
         e, v, r = p[VELOCITY_E, k], p[VELOCITY_N, k], p[TURN, k]
         p[EAST, k] += ahead * e + aside * v + by_rate[0] * r
         p[NORTH, k] += ahead * v - aside * e + by_rate[1] * r
         p[VELOCITY_E, k] = cos_a * e + sin_a * v + by_rate[2] * r
         p[VELOCITY_N, k] = cos_a * v - sin_a * e + by_rate[3] * r
-    for k in range(n):
-        e, v, r = p[k, VELOCITY_E], p[k, VELOCITY_N], p[k, TURN]
-        p[k, EAST] += ahead * e + aside * v + by_rate[0] * r
-        p[k, NORTH] += ahead * v - aside * e + by_rate[1] * r
-        p[k, VELOCITY_E] = cos_a * e + sin_a * v + by_rate[2] * r
-        p[k, VELOCITY_N] = cos_a * v - sin_a * e + by_rate[3] * r
 
 
 @compiled

@@ -14,7 +14,6 @@ FloatArray = npt.NDArray[np.float64]
 
 # Where the position is known worse than this part of the range, a bearing's curvature shows: 0.3 m at three sigma.
 _CURVED_BEYOND = 0.015
-_TWO_PI = 2.0 * math.pi
 
 
 class Seen(NamedTuple):
@@ -56,7 +55,7 @@ def compared(
     horizontal = math.sqrt(east * east + north * north)
     residual[0] = seen.slant_range_m - math.sqrt(horizontal * horizontal + drop * drop)
     off_rad = seen.bearing_rad - math.atan2(east, north)
-    residual[1] = off_rad - _TWO_PI * math.floor((off_rad + math.pi) / _TWO_PI)
+    residual[1] = off_rad - math.tau * math.floor((off_rad + math.pi) / math.tau)
     residual[2] = seen.depression_rad - math.atan2(drop, horizontal)
     # Within a metre of straight below the aircraft, where the bearing turns over, it is that of one metre off.
     horizontal = max(horizontal, 1.0)

@@ -17,8 +17,6 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft
 
 ARC, EAST, NORTH, COURSE, CURVATURE = range(5)
-_TWO_PI = 2.0 * math.pi
-
 # Metres that count as much as one radian of course when the fitting point of a line that crosses itself is sought.
 _COURSE_WEIGHT_M = 50.0
 FINE_STEP_M = 2.0
@@ -81,7 +79,7 @@ class Circling(NamedTuple):
 @compiled
 def remainder(angle_rad: float) -> float:
     """Return the same angle within half a turn of zero."""
-    return angle_rad - _TWO_PI * round(angle_rad / _TWO_PI)
+    return angle_rad - math.tau * round(angle_rad / math.tau)
 
 
 @compiled
@@ -276,7 +274,7 @@ def nearest_arc_m(line: FloatArray, circle: Circling, east_m: float, north_m: fl
     length_m = line[ARC, n - 1]
     if best == n - 1 or abs(off_circle_m) + _COURSE_WEIGHT_M * abs(off_circle_rad) < misfit_m:
         past_rad = math.copysign(1.0, circle.radius_m) * (lap_rad - line[COURSE, n - 1])
-        past_rad -= _TWO_PI * math.floor(past_rad / _TWO_PI)
+        past_rad -= math.tau * math.floor(past_rad / math.tau)
         return float(length_m + abs(circle.radius_m) * past_rad)
     line_rad = line[COURSE, best]
     ahead_m = (east_m - line[EAST, best]) * math.sin(line_rad) + (north_m - line[NORTH, best]) * math.cos(line_rad)

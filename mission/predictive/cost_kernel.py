@@ -14,8 +14,6 @@ from sidelong.mission.core.path import FloatArray
 Float32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
-_TWO_PI = 2.0 * math.pi
-
 
 class CostTerms(NamedTuple):
     """The numbers of :class:`sidelong.mission.predictive.cost.WatchCost`."""
@@ -88,7 +86,7 @@ def table_value(
     _, headings, n, _ = values.shape
     x = min(max(x_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
     y = min(max(y_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
-    heading = heading_rad * (headings / _TWO_PI)
+    heading = heading_rad * (headings / math.tau)
     heading -= headings * math.floor(heading / headings)
     i, j, near = int(x), int(y), int(heading)
     across, along, turn = x - i, y - j, heading - near
@@ -106,22 +104,6 @@ def table_value(
             high = values[v, far, i + 1, j] + along * (values[v, far, i + 1, j + 1] - values[v, far, i + 1, j])
             total += weight * (here + turn * (low + across * (high - low) - here))
     return float(total)
-
-
-@compiled
-def table_values(
-    values: Float32,
-    cell_m: float,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    heading_rad: FloatArray,
-    classes: IntArray,
-    share: FloatArray,
-    found: FloatArray,
-) -> None:
-    """Fill in :func:`table_value` for many places (n,); classes, share (1, 1, 4)."""
-    for i in range(len(x_m)):
-        found[i] = table_value(values, cell_m, x_m[i], y_m[i], heading_rad[i], classes, share, 0, 0)
 
 
 @compiled

@@ -102,7 +102,8 @@ def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: flo
 
 
 @compiled
-def _moves(
+def _made(
+    family: float,
     scene: Scene,
     start_per_m: float,
     ramp: float,
@@ -111,19 +112,27 @@ def _moves(
     heading_rad: float,
     rate_per_s: float,
 ) -> Lines:
-    """Return the lines of all moves."""
-    holds_per_m = np.empty(HOLD_CURVATURES.size + 1)
-    for k in range(HOLD_CURVATURES.size):
-        holds_per_m[k] = HOLD_CURVATURES[k] / unit_m(k, scene.radius_m, scene.turn_radius_m)
-    holds_per_m[-1] = start_per_m
-    hold, lengths_m, last_ramps = np.empty(MOVES, np.int64), np.empty(MOVES), np.empty(MOVES)
-    for move in range(MOVES):
-        hold[move] = move // HOLD_LENGTHS.size
-        one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
-        unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
-        lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
-        last_ramps[move] = ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft)
-    lengths_m[MOVES - 1] = 0.0
+    """Return the lines of all moves, or stretches of the present circle in the form of moves.
+
+    Such a stretch is a plain arc where the present circle is the clockwise one; from another circle it ramps over at
+    its end.
+    """
+    if family > 0.0:
+        holds_per_m, hold = np.full(1, start_per_m), np.zeros(STAY_LENGTHS.size, np.int64)
+        lengths_m, last_ramps = STAY_LENGTHS * scene.radius_m, np.full(STAY_LENGTHS.size, ramp)
+    else:
+        holds_per_m, hold = np.empty(HOLD_CURVATURES.size + 1), np.empty(MOVES, np.int64)
+        lengths_m, last_ramps = np.empty(MOVES), np.empty(MOVES)
+        for k in range(HOLD_CURVATURES.size):
+            holds_per_m[k] = HOLD_CURVATURES[k] / unit_m(k, scene.radius_m, scene.turn_radius_m)
+        holds_per_m[-1] = start_per_m
+        for move in range(MOVES):
+            hold[move] = move // HOLD_LENGTHS.size
+            one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+            unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
+            lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
+            last_ramps[move] = ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft)
+        lengths_m[MOVES - 1] = 0.0
     return spread(
         start_per_m,
         holds_per_m,
@@ -132,30 +141,6 @@ def _moves(
         1.0 / scene.radius_m,
         ramp,
         last_ramps,
-        scene.air.airspeed_m_s * STEP_S,
-        beyond_m,
-        heading_rad,
-        scene.air,
-        rate_per_s,
-    )
-
-
-@compiled
-def _stays(
-    scene: Scene, start_per_m: float, ramp: float, beyond_m: float, heading_rad: float, rate_per_s: float
-) -> Lines:
-    """Return stretches of a present circle, in the form of moves: each ends on the clockwise circle.
-
-    They are plain arcs where the present circle is that circle; from another one they ramp over at their end.
-    """
-    return spread(
-        start_per_m,
-        np.full(1, start_per_m),
-        np.zeros(STAY_LENGTHS.size, np.int64),
-        STAY_LENGTHS * scene.radius_m,
-        1.0 / scene.radius_m,
-        ramp,
-        np.full(STAY_LENGTHS.size, ramp),
         scene.air.airspeed_m_s * STEP_S,
         beyond_m,
         heading_rad,
@@ -213,10 +198,7 @@ def lines_from(
             kept.on_trunk[i, :lines],
             kept.end_m[i, :lines],
         )
-    if family > 0.0:
-        made = _stays(scene, start_per_m, ramp, beyond_m, heading_rad, rate_per_s)
-    else:
-        made = _moves(scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s)
+    made = _made(family, scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s)
     n = len(made.x_m)
     if calm and n <= kept.samples.shape[2]:
         for k in range(len(wanted)):

@@ -18,7 +18,6 @@ from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive.rollout_kernel import Lines, Pose, add_up, placed
 
 _LAP_SAMPLES = 16
-_TWO_PI = 2.0 * math.pi
 
 
 class View(NamedTuple):
@@ -36,7 +35,7 @@ def hidden_rate(s: Sight, v: View, x_m: float, y_m: float, time_s: float) -> flo
     targets, azimuths, rings = s.needed_m.shape
     off_x_m, off_y_m = x_m - v.velocity_x_m_s * time_s, y_m - v.velocity_y_m_s * time_s
     target = min(int(time_s / s.step_s + 0.5), targets - 1)
-    azimuth = (math.atan2(v.mirror * off_x_m, off_y_m) + v.course_rad) * (azimuths / _TWO_PI) + 0.5
+    azimuth = (math.atan2(v.mirror * off_x_m, off_y_m) + v.course_rad) * (azimuths / math.tau) + 0.5
     azimuth -= azimuths * math.floor(azimuth / azimuths)
     ring = math.sqrt(off_x_m * off_x_m + off_y_m * off_y_m) / s.ring_m - 0.5
     ring = min(max(ring, 0.0), rings - 1.0)
@@ -64,7 +63,7 @@ def _lap_cost(
     total = 0.0
     for k in range(_LAP_SAMPLES):
         since_s = (k + 0.5) * step_s
-        turned_rad = heading_rad + _TWO_PI * since_s / lap_s
+        turned_rad = heading_rad + math.tau * since_s / lap_s
         on_x_m = centre_x_m - radius_m * math.cos(turned_rad)
         on_y_m = centre_y_m + radius_m * math.sin(turned_rad)
         discount = math.exp(-rate_per_s * since_s)

@@ -163,34 +163,27 @@ def improve(
                 x, y, turn = to_x[v, h, m, NODES - 1], to_y[v, h, m, NODES - 1], to_heading[h, m, NODES - 1]
                 i, j, k = math.floor(x), math.floor(y), math.floor(turn)
                 across, along, turn = x - i, y - j, turn - k
-                i, j, near, far = i + pad, j + pad, k % headings, (k + 1) % headings
-                end = weight[v, h, m, NODES - 1]
-                a, b = (1.0 - turn) * (1.0 - across) * end, (1.0 - turn) * across * end
-                c, d = turn * (1.0 - across) * end, turn * across * end
+                i, j, end = i + pad, j + pad, weight[v, h, m, NODES - 1]
+                sides = (
+                    (k % headings, (1.0 - turn) * (1.0 - across) * end, (1.0 - turn) * across * end),
+                    ((k + 1) % headings, turn * (1.0 - across) * end, turn * across * end),
+                )
                 for row in range(n):
                     total[:] = own[v, h, m, row]
                     for node in range(NODES - 1):  # the nearest place will do for a small, smooth term
                         p, q = round(to_x[v, h, m, node]) + pad, round(to_y[v, h, m, node]) + pad
                         plane = padded_after[round(to_heading[h, m, node]) % headings]
                         _add(total, plane[p + row, q : q + n], np.float32(weight[v, h, m, node]))
-                    _add_four(
-                        total,
-                        padded[near, i + row, j : j + n + 1],
-                        padded[near, i + row + 1, j : j + n + 1],
-                        np.float32(a * (1.0 - along)),
-                        np.float32(a * along),
-                        np.float32(b * (1.0 - along)),
-                        np.float32(b * along),
-                    )
-                    _add_four(
-                        total,
-                        padded[far, i + row, j : j + n + 1],
-                        padded[far, i + row + 1, j : j + n + 1],
-                        np.float32(c * (1.0 - along)),
-                        np.float32(c * along),
-                        np.float32(d * (1.0 - along)),
-                        np.float32(d * along),
-                    )
+                    for side, a, b in sides:
+                        _add_four(
+                            total,
+                            padded[side, i + row, j : j + n + 1],
+                            padded[side, i + row + 1, j : j + n + 1],
+                            np.float32(a * (1.0 - along)),
+                            np.float32(a * along),
+                            np.float32(b * (1.0 - along)),
+                            np.float32(b * along),
+                        )
                     _take_less(best[row], best_move[row], total, np.int32(m))
             values[v, h] = best
             _padded(padded[h], best, pad)

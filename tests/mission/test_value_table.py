@@ -6,7 +6,7 @@ import pytest
 
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.cost_kernel import table_values
+from sidelong.mission.predictive.cost_kernel import table_value
 from sidelong.mission.predictive.future_kernel import fill_classes
 from sidelong.mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
@@ -24,19 +24,13 @@ class Motion:
         fill_classes(table.motions, *target_m_s, 0.0, 0.0, self._classes, self._share, np.empty(4))
 
     def value(self, *place):
-        x, y, heading = (np.atleast_1d(np.asarray(one, float)) for one in np.broadcast_arrays(*place))
-        found = np.empty(x.shape)
-        inputs = (
-            self.table.values,
-            self.table.cell_m,
-            x,
-            y,
-            heading,
-            self._classes[None, None],
-            self._share[None, None],
-        )
-        table_values(*inputs, found)
-        return found[0] if found.size == 1 else found
+        arrays, motion = self.table, (self._classes[None, None], self._share[None, None], 0, 0)
+        x, y, heading = np.broadcast_arrays(*place)
+        found = [
+            table_value(arrays.values, arrays.cell_m, *map(float, one), *motion)
+            for one in zip(x.flat, y.flat, heading.flat, strict=True)
+        ]
+        return found[0] if len(found) == 1 else np.reshape(found, x.shape)
 
 
 def test_values_are_lowest_next_to_the_target_on_the_side(paper_table):
