@@ -32,7 +32,7 @@ from sidelong.mission.core.events import (
 )
 from sidelong.mission.exchange.mission_controller import DERIVED, UNSEEN, InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
-from sidelong.mission.exchange.reports import ExchangeEvent
+from sidelong.mission.exchange.reports import ExchangeEvent, ShutdownRequested, TakeoverRequested
 
 if TYPE_CHECKING:
     from sidelong.app.link.message import Message
@@ -211,7 +211,8 @@ class JournalReplay(Comparison):
     """Steps a core through the journal of a sidelong run: the recorded events of the flight, in order.
 
     mission: the complete core, if the journal holds the exchange with the autopilot. Uploads, switches and yields are
-    then compared too. None: only the controller is stepped, with the recorded results of the exchange.
+    then compared too. None: only the controller is stepped, with the recorded results of the exchange: its state is
+    the same, in less time.
     compares: whether to compare at all, which takes a tenth of a replay.
     """
 
@@ -231,6 +232,10 @@ class JournalReplay(Comparison):
         for record in records:
             kind = type(record)
             if kind in left_out:
+                if kind is ShutdownRequested:
+                    return  # from here on the flight has stepped its exchange alone
+                if kind is TakeoverRequested and not controller.resume_objection():
+                    controller.resume()
                 continue
             if kind in outputs_too:
                 if self._compares:

@@ -212,9 +212,11 @@ def _replay_run(
         plane = journal.header.plane
         if plane is not None:
             judged.collector.ground = settle(controller, settings, plane, journal.header.home_deg)
-        repeats = settings == flown
+        compares = verify or not quiet
+        # Nothing depends on the exchange but what it sends, and that only a comparison reads.
+        repeats = settings == flown and compares
         mission = _exchange_of(settings, controller, journal.header) if repeats else None
-        steps = JournalReplay(controller, mission, compares=verify or not quiet)
+        steps = JournalReplay(controller, mission, compares=compares)
         replayed = steps.run(journal)
         if frames is not None:
             frames.plane = plane

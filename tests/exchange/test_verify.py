@@ -7,8 +7,14 @@ from dataclasses import replace
 import pytest
 
 from sidelong.app.analysis.replay import JournalReplay, last_digits
+from sidelong.app.records.journal import encode
+from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import DecisionRecord, UploadPlan
+from sidelong.mission.core.events import ActivatePlan, DecisionRecord, OperatorRequest, UploadPlan, Yield
+from sidelong.mission.exchange.reports import ShutdownRequested
+from sidelong.sitl.arduplane.modes import Mode
+
+_DECIDED = DecisionRecord, UploadPlan, ActivatePlan, Yield
 
 
 def verified(flight, change):
@@ -45,6 +51,30 @@ def test_a_last_digit_is_no_other_decision(in_the_air):
         flight, lambda one: replace(one, moves=not one.moves) if isinstance(one, DecisionRecord) else one
     )
     assert moved.difference is not None
+
+
+def test_the_recorded_results_of_the_exchange_lead_to_the_same_decisions(in_the_air):
+    flight = in_the_air("arduplane")
+    flight.run(40.0)
+    flight.autopilot.set_mode(Mode.FBWA)
+    assert flight.run(3.0, lambda: flight.core.controller.phase is Phase.YIELDED)
+    flight.put(OperatorRequest(flight.telemetry.now_s, "resume"))
+    flight.take_over(flight.core.controller.snapshot().mode)
+    resumed_s = flight.telemetry.now_s
+    assert flight.run(60.0, lambda: flight.found(DecisionRecord)[-1].time_s > resumed_s)
+    flight.put(ShutdownRequested(flight.telemetry.now_s, flight.link_s))
+    flight.run(5.0)
+    records = []
+    for event, outputs in zip(flight.events, flight.outputs, strict=True):
+        records += [event, *outputs]
+    again = flight.make_core(type(flight.planner)(flight.seed)).controller
+    steps = JournalReplay(again, compares=False).run(records)
+    decided = [one for step in steps for one in step.commands if isinstance(one, _DECIDED)]
+    assert list(map(encode, decided)) == list(map(encode, flight.found(_DECIDED)))
+    flown, replayed = flight.core.controller.snapshot(), again.snapshot()
+    assert (replayed.time_s, replayed.phase, replayed.moves) == (flown.time_s, Phase.WATCHING, flown.moves)
+    assert encode(replayed.estimate) == encode(flown.estimate)
+    assert encode(replayed.present) == encode(flown.present)
 
 
 @pytest.mark.parametrize(
