@@ -52,14 +52,13 @@ from sidelong.mission.exchange.takeover import Takeover, TakeoverSettings
 from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
-_FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # skip the slower check for ExchangeEvent
+_SENSED = (AttitudeReading, GimbalReading, RangeReading, TargetFixReading)
+_FREQUENT = (*_SENSED, PositionReading)  # skip the slower check for ExchangeEvent
 
 InboundEvent = Event | ExchangeEvent
 Output = StepOutput | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
 
-UNSEEN = frozenset(
-    (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, NavigationReported, *get_args(ExchangeEvent))
-)
+UNSEEN = frozenset((*_SENSED, NavigationReported, *get_args(ExchangeEvent)))
 """They only feed the filter and the plausibility check: nothing to display or score changes until a position."""
 
 
@@ -128,6 +127,8 @@ class MissionController:
             self._exchange(event)
         else:
             outputs = () if self._closing else self.controller.step(event)
+            if not outputs and isinstance(event, _SENSED):
+                return ()  # the exchange does not depend on it
             self._outbox.time_s = max(self._outbox.time_s, self.controller.time_s)
             if outputs:
                 self._route(outputs)
