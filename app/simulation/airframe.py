@@ -29,8 +29,10 @@ class KinematicAircraft:
         self.airspeed_m_s = airspeed_m_s
         self._limits = (airspeed_m_s, bank_max_rad, roll_rate_max_rad_s)
         self._lag_s, self._wind = lag_s, wind
-        self.state = start
-        self.bank_rad = math.atan(start.ground_speed_m_s**2 * start.curvature_per_m / GRAVITY_M_S2)
+        s = start
+        bank_rad = math.atan(s.ground_speed_m_s**2 * s.curvature_per_m / GRAVITY_M_S2)
+        self.body = Body(s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m, bank_rad)
+        """Where it is, as the loops see it."""
 
     def frame(self, step_s: float) -> Airframe:
         """Return the airframe as the loops see it, for steps of this length."""
@@ -38,13 +40,10 @@ class KinematicAircraft:
         return Airframe(*self._limits, answer, self._wind.east_m_s, self._wind.north_m_s)
 
     @property
-    def body(self) -> Body:
-        """Where it is, as the loops see it."""
-        s = self.state
-        return Body(s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m, self.bank_rad)
+    def state(self) -> AircraftState:
+        """Where it is, as planners see it."""
+        return AircraftState(*self.body[:-1])
 
-    def step(self, curvature_per_m: float, step_s: float) -> AircraftState:
-        """Roll towards the commanded curvature, fly on for a step and return the new state."""
-        *state, self.bank_rad = _stepped(self.body, self.frame(step_s), curvature_per_m, step_s)
-        self.state = AircraftState(*state)
-        return self.state
+    def step(self, curvature_per_m: float, step_s: float) -> None:
+        """Roll towards the commanded curvature and fly on for a step."""
+        self.body = _stepped(self.body, self.frame(step_s), curvature_per_m, step_s)

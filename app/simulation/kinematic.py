@@ -17,12 +17,12 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.airframe import KinematicAircraft
+from sidelong.app.simulation.airframe_kernel import Body
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import Target
 from sidelong.app.simulation.wire import Decoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.layout import MissionLayout
@@ -132,7 +132,7 @@ class KinematicVehicle:
     ) -> None:
         self.aircraft, self.target, self.height_m = aircraft, target, start.height_m
         self.mode = autopilot.mission_mode
-        self.flown: Callable[[AircraftState], object] = lambda _state: None
+        self.flown: Callable[[Body], object] = lambda _body: None
         self._autopilot, self._wind, self._start = autopilot, wind, start
         self._payload, self._rates = payload, rates
         if any(rates.tick_hz % rate_hz for rate_hz in rates.each_hz if rate_hz):
@@ -171,8 +171,8 @@ class KinematicVehicle:
             self._send_due()
             self._tick += 1
             self.time_s = self._tick / self._rates.tick_hz
-            while self.aircraft.state.time_s < self.time_s - 1e-6:
-                self._fly(min(_STEP_S, self.time_s - self.aircraft.state.time_s))
+            while self.aircraft.body.time_s < self.time_s - 1e-6:
+                self._fly(min(_STEP_S, self.time_s - self.aircraft.body.time_s))
             self._transfer.step(self.time_s)
 
     def take(self) -> list[Message]:
@@ -243,7 +243,7 @@ class KinematicVehicle:
             if not 0 <= index < len(items):
                 return
             item = items[index]
-        here = self.aircraft.state.east_m, self.aircraft.state.north_m
+        here = self.aircraft.body.east_m, self.aircraft.body.north_m
         if from_here:
             self._previous = here if self._tracking.first_is_line else None
         elif not isinstance(self._goal, Circle):
@@ -258,7 +258,7 @@ class KinematicVehicle:
     # -- flying ----------------------------------------------------------------------------------------------
 
     def _fly(self, step_s: float) -> None:
-        state, tracking = self.aircraft.state, self._tracking
+        state, tracking = self.aircraft.body, self._tracking
         at = state.east_m, state.north_m
         while not isinstance(self._goal, Circle) and tracking.is_done(at, self._previous, self._goal):
             if isinstance(self.mission, ArduPlaneMission):
@@ -266,9 +266,9 @@ class KinematicVehicle:
             else:
                 self.mission.index += 1
             self._begin_leg(self.mission.index, from_here=False)
-        wanted = tracking.wanted_per_m(at, state.course_rad, state.ground_speed_m_s, self._previous, self._goal)
+        wanted = tracking.wanted_per_m(at, state.course_rad, state.speed_m_s, self._previous, self._goal)
         self.aircraft.step(wanted, step_s)
-        self.flown(self.aircraft.state)
+        self.flown(self.aircraft.body)
 
     # -- commands --------------------------------------------------------------------------------------------
 
@@ -315,11 +315,11 @@ class KinematicVehicle:
         self._sent.append(Message(name, _SYSTEM, _AUTOPILOT, fields, 0.0))
 
     def _send_due(self) -> None:
-        rates, state, boot_ms = self._rates, self.aircraft.state, self.boot_ms
-        east_m_s = state.ground_speed_m_s * math.sin(state.course_rad)
-        north_m_s = state.ground_speed_m_s * math.cos(state.course_rad)
+        rates, state, boot_ms = self._rates, self.aircraft.body, self.boot_ms
+        east_m_s = state.speed_m_s * math.sin(state.course_rad)
+        north_m_s = state.speed_m_s * math.cos(state.course_rad)
         if self._is_due(rates.attitude_hz):
-            roll_rad, yaw_rad = self.aircraft.bank_rad, self.heading_rad
+            roll_rad, yaw_rad = state.bank_rad, self.heading_rad
             self._say("ATTITUDE", time_boot_ms=boot_ms, roll=roll_rad, pitch=0.0, yaw=yaw_rad)
         if self._is_due(rates.position_hz):
             latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(state.east_m, state.north_m)
@@ -348,9 +348,9 @@ class KinematicVehicle:
     @property
     def heading_rad(self) -> float:
         """Where the nose points: the course through the air, clockwise from north."""
-        state, wind = self.aircraft.state, self._wind
-        east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
-        north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
+        state, wind = self.aircraft.body, self._wind
+        east_m_s = state.speed_m_s * math.sin(state.course_rad) - wind.east_m_s
+        north_m_s = state.speed_m_s * math.cos(state.course_rad) - wind.north_m_s
         return math.atan2(east_m_s, north_m_s)
 
     def _send_status(self) -> None:

@@ -102,7 +102,7 @@ def run_closed_loop(
             departed_s.append(vehicle.time_s)
 
     loop.listeners.append(departures)
-    states = [aircraft.state]
+    states = [aircraft.body]
     vehicle.flown = states.append
     loop.start(
         lambda plane: mission_controller_of(settings.config, controller, autopilot, plane, _HOME), vehicle.mode

@@ -89,7 +89,7 @@ def test_bank_and_roll_rate_are_limited():
     banks = []
     for _ in range(100):
         body.step(-1.0, 0.1)
-        banks.append(body.bank_rad)
+        banks.append(body.body.bank_rad)
     assert min(banks) == pytest.approx(-BANK_RAD)
     assert np.abs(np.diff(banks)).max() <= math.radians(3.0) + 1e-12
 

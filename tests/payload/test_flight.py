@@ -56,7 +56,7 @@ class Device(Payload):
             laser[0].fields["current_distance"] / 100.0 if laser else None,
             math.remainder(math.atan2(right, forward) - loop.simulated.heading_rad, math.tau),
             math.asin(-down),
-            _LEAN * aircraft.bank_rad,
+            _LEAN * aircraft.body.bank_rad,
         )
         before_s, before = self._before or (time_s - STEP_S, seen)
         self._before = time_s, seen
