@@ -116,9 +116,8 @@ def _hidden(package: str) -> Iterator[None]:
         del sys.modules[package]
 
 
-with _hidden(
-    "scipy"
-):  # numba's implementations load its linear algebra where it is installed: 15 MB, not needed here
+# Where scipy is installed, numba would load its linear algebra: 15 MB that no kernel uses.
+with _hidden("scipy"):
     import numba
     import numba.np.arraymath
 
