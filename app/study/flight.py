@@ -32,7 +32,6 @@ from sidelong.app.study.flight_kernel import (
     REJECTIONS,
     SEEN_S,
     STEP,
-    Conditions,
     Filtering,
     Flight,
     Hills,
@@ -194,9 +193,9 @@ class CompiledFlight:
             return self.with_planner(planner, latency_s)
         looker, *_ = planner.lookers
         steering = Steering(True, TIMED_EVERY, True, DECISION_PERIOD_S, latency_s, PredictiveSettings().lost_after_s)
-        conditions = self._conditions(steering, looker)
+        inputs = self._target, self._payload, self._filtering, self._hills, steering, self._frame, looker
         self._watch = StopWatch(1)  # the loop pauses for those alone that are timed
-        return self._flown(conditions, lambda: self._watch(lambda: kernel.choose(self._flight, conditions)))
+        return self._flown(steering, looker, lambda: self._watch(lambda: kernel.choose(self._flight, *inputs)))
 
     def with_planner(self, planner: Planner, latency_s: float) -> Flown:
         """Fly any planner."""
@@ -212,9 +211,7 @@ class CompiledFlight:
                 if plan.heights is not None:
                     self._flight.numbers[COMING_HEIGHT_M] = plan.heights.to_m
 
-        return self._flown(
-            self._conditions(Steering(False, 1, True, DECISION_PERIOD_S, latency_s, math.inf), _blind()), decide
-        )
+        return self._flown(Steering(False, 1, True, DECISION_PERIOD_S, latency_s, math.inf), _blind(), decide)
 
     def with_law(self, law: GuidanceLaw) -> Flown:
         """Fly a guidance law."""
@@ -224,18 +221,16 @@ class CompiledFlight:
             if estimate is not None:
                 self._flight.numbers[COMMAND_PER_M] = self._watch(lambda: law(self._aircraft, estimate))
 
-        return self._flown(self._conditions(Steering(False, 1, False, LAW_PERIOD_S, 0.0, math.inf), _blind()), steer)
+        return self._flown(Steering(False, 1, False, LAW_PERIOD_S, 0.0, math.inf), _blind(), steer)
 
     @property
     def height_m(self) -> float:
         """The present height of the aircraft."""
         return float(self._flight.numbers[HEIGHT_M])
 
-    def _conditions(self, steering: Steering, looker: Looker) -> Conditions:
-        return Conditions(self._target, self._payload, self._filtering, self._hills, steering, self._frame, looker)
-
-    def _flown(self, conditions: Conditions, decide: Callable[[], None]) -> Flown:
-        while (pause := kernel.advance(self._flight, conditions)) != ENDED:
+    def _flown(self, steering: Steering, looker: Looker, decide: Callable[[], None]) -> Flown:
+        inputs = self._target, self._payload, self._filtering, self._hills, steering, self._frame, looker
+        while (pause := kernel.advance(self._flight, *inputs)) != ENDED:
             if pause == DECIDE:
                 decide()
             elif pause == MEASURE:

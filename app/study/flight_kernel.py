@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sidelong.app.simulation.airframe_kernel import Airframe, Body, stepped
 from sidelong.estimators.compiled import compiled
@@ -21,11 +22,12 @@ from sidelong.estimators.filters.standing_kernel import predict_standing
 from sidelong.estimators.terrain.ground_kernel import Grid, height_and_slope, sight_clearance_m, sight_step_m
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import Circling, circle_after, following_per_m
-from sidelong.mission.predictive.cost_kernel import IntArray
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.foresight_kernel import decide
 from sidelong.mission.predictive.scene_kernel import Situation
 from sidelong.mission.viewpoint.viewpoint_kernel import Known
+
+IntArray = npt.NDArray[np.int64]
 
 STEP_S = 0.1
 
@@ -109,18 +111,6 @@ class Steering(NamedTuple):
     unseen_max_s: float
 
 
-class Conditions(NamedTuple):
-    """What a run is flown with, which does not change."""
-
-    target: Target
-    payload: Payload
-    filtering: Filtering
-    hills: Hills
-    steering: Steering
-    frame: Airframe
-    looker: Looker
-
-
 class Flight(NamedTuple):
     """The state of a run, arrays that change. body is of :class:`Body`; models, ahead: filter states.
 
@@ -181,7 +171,9 @@ def plan_of(f: Flight, which: int) -> tuple[FloatArray, Circling]:
 @compiled
 def along_plan_per_m(f: Flight, body: Body) -> float:
     """Return the curvature that follows the present plan."""
-    line, circle = plan_of(f, f.counts[PRESENT])
+    which = f.counts[PRESENT]
+    n, c = f.counts[SAMPLES + which], CIRCLES + 3 * which
+    line, circle = f.lines[which, : 5 * n].reshape(5, n), Circling(f.numbers[c], f.numbers[c + 1], f.numbers[c + 2])
     return following_per_m(line, circle, body.east_m, body.north_m, body.course_rad)
 
 
@@ -251,12 +243,12 @@ def ground_and_sight(
 
 
 @compiled
-def _predict(state: FloatArray, step_s: float, c: Conditions, found: FloatArray) -> None:
+def _predict(state: FloatArray, step_s: float, filtering: Filtering, hills: Hills, found: FloatArray) -> None:
     """Fill in the filter's state a step later, on known ground or on none."""
-    if c.hills.known:
-        predict_standing(state, step_s, c.filtering.densities, c.hills.grid, c.hills.sigma_m, found)
+    if hills.known:
+        predict_standing(state, step_s, filtering.densities, hills.grid, hills.sigma_m, found)
     else:
-        predict(state, step_s, c.filtering.densities, found)
+        predict(state, step_s, filtering.densities, found)
 
 
 @compiled
@@ -268,28 +260,30 @@ def copy_state(values: FloatArray, found: FloatArray) -> None:
 
 
 @compiled
-def _carry_on(f: Flight, c: Conditions, time_s: float) -> None:
+def _carry_on(f: Flight, filtering: Filtering, hills: Hills, time_s: float) -> None:
     """Fill in the filter's state ahead, at a time: in steps of a second at most."""
     copy_state(f.models, f.ahead)
     at_s, spare = f.numbers[FILTER_S], f.models
     while time_s - at_s > 1.0:
         spare = f.ahead.copy()
-        _predict(spare, 1.0, c, f.ahead)
+        _predict(spare, 1.0, filtering, hills, f.ahead)
         at_s += 1.0
     step_s = round((time_s - at_s) * 1e6) / 1e6
     if step_s > 0.0:
         spare = f.ahead.copy() if at_s > f.numbers[FILTER_S] else f.models
-        _predict(spare, step_s, c, f.ahead)
+        _predict(spare, step_s, filtering, hills, f.ahead)
 
 
 @compiled
-def _see(f: Flight, body: Body, target_m: float, c: Conditions) -> bool:
+def _see(
+    f: Flight, body: Body, target: Target, target_m: float, payload: Payload, filtering: Filtering, hills: Hills
+) -> bool:
     """Process a sighting. Return False if it is outside the gate; the track may then have to start or restart."""
-    step, height_m, target, filtering = f.counts[STEP], f.numbers[HEIGHT_M], c.target, c.filtering
-    seen = seen_from(body, height_m, target.sampled[step], target_m, target.noise[step], c.payload)
+    step, height_m = f.counts[STEP], f.numbers[HEIGHT_M]
+    seen = seen_from(body, height_m, target.sampled[step], target_m, target.noise[step], payload)
     unseen_s, nis = body.time_s - f.numbers[SEEN_S], np.inf
     if unseen_s <= filtering.lost_after_s:
-        _carry_on(f, c, body.time_s)
+        _carry_on(f, filtering, hills, body.time_s)
         nis = update(f.ahead, 0, seen, filtering.gate_nis, filtering.soft_nis)
     if nis <= filtering.gate_nis:
         copy_state(f.ahead, f.models)
@@ -306,29 +300,40 @@ def _see(f: Flight, body: Body, target_m: float, c: Conditions) -> bool:
 
 
 @compiled
-def known_at(f: Flight, time_s: float, c: Conditions) -> tuple[Known, bool]:
+def known_at(
+    f: Flight, time_s: float, target: Target, payload: Payload, filtering: Filtering, hills: Hills
+) -> tuple[Known, bool]:
     """Return the estimate at a time, and whether the track is not lost."""
     mean, covariance = np.empty(4), np.zeros((4, 4))
-    if c.payload.perfect:
-        mean[:] = c.target.sampled[f.counts[STEP], :4]
+    if payload.perfect:
+        mean[:] = target.sampled[f.counts[STEP], :4]
         return Known(time_s, mean[0], mean[1], mean[2], mean[3], covariance), True
     if time_s > f.numbers[FILTER_S]:
-        _carry_on(f, c, time_s)
+        _carry_on(f, filtering, hills, time_s)
         combine(f.ahead, mean, covariance)
     else:
         combine(f.models, mean, covariance)
     sigma_m = math.sqrt(covariance[0, 0] + covariance[1, 1])
-    good = time_s - f.numbers[SEEN_S] <= c.filtering.lost_after_s and sigma_m <= c.filtering.lost_sigma_m
+    good = time_s - f.numbers[SEEN_S] <= filtering.lost_after_s and sigma_m <= filtering.lost_sigma_m
     return Known(time_s, mean[0], mean[1], mean[2], mean[3], covariance), good
 
 
 @compiled
-def choose(f: Flight, c: Conditions) -> None:
+def choose(
+    f: Flight,
+    target: Target,
+    payload: Payload,
+    filtering: Filtering,
+    hills: Hills,
+    steering: Steering,
+    frame: Airframe,
+    looker: Looker,
+) -> None:
     """Decide as the predictive planner does, and take the plan if there is one."""
     body = body_of(f)
-    known, good = known_at(f, body.time_s, c)
-    seen_s = body.time_s if c.payload.perfect else f.numbers[SEEN_S]
-    if not good or body.time_s - seen_s > c.steering.unseen_max_s:
+    known, good = known_at(f, body.time_s, target, payload, filtering, hills)
+    seen_s = body.time_s if payload.perfect else f.numbers[SEEN_S]
+    if not good or body.time_s - seen_s > steering.unseen_max_s:
         return
     present, circle = plan_of(f, f.counts[PRESENT])
     now = Situation(
@@ -341,24 +346,33 @@ def choose(f: Flight, c: Conditions) -> None:
         known,
         present,
         circle,
-        c.frame.wind_east_m_s,
-        c.frame.wind_north_m_s,
-        c.steering.latency_s,
+        frame.wind_east_m_s,
+        frame.wind_north_m_s,
+        steering.latency_s,
         body.time_s - f.numbers[DEPARTURE_S],
     )
-    departure_s, radius_m, line = decide(now, c.looker)
+    departure_s, radius_m, line = decide(now, looker)
     if line.shape[1] > 0:
         take_plan(f, departure_s, line, circle_after(line, radius_m))
 
 
 @compiled
-def advance(f: Flight, c: Conditions) -> int:
+def advance(
+    f: Flight,
+    target: Target,
+    payload: Payload,
+    filtering: Filtering,
+    hills: Hills,
+    steering: Steering,
+    frame: Airframe,
+    looker: Looker,
+) -> int:
     """Fly on until there is a reason to pause, and return it."""
-    steps, payload, hills, steering = len(f.log), c.payload, c.hills, c.steering
+    steps = len(f.log)
     while f.counts[STEP] < steps:
         step, body = f.counts[STEP], body_of(f)
         if f.counts[STAGE] == SEE:
-            truth, row = c.target.sampled[step], f.log[step]
+            truth, row = target.sampled[step], f.log[step]
             row[0], row[1], row[2] = body.time_s, body.east_m, body.north_m
             row[3], row[4], row[5] = truth[0], truth[1], truth[4]
             height_m = f.numbers[HEIGHT_M]
@@ -368,7 +382,7 @@ def advance(f: Flight, c: Conditions) -> int:
             if payload.apart:
                 return MEASURE
             measured = in_sight and not payload.perfect
-            if measured and not _see(f, body, target_m, c):
+            if measured and not _see(f, body, target, target_m, payload, filtering, hills):
                 return REJECTED
         if f.counts[STAGE] == CHOOSE:
             f.counts[STAGE] = FLY
@@ -377,7 +391,7 @@ def advance(f: Flight, c: Conditions) -> int:
                 f.counts[DECISIONS] += 1
                 if not steering.own_decisions or (f.counts[DECISIONS] - 1) % steering.timed_every == 0:
                     return DECIDE
-                choose(f, c)
+                choose(f, target, payload, filtering, hills, steering, frame, looker)
         if f.counts[COMING] > 0 and body.time_s >= f.numbers[DEPARTURE_S] - 1e-6:
             f.counts[PRESENT], f.counts[COMING] = 1 - f.counts[PRESENT], 0
             f.numbers[PLAN_HEIGHT_M] = f.numbers[COMING_HEIGHT_M]
@@ -388,7 +402,7 @@ def advance(f: Flight, c: Conditions) -> int:
         else:
             command_per_m = f.numbers[COMMAND_PER_M]
             command_per_m = body.curvature_per_m if math.isnan(command_per_m) else command_per_m
-        body = stepped(body, c.frame, command_per_m, STEP_S)
+        body = stepped(body, frame, command_per_m, STEP_S)
         b = f.body
         b[0], b[1], b[2], b[3] = body.time_s, body.east_m, body.north_m, body.course_rad
         b[4], b[5], b[6] = body.speed_m_s, body.curvature_per_m, body.bank_rad
