@@ -51,7 +51,6 @@ class Pairing:
         self._alone: list[float] = []  # times of lines of sight that go without a range
         self.ground: Ground | None = None
         self.waiting: list[RangeReading] = []
-        self.unpaired = 0
 
     def add_gimbal(self, gimbal: GimbalReading) -> bool:
         """Store a line of sight.
@@ -87,7 +86,6 @@ class Pairing:
             insort(self.waiting, reading, key=_time_s)
             if len(self.waiting) > _WAITING_MAX:
                 del self.waiting[0]
-                self.unpaired += 1
 
     def completed(self) -> list[Sighting]:
         """Return the sightings that can be made now, oldest first."""
@@ -102,9 +100,7 @@ class Pairing:
         while self.waiting and (known_s >= self.waiting[0].time_s or newest_s - self.waiting[0].time_s > wait_s):
             reading = self.waiting.pop(0)
             sighting = self._sighting(reading.time_s - self.range_delay_s, reading)
-            if sighting is None:
-                self.unpaired += 1
-            else:
+            if sighting is not None:
                 made.append(sighting)
         known_s += self.gimbal_delay_s - self.range_delay_s
         while self._alone and known_s >= self._alone[0]:

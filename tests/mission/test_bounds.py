@@ -69,10 +69,10 @@ def test_the_way_to_a_far_target_has_this_many_points_and_no_more(far_m):
 def test_this_many_ranges_wait_and_no_more():
     poses = PoseHistory()
     pairing = Pairing(TrackerSettings(), poses)
-    for number in range(1000):
-        pairing.add_range(RangeReading(100.0 + 0.001 * number, 200.0, LASER))
-    assert len(pairing.waiting) <= 32
-    assert pairing.unpaired == 1000 - len(pairing.waiting)
+    ranges = [RangeReading(100.0 + 0.001 * number, 200.0, LASER) for number in range(1000)]
+    for one in ranges:
+        pairing.add_range(one)
+    assert pairing.waiting == ranges[-32:]
 
 
 def test_nothing_is_known_in_a_long_gap():
