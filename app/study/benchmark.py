@@ -150,15 +150,16 @@ class Benchmark:
             for result, name in zip(study.results(), ("", WITH_ROUTE), strict=False):
                 for planner, own in result.planners.items():
                     yield _row(one, name or str(planner), own.measures, own.decision_s)
-        for name, steered, of in (
-            (PAIR, FleetPlannerName.JOINT, settings),
-            (PAIR_WITH_ROUTE, FleetPlannerName.JOINT, routed),
-            (PHASED_PAIR, FleetPlannerName.FIELD, settings),
+        if not self._all:
+            return
+        for of, names in (
+            (settings, {FleetPlannerName.JOINT: PAIR, FleetPlannerName.FIELD: PHASED_PAIR}),
+            (routed, {FleetPlannerName.JOINT: PAIR_WITH_ROUTE}),
         ):
-            if self._all:
-                pairs = replace(of, config=studied(**asdict(one), fleet_size=2))
-                runs = fly_fleets(pairs, table_of(pairs, computing), on_processes(jobs), advance, (steered,))
-                yield _pair_row(one, name, runs[steered])
+            pairs = replace(of, config=studied(**asdict(one), fleet_size=2))
+            flown = fly_fleets(pairs, table_of(pairs, computing), on_processes(jobs), advance, tuple(names))
+            for steered, runs in flown.items():
+                yield _pair_row(one, names[steered], runs)
 
     def json(self, rows: Sequence[Row]) -> dict[str, Any]:
         """Return the results with everything needed to compare them.
