@@ -61,6 +61,10 @@ DENSITIES: dict[TargetKind, Densities] = {
     "animal": Densities(0.02, 0.5, _SHUFFLE_M2_S),
 }
 
+# Without ranges the filter averages over tens of seconds, in which a target holds its velocity better than that: this
+# share of the accelerations gives an ellipse that contains it as often (``tests/bench/test_camera_motion.py``).
+_SHARE_WITHOUT_RANGE = 1.0 / 3.0
+
 
 class TargetImm:
     """A filter that has been started at a sighting. Sightings come in the order of time.
@@ -108,7 +112,7 @@ class TargetImm:
     def _set_up(self, settings: TrackerSettings, time_s: float, state: FloatArray, ground: Ground | None) -> None:
         self.time_s, self.state = time_s, state
         self._ground, self._soft_nis = ground, settings.soft_nis
-        self.densities = self._densities_of(settings)
+        self.densities, self._has_range = self._densities_of(settings), True
 
     @staticmethod
     def _densities_of(settings: TrackerSettings) -> Densities:
@@ -124,10 +128,11 @@ class TargetImm:
         self.time_s = time_s
         if step_s > 0.0:
             ahead, ground = np.empty_like(self.state), self._ground
+            densities = self.densities if self._has_range else steadier(self.densities)
             if ground is None:
-                kernel.predict(self.state, step_s, self.densities, ahead)
+                kernel.predict(self.state, step_s, densities, ahead)
             else:
-                predict_standing(self.state, step_s, self.densities, ground.grid, ground.sigma_m, ahead)
+                predict_standing(self.state, step_s, densities, ground.grid, ground.sigma_m, ahead)
             self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
@@ -140,11 +145,16 @@ class TargetImm:
         Returns:
             The normalised innovation squared: chi-square with three degrees of freedom for laser and gimbal.
         """
-        state = self.state.copy()
-        nis = kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
+        state, nis = self._updated(sighting, gate_nis)
         if nis <= gate_nis:
             self.state = state
+            self._has_range = sighting.has_range
         return nis
+
+    def _updated(self, sighting: AnySighting, gate_nis: float) -> tuple[FloatArray, float]:
+        """Return the state after a sighting, and its normalised innovation squared: useless if that is too large."""
+        state = self.state.copy()
+        return state, kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
 
     @property
     def height_m(self) -> float:
@@ -182,6 +192,18 @@ class TargetImm:
         other = type(self).__new__(type(self))
         other.__dict__.update(self.__dict__)
         return other
+
+
+def steadier(densities: Densities) -> Densities:
+    """Return the process noise while no range is measured.
+
+    Args:
+        densities: That of the same target with ranges.
+    """
+    return densities._replace(
+        cruise_m2_s3=_SHARE_WITHOUT_RANGE * densities.cruise_m2_s3,
+        manoeuvre_m2_s3=_SHARE_WITHOUT_RANGE * densities.manoeuvre_m2_s3,
+    )
 
 
 def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float]) -> Biases:

@@ -17,11 +17,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+
+UNKNOWN_RANGE_SIGMA_M = 2e3
+"""Standard deviation of a range that was not measured, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,11 @@ class Sighting:
     aircraft_height_m: float = 0.0
     quality: float | None = None
     payload: int = 0
+
+    @property
+    def has_range(self) -> bool:
+        """Whether the slant range was measured."""
+        return self.range_sigma_m < UNKNOWN_RANGE_SIGMA_M
 
     @property
     def horizontal_range_m(self) -> float:
@@ -106,6 +115,7 @@ class Fix:
     height_m: float = 0.0
     quality: float | None = None
     payload: int = 0
+    has_range: ClassVar[bool] = True
 
     @property
     def place_by_measurement(self) -> FloatArray:
