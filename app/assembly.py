@@ -63,13 +63,17 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
     def chosen(component_id: int | None) -> SourceChoice | None:
         return None if component_id is None else SourceChoice(component_id=component_id)
 
+    def or_both(latency_s: float | None) -> float:
+        return sensors.latency_s if latency_s is None else latency_s
+
     return TrackerSettings(
         filter=sensors.filter,
         target_kind=sensors.target_kind,
         range_sigma_m=sensors.range_sigma_m,
         yaw_sigma_rad=radians(sensors.angle_sigma_deg),
         pitch_sigma_rad=radians(sensors.angle_sigma_deg),
-        latency_s=sensors.latency_s,
+        gimbal_latency_s=or_both(sensors.gimbal_latency_s),
+        range_latency_s=or_both(sensors.range_latency_s),
         latency_sigma_s=sensors.latency_sigma_s,
         lever_arm_body_m=sensors.lever_arm_m,
         mount_roll_pitch_yaw_rad=(radians(mount[0]), radians(mount[1]), radians(mount[2])),

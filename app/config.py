@@ -177,6 +177,10 @@ class SensorsSection(Section):
     """Standard deviation of the gimbal's yaw and pitch, degrees."""
     latency_s: float = Field(0.0, ge=0, le=5)
     """Delay between a measurement and its time stamp by the payload, as far as it is known, s."""
+    gimbal_latency_s: float | None = Field(None, ge=-1, le=5)
+    """The same for the gimbal alone, as an earlier flight's summary states it; none: latency_s, s."""
+    range_latency_s: float | None = Field(None, ge=-1, le=5)
+    """The same for the laser alone; none: latency_s, s."""
     latency_sigma_s: float = Field(0.7, ge=0, le=3)
     """1-sigma prior of a further delay of gimbal and laser, estimated in flight; 0: none is estimated, s."""
     range_component: int | None = Field(None, ge=0, le=255)

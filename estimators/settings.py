@@ -55,10 +55,11 @@ class TrackerSettings:
     position_sigma_m: float = 0.3
     """Aircraft position, each axis: what changes between sightings, not the common offset."""
 
-    latency_s: float = 0.0
-    """How much earlier than their stamps range and line of sight were measured, as far as it is known."""
+    gimbal_latency_s: float = 0.0
+    range_latency_s: float = 0.0
+    """How much earlier than their stamps line of sight and range were measured, as far as it is known."""
     latency_sigma_s: float = 0.7
-    """How well that is known; a further delay of each is estimated within it."""
+    """How well both are known; a further delay of each is estimated within it."""
     range_source: SourceChoice | None = None
     gimbal_source: SourceChoice | None = None
     gimbal_frame: Literal["earth", "vehicle", "body"] | None = None

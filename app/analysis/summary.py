@@ -21,6 +21,7 @@ from sidelong.mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5
 _UNKNOWN_MAX = 0.05
+_PROMPT_S = 0.05  # a smaller delay is not worth a setting
 _EYE_M = 1.0  # of the target over its ground
 
 
@@ -106,6 +107,9 @@ class Summary:
             yield f"input {one.input}", f"{one.state} for {one.seconds:.0f} s{times}"
         if self.gimbal_delay_s is not None and self.range_delay_s is not None:
             yield "delay of the payload", f"gimbal {self.gimbal_delay_s:.2f} s, laser {self.range_delay_s:.2f} s"
+            if max(abs(self.gimbal_delay_s), abs(self.range_delay_s)) > _PROMPT_S:
+                keys = f"gimbal_latency_s = {self.gimbal_delay_s:.2f}, range_latency_s = {self.range_delay_s:.2f}"
+                yield "set for the next flight", f"sensors: {keys}"
         if self.battery_percent is not None:
             yield "battery", "from {} to {} %".format(*self.battery_percent)
         if self.records_lost:

@@ -158,7 +158,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             console.print(line, soft_wrap=True)
         for words in pan_words(pan_rad):
             console.print(words, soft_wrap=True)
-        delays, taken = tracker.delays, f"taken as {tracker.latency_s:g} s (sensors.latency_s)"
+        delays, taken = tracker.delays, "taken as {:g} and {:g} s (sensors.latency_s)".format(*tracker.latencies_s)
         unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
         console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)
         return {

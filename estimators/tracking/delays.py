@@ -54,7 +54,7 @@ class DelayFit:
     """
 
     def __init__(self, settings: TrackerSettings, parent_from_mount: Quaternion) -> None:
-        self._latency_s = settings.latency_s
+        self._latencies_s = settings.gimbal_latency_s, settings.range_latency_s
         delay_s, yaw_rad = settings.latency_sigma_s, settings.yaw_bias_sigma_rad
         self._sigmas = np.array([delay_s, delay_s, max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M])
         self._noise = settings.yaw_sigma_rad, settings.range_sigma_m
@@ -98,11 +98,12 @@ class DelayFit:
         if reading.frame != self.frame:
             self.frame = reading.frame
             self._gimbals.clear()
-        if self._gimbals.takes(reading.time_s - self._latency_s):
+        time_s = reading.time_s - self._latencies_s[0]
+        if self._gimbals.takes(time_s):
             direction = sight_direction(normalized(reading.quaternion_wxyz))
             if reading.frame != "earth":
                 direction = rotate(self._parent_from_mount, direction)
-            self._gimbals.add(reading.time_s - self._latency_s, *direction)
+            self._gimbals.add(time_s, *direction)
 
     def range(self, time_s: float, slant_range_m: float) -> None:
         """Take a range, with its own stamp.
@@ -111,7 +112,7 @@ class DelayFit:
             time_s: Stamp of the reading, vehicle's clock, s.
             slant_range_m: Slant range, m.
         """
-        self._ranges.add(time_s - self._latency_s, slant_range_m)
+        self._ranges.add(time_s - self._latencies_s[1], slant_range_m)
 
     def updated(self, now_s: float) -> Delays | None:
         """Estimate the delays from time to time.
@@ -161,7 +162,7 @@ class DelayFit:
         if another.cost < best.cost:
             best, scale_m = another, another_scale_m
         self._shared, self._scale_m, self._fits = best.shared, scale_m, self._fits + 1
-        gimbal_s, range_s = (best.shared[:2] + self._latency_s).tolist()
+        gimbal_s, range_s = (best.shared[:2] + self._latencies_s).tolist()
         yaw_rad = float(best.shared[2])
         gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, _ = (_SIGMAS * best.sigmas).tolist()
         return Delays(gimbal_s, range_s, gimbal_sigma_s, range_sigma_s, yaw_rad, yaw_sigma_rad)

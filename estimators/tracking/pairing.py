@@ -19,7 +19,7 @@ from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
 from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.pose import History, PoseHistory
 from sidelong.estimators.sensing.readings import GimbalReading, RangeReading
-from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.sensing.sighting import UNKNOWN_RANGE_SIGMA_M, Sighting
 from sidelong.estimators.settings import TrackerSettings
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _WAITING_MAX = 32  # so that what has waited is never long to take in
 # Timeout of the laser. After it one line of sight per interval is used, with an uninformative range.
 _BEGINNING_S = 3.0
 _SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
-_UNKNOWN_M, _REACH_M = 2e3, 5_000.0
+_REACH_M = 5_000.0
 _time_s = attrgetter("time_s")
 
 
@@ -42,7 +42,7 @@ class Pairing:
     def __init__(self, settings: TrackerSettings, poses: PoseHistory) -> None:
         self._settings = settings
         self._poses = poses
-        self.gimbal_delay_s = self.range_delay_s = settings.latency_s
+        self.gimbal_delay_s, self.range_delay_s = settings.gimbal_latency_s, settings.range_latency_s
         self._gimbals: History[GimbalReading] = History(_SPAN_S)
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
@@ -115,9 +115,10 @@ class Pairing:
         Args:
             delays: Delays of laser and gimbal; None: the configured ones.
         """
-        self.gimbal_delay_s = self.range_delay_s = self._settings.latency_s
+        used_s = self._settings.gimbal_latency_s, self._settings.range_latency_s
         if delays is not None:
-            self.gimbal_delay_s, self.range_delay_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
+            used_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
+        self.gimbal_delay_s, self.range_delay_s = used_s
 
     def repeated(self, since_s: float) -> list[Sighting]:
         """Return the paired sightings since a time, computed again with the present delays.
@@ -162,7 +163,7 @@ class Pairing:
             level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
             if level_m is None:
                 return None
-            range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), _UNKNOWN_M
+            range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), UNKNOWN_RANGE_SIGMA_M
         else:
             return None
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad

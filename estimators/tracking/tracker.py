@@ -127,7 +127,7 @@ class Tracker:
         apart_s = abs(found.gimbal_s - used_s[0]), abs(found.range_s - used_s[1])
         sigmas_s = found.gimbal_sigma_s, found.range_sigma_s
         sure = max(sigmas_s) < _SURE_S
-        least = 1.0 if sure and used_s != (self.latency_s, self.latency_s) else _EVIDENT
+        least = 1.0 if sure and used_s != self.latencies_s else _EVIDENT
         if any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in zip(apart_s, sigmas_s, strict=True)):
             self._pairing.set_delays(found)
             # The payload's errors were estimated with the previous delays and would change only slowly.
@@ -150,9 +150,9 @@ class Tracker:
         return Biases(mean, covariance)
 
     @property
-    def latency_s(self) -> float:
-        """The delay of both as configured."""
-        return self._settings.latency_s
+    def latencies_s(self) -> tuple[float, float]:
+        """The delays of gimbal and laser as configured."""
+        return self._settings.gimbal_latency_s, self._settings.range_latency_s
 
     @property
     def delays(self) -> Delays | None:
@@ -237,7 +237,7 @@ class Tracker:
             return ()
         if not self._fixes.accepts(reading.source, reading.time_s):
             return ()
-        time_s = reading.time_s - self._settings.latency_s
+        time_s = reading.time_s - self._settings.gimbal_latency_s
         return (Fix(time_s, reading.east_m, reading.north_m, reading.sigma_m),)
 
     def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:

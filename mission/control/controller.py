@@ -142,7 +142,7 @@ class StandoffController:
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
-        self._news, self._delay_news, self._mount_news = TargetNews(), DelayNews(tracker.latency_s), MountNews()
+        self._news, self._delay_news, self._mount_news = TargetNews(), DelayNews(tracker.latencies_s), MountNews()
         self._sensor_status = SensorStatus()
         self._wind = Wind()
         self._mode = self._own_mode = ""

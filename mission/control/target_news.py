@@ -17,10 +17,10 @@ _YAW_LASTS_S = 30.0
 
 
 class DelayNews:
-    """Announces the estimated delays of the payload; ``latency_s``: as configured."""
+    """Announces the estimated delays of the payload; ``latencies_s``: of gimbal and laser, as configured."""
 
-    def __init__(self, latency_s: float) -> None:
-        self._announced_s = (latency_s, latency_s)
+    def __init__(self, latencies_s: tuple[float, float]) -> None:
+        self._announced_s = latencies_s
 
     def announce(self, time_s: float, delays: Delays | None) -> tuple[Announce, ...]:
         """Return an announcement if a delay differs clearly from the one that was announced last.

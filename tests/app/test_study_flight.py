@@ -105,7 +105,7 @@ def test_what_the_loop_cannot_measure_with_is_measured_with_outside():
     assert can_fly(TrackerSettings())
     for other in (
         TrackerSettings(filter="ekf"),
-        TrackerSettings(latency_s=0.2),
+        TrackerSettings(gimbal_latency_s=0.2),
         TrackerSettings(lever_arm_body_m=(0.0, 0.0, 1.0)),
         TrackerSettings(mount_roll_pitch_yaw_rad=(0.0, math.pi, 0.0)),
     ):

@@ -1,6 +1,7 @@
 """Delays of laser and gimbal stamps are found from an aircraft that circles, and corrected."""
 
 import math
+from itertools import takewhile
 
 import numpy as np
 import pytest
@@ -102,16 +103,16 @@ def test_angles_relative_to_the_aircraft_need_a_change_of_circle():
     assert changed.gimbal_s == pytest.approx(0.5, abs=0.05)
 
 
-def fed(settings, *args, **kwargs):
+def fed(settings, *args, until_s=math.inf, **kwargs):
     tracker = Tracker(settings)
-    for one in readings(*args, **kwargs):
+    for one in takewhile(lambda one: one.time_s < until_s, readings(*args, **kwargs)):
         tracker.add(one)
     return tracker
 
 
-def error_m(tracker):
-    estimate = tracker.estimate(280.0)
-    return float(np.hypot(*(np.array([estimate.east_m, estimate.north_m]) - target_m(np.array(280.0)))))
+def error_m(tracker, time_s=280.0):
+    estimate = tracker.estimate(time_s)
+    return float(np.hypot(*(np.array([estimate.east_m, estimate.north_m]) - target_m(np.array(time_s)))))
 
 
 def test_tracker_corrects_the_delays_that_it_finds():
@@ -129,11 +130,17 @@ def test_configured_delays_stay_until_they_are_evidently_wrong(found_s, used_s, 
     assert fed(TrackerSettings(), 0.0, 0.0).delays.gimbal_s == used_s
 
 
-def test_configured_latency_is_where_the_estimate_starts():
-    """Stamps that are late already by the configured latency need no further correction."""
-    known = fed(TrackerSettings(latency_s=0.4, latency_sigma_s=0.1), 0.4, 0.4)
-    assert known.delays is None or known.delays.range_s == pytest.approx(0.4, abs=0.05)
-    assert error_m(known) < 3.0
+def test_configured_latencies_are_where_the_estimate_starts():
+    """What an earlier flight found holds from the first sighting on, each for its own device."""
+    settings = TrackerSettings(gimbal_latency_s=0.4, range_latency_s=1.0, latency_sigma_s=0.1)
+    known, unknown = fed(settings, 0.4, 1.0, until_s=15.0), fed(TrackerSettings(), 0.4, 1.0, until_s=15.0)
+    assert known.delays is None
+    assert error_m(known, 15.0) < 3.0
+    assert error_m(unknown, 15.0) > 6.0
+    late = fed(settings, 0.4, 1.0)
+    assert late.delays.gimbal_s == pytest.approx(0.4, abs=0.05)
+    assert late.delays.range_s == pytest.approx(1.0, abs=0.05)
+    assert error_m(late) < 3.0
 
 
 def test_clock_that_is_set_back_begins_the_fit_again():

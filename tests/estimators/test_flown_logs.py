@@ -149,7 +149,10 @@ def test_a_payload_of_another_clock_is_corrected_by_the_latency(bike):
         else reading
         for reading in cut(bike, 0, 200)
     ]
-    given, estimated = Result(bike, late, TrackerSettings(latency_s=0.5)), Result(bike, late)
+    given, estimated = (
+        Result(bike, late, TrackerSettings(gimbal_latency_s=0.5, range_latency_s=0.5)),
+        Result(bike, late),
+    )
     uninformed = Result(bike, late, TrackerSettings(latency_sigma_s=0.0))
     assert given.rmse_m() < 4.0
     assert estimated.rmse_m() < 5.0

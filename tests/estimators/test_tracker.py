@@ -179,7 +179,7 @@ def test_a_configured_latency_is_taken_off_the_stamps(cruise):
         else reading
         for reading in cruise.readings(np.random.default_rng(11))
     ]
-    announced, _ = fed(late, replace(NO_BIAS, latency_s=0.3))
+    announced, _ = fed(late, replace(NO_BIAS, gimbal_latency_s=0.3, range_latency_s=0.3))
     uninformed, _ = fed(late)
     assert error_m(announced, cruise, 39.9) < 2.0
     assert error_m(uninformed, cruise, 39.9) > 3.0
