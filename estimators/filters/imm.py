@@ -63,7 +63,7 @@ DENSITIES: dict[TargetKind, Densities] = {
 
 # Without ranges the filter averages over tens of seconds, in which a target holds its velocity better than that: this
 # share of the accelerations gives an ellipse that contains it as often (``tests/bench/test_camera_motion.py``).
-_SHARE_WITHOUT_RANGE = 1.0 / 3.0
+_SHARE_WITHOUT_RANGE = 0.25
 
 
 class TargetImm:
