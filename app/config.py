@@ -432,6 +432,11 @@ class Config(Section):
     _radius_fits: bool = PrivateAttr(False)
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether no link to a vehicle is given."""
+        return not self.link.connections
+
+    @property
     def radius_words(self) -> float | str:
         """The radius as configured."""
         return "auto" if self._radius_fits else self.aircraft.radius_m

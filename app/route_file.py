@@ -61,8 +61,9 @@ def read_route(path: Path) -> RoutePoints:
         points, geodetic = reader(text)
     except (ElementTree.ParseError, ValueError, LookupError, TypeError, RecursionError, csv.Error) as error:
         raise InputError(f"{path}: is not a readable route: {error!s:.160}; {_REMEDY}.") from error
-    if len(points) < 2:
-        raise InputError(f"{path}: contains {len(points)} points of a route; it needs at least two.")
+    different = len(set(points))
+    if different < 2:
+        raise InputError(f"{path}: contains {different} points of a route; it needs at least two different points.")
     first, second = np.array(points, np.float64).T
     beyond = ~np.isfinite(first) | ~np.isfinite(second)
     if geodetic:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from sidelong.app.commands.files import check_files
 from sidelong.app.commands.options import AIRCRAFT, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import table_progress
@@ -61,7 +62,7 @@ def check(
 
     The planner judges the numbers; then 20 short flights next to random targets are simulated, and the time in the
     range band and on the required side is printed with its confidence interval. Each aircraft of a fleet file is
-    checked.
+    checked. A file that the configuration names and that cannot be used is reported first.
 
     For example:
       sidelong check
@@ -82,14 +83,18 @@ def check(
     }
     airspeeds_m_s = (slowest, fastest) if optimise else None
     if not names_a_fleet(config):
-        values, reasons = _checked(load_config(config, overrides), airspeeds_m_s)
+        settings = load_config(config, overrides)
+        check_files(settings)
+        values, reasons = _checked(settings, airspeeds_m_s)
         write_json(json, values)
         if reasons:
             raise InputError(f"infeasible: {reasons}.")
         console.print("feasible")
         return
+    fleet = load_fleet(config, overrides)
+    check_files(fleet)
     all_values, refused = [], []
-    for member in load_fleet(config, overrides).members:
+    for member in fleet.members:
         console.print(f"{member.name}, at {member.config.aircraft.height_m:g} m:")
         values, reasons = _checked(member.config, airspeeds_m_s)
         all_values.append({"name": member.name, **values})

@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
+from sidelong.app.commands.files import check_files
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.payload_status import degrees_of, pan_words, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
@@ -67,22 +68,29 @@ def connect(
     payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
     overrides: dict[str, dict[str, Any]] = {
         "payload": {"kind": payload_kind, "url": payload_url},
-        "link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id},
+        "link": {
+            "urls": urls or None,
+            "heartbeat_timeout_s": timeout,
+            "signing_key_file": signing_key,
+            "system_id": system_id,
+        },
     }
     if not names_a_fleet(config):
         settings = load_config(config, overrides)
-        links = urls or _links(settings)
-        for url in links:
+        for url in _links(settings):
             checked_url(url)
-        write_json(json, run(_report(links, settings, listen_s)))
+        check_files(settings)
+        write_json(json, run(_report(settings, listen_s)))
         return
     if urls or system_id is not None:
         raise InputError(f"{config} has the links of its aircraft; leave out the URL and --system-id.")
+    fleet = load_fleet(config, overrides)
+    check_files(fleet)
     reports, missing = [], []
-    for member in load_fleet(config, overrides).members:
+    for member in fleet.members:
         console.print(f"{member.name}:")
         try:
-            report = run(_report(_links(member.config), member.config, listen_s))
+            report = run(_report(member.config, listen_s))
         except InputError as error:
             missing.append(f"{member.name}: {error}")
             console.print(str(error))
@@ -99,7 +107,8 @@ def _links(settings: Config) -> list[str]:
     return list(settings.link.connections)
 
 
-async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str, Any]:
+async def _report(config: Config, listen_s: float) -> dict[str, Any]:
+    urls = _links(config)
     console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
     link = config.link
     async with (

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sidelong.app.commands.files import check_files
 from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption, panel
 from sidelong.app.commands.output import (
     JsonOption,
@@ -27,23 +28,19 @@ from sidelong.app.config import (
     DEMONSTRATION,
     MAX_AIRCRAFT,
     Config,
-    RouteSection,
     check_flyable,
     load_config,
     with_values,
 )
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
-from sidelong.app.flight.outputs import check_sharing
-from sidelong.app.link.key_file import read_key
+from sidelong.app.flight.outputs import check_hosts
 from sidelong.app.link.url import checked_url
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
-from sidelong.app.route_file import read_route
-from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
@@ -251,6 +248,7 @@ def _checked(settings: Config, speed: float | None, payload_url: str | None, poi
         )
     settings = _with_simulated_payload(settings, speed, payload_url)
     check_flyable(settings)
+    check_files(settings)
     _check_input(settings, point_gimbal)
     warn_of_band(settings)
     return settings
@@ -285,17 +283,10 @@ def _route_keys(route: str | None) -> dict[str, Any]:
 
 
 def _check_input(settings: Config, point_gimbal: bool) -> None:
-    """Raise InputError for missing files and impossible options, before any connection or computation."""
-    check_sharing(settings.sharing)
+    """Raise InputError for unknown addresses and impossible options, before any connection or computation."""
+    check_hosts(settings.sharing)
     for url in settings.link.connections:
         checked_url(url)
-    if not settings.link.connections:
-        _check_target(settings.simulation.target)
-    if settings.link.signing_key_file is not None:
-        read_key(settings.link.signing_key_file)
-    if settings.terrain.folder is not None:
-        elevation_data(Path(settings.terrain.folder))
-    _check_route(settings.route)
     if point_gimbal and settings.terrain.is_known and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
@@ -303,26 +294,8 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
         )
 
 
-def _check_route(route: RouteSection) -> None:
-    if route.file is not None:
-        read_route(route.file)
-
-
-def _check_target(target: str) -> None:
-    from sidelong.sitl.world.motion import MOTIONS  # noqa: PLC0415  # only a simulated flight needs them
-    from sidelong.sitl.world.track import TrackError, read_track  # noqa: PLC0415
-
-    if target in MOTIONS:
-        return
-    if Path(target).suffix.lower() not in (".gpx", ".csv"):
-        raise InputError(f"--target is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {target!r}.")
-    try:
-        read_track(Path(target))
-    except TrackError as error:
-        raise InputError(f"--target {target}: {error}") from error
-
-
 def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) -> None:
+    check_files(fleet)
     for member in fleet.members:
         _check_input(member.config, point_gimbal)
         if member.config.payload.kind != MAVLINK:
@@ -330,8 +303,6 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
                 "a fleet reads its payloads by MAVLink; run one `sidelong payload` for each aircraft, "
                 'and leave payload.kind = "mavlink".'
             )
-    for route in fleet.routes.values():
-        _check_route(route)
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

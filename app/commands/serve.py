@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from sidelong.app.commands.files import check_files
 from sidelong.app.commands.options import MAP
 from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
 from sidelong.app.config import check_flyable, load_config
@@ -50,6 +51,7 @@ def serve(
     for url in settings.link.connections:
         checked_url(url)
     check_flyable(settings)
+    check_files(settings)
     address = page_address(view, view_host, view_port, None, None, None, None)
     # The flight modules take a second to load; report a wrong option first.
     from sidelong.app.event_loop import run  # noqa: PLC0415

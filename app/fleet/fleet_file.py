@@ -174,6 +174,11 @@ class FleetFile(Config):
             )
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether no aircraft has a link."""
+        return super().is_simulated and not any(map(_own_links, self.aircraft))
+
+    @property
     def members(self) -> tuple[Member, ...]:
         """The aircraft in their order, each with its whole configuration."""
         return tuple(self._members())

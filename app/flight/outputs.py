@@ -29,11 +29,15 @@ class Latest(Protocol):
 Output = CotOutput | FollowTargetOutput | NmeaOutput
 
 
-def check_sharing(sharing: SharingSection) -> None:
-    """Raise InputError for a host that is not known or a certificate that does not serve, before anything flies."""
+def check_hosts(sharing: SharingSection) -> None:
+    """Raise InputError for a host that is not known, before anything flies."""
     for name, text in ((_COT, sharing.cot), (_FOLLOW_TARGET, sharing.follow_target), (_NMEA, sharing.nmea)):
         if text is not None:
             Address.read(text, ("udp", "tcp", "tls")).resolved(name)
+
+
+def check_certificates(sharing: SharingSection) -> None:
+    """Raise InputError, which names field and file, for certificates or keys that cannot be used."""
     _tls(sharing)
 
 
@@ -46,7 +50,8 @@ def outputs(
 ) -> Iterator[Output]:
     """Yield the displays, each to be stopped at the end; to be called in the running event loop.
 
-    The callback receives the state of the connections. Raises InputError as :func:`check_sharing`.
+    The callback receives the state of the connections. Raises InputError as :func:`check_hosts` and
+    :func:`check_certificates`.
     """
     if sharing.cot is not None:
         address = Address.read(sharing.cot, ("udp", "tcp", "tls"))

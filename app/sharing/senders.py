@@ -103,14 +103,19 @@ def tls_context(certificate: Path | None, key: Path | None, authority: Path | No
             # Since Python 3.13 a certificate must state its key usage; those of private authorities rarely do.
             context.verify_flags &= ~ssl.VERIFY_X509_STRICT
     except (OSError, ssl.SSLError) as error:
-        raise InputError(f"{name}: {authority} holds no certificates ({_reason(error)}).") from error
+        raise InputError(
+            f"{name}: {authority} holds no certificates ({_reason(error)}); give a PEM file in {name}_authority_file."
+        ) from error
     if certificate is not None:
         try:
             context.load_cert_chain(certificate, key, password=lambda: _refused(name))
         except (OSError, ssl.SSLError) as error:
-            raise InputError(f"{name}: {certificate} and its key cannot be used ({_reason(error)}).") from error
+            raise InputError(
+                f"{name}: {certificate} and its key cannot be used ({_reason(error)}); give PEM files in "
+                f"{name}_certificate_file and {name}_key_file."
+            ) from error
     elif key is not None:
-        raise InputError(f"{name}: a key is given without its certificate.")
+        raise InputError(f"{name}: {key} is given without its certificate; give {name}_certificate_file.")
     return context
 
 

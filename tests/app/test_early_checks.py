@@ -9,13 +9,15 @@ from typer.testing import CliRunner
 
 from sidelong.app.cli import app
 from sidelong.app.commands import launch_one, replay
+from sidelong.app.errors import InputError
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["launch", "--target", "nope"], "--target is one of still"),
-        (["launch", "--target", "none.gpx"], "none.gpx"),
+        (["launch", "--target", "nope"], "simulation.target: 'nope' is none of still"),
+        (["launch", "--target", "none.gpx"], "simulation.target: none.gpx cannot be read"),
+        (["launch", "--route", "none.gpx"], "route.file: none.gpx: cannot be read"),
         (["launch", "--cot", "foo"], "sharing.cot: 'foo' is no address"),
         (["launch", "--beacon", "udp://127.0.0.1:70000"], "sharing.beacon"),
         (["launch", "--fleet", "2", "--beacon", "udp://127.0.0.1:6969"], "a beacon is used by one aircraft"),
@@ -25,8 +27,8 @@ from sidelong.app.commands import launch_one, replay
         (["sign", "tests"], "tests is a folder; name the key's file in it, such as tests/plane.key"),
         (["report", "none"], "none: there is no such run folder or log"),
         (["launch", "--connect", "serial:///dev/none:57600"], "there is no device /dev/none"),
-        (["launch", "--terrain", "none"], "none: there is no such folder of elevation data"),
-        (["launch", "--signing-key", "none"], "signing key none cannot be read"),
+        (["launch", "--terrain", "none"], "terrain.folder: none: there is no such folder of elevation data"),
+        (["launch", "--signing-key", "none"], "link.signing_key_file: signing key none cannot be read"),
         (["launch", "--side", "up"], "requirement.side: 'up' is none of left, right"),
         (["launch", "--json", "tests"], "tests is a folder; give a file to --json"),
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--truth", "pyproject.toml"], "is no truth file"),
@@ -47,6 +49,45 @@ def test_a_wrong_option_is_reported_at_once(monkeypatch, arguments, sentence):
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)
     assert not late.called
+
+
+_AIRCRAFT = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
+_TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
+
+
+@pytest.mark.parametrize("command", ["check", "launch"])
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[route]\nfile = "none.gpx"', "route.file: none.gpx: cannot be read"),
+        ('[route]\nfile = "."', "route.file: .: is not a route file"),
+        ('[route]\nfile = "one.csv"', "route.file: one.csv: contains 1 points"),
+        (_AIRCRAFT + '[[target]]\nname = "bike"\nroute = {file = "none.kml"}', "target 'bike': route.file: none.kml"),
+        (_AIRCRAFT + '[route]\nfile = "none.gpx"', "route.file: none.gpx: cannot be read"),
+        ('[terrain]\nfolder = "none"', "terrain.folder: none: there is no such folder"),
+        ('[link]\nsigning_key_file = "none"', "link.signing_key_file: signing key none cannot be read"),
+        (_TLS + 'cot_authority_file = "none.pem"', "sharing.cot: none.pem holds no certificates"),
+        (_TLS + 'cot_certificate_file = "none.pem"', "sharing.cot: none.pem and its key cannot be used"),
+        ('[simulation]\ntarget = "none.gpx"', "simulation.target: none.gpx cannot be read"),
+        (_AIRCRAFT + '[[target]]\nname = "bike"\nmotion = "none.csv"', "target 'bike': motion: none.csv cannot be"),
+    ],
+)
+def test_a_named_file_that_cannot_be_used_is_reported_by_each_command(tmp_path, monkeypatch, command, text, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.csv").write_text("lat,lon\n47.4,8.5\n47.4,8.5\n")
+    (tmp_path / "mission.toml").write_text(text)
+    ended = CliRunner().invoke(app, [command, "mission.toml"])
+    assert isinstance(ended.exception, InputError)
+    assert words in str(ended.exception)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mission.toml", "one.csv"]
+
+
+@pytest.mark.parametrize("words", [("serve", "--connect", "udpin://127.0.0.1:1"), ("connect", "--config")])
+def test_a_named_file_is_opened_before_the_vehicle_is_waited_for(tmp_path, words):
+    (tmp_path / "mission.toml").write_text('[route]\nfile = "none.gpx"\n[link]\nurl = "udpin://127.0.0.1:1"')
+    ended = CliRunner().invoke(app, [*words, str(tmp_path / "mission.toml")])
+    assert isinstance(ended.exception, InputError)
+    assert "route.file: none.gpx: cannot be read" in str(ended.exception)
 
 
 @pytest.mark.parametrize(

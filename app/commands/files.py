@@ -1,0 +1,63 @@
+"""The files that a configuration names, opened before any connection or computation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+from sidelong.app.config import Config
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import FleetFile
+from sidelong.app.route_file import read_route
+from sidelong.app.terrain.elevation_data import elevation_data
+
+
+def check_files(config: Config) -> None:
+    """Raise InputError, which names the field and the file, if a file of the configuration cannot be used.
+
+    Args:
+        config: The configuration of one aircraft or of a fleet.
+    """
+    for field, check in _checks(config):
+        try:
+            check()
+        except InputError as error:
+            raise InputError(f"{field}: {error}") from error
+    if config.sharing.cot is not None:
+        from sidelong.app.flight.outputs import check_certificates  # noqa: PLC0415  # it loads MAVLink
+
+        check_certificates(config.sharing)
+
+
+def _checks(config: Config) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Yield each field that names a file, with the check of that file."""
+    if config.link.signing_key_file is not None:
+        from sidelong.app.link.key_file import read_key  # noqa: PLC0415  # as above
+
+        yield "link.signing_key_file", partial(read_key, config.link.signing_key_file)
+    if config.terrain.folder is not None:
+        yield "terrain.folder", partial(elevation_data, Path(config.terrain.folder))
+    targets = config.target if isinstance(config, FleetFile) else []
+    for field, route in (("route", config.route), *((f"target {one.name!r}: route", one.route) for one in targets)):
+        if route is not None and route.file is not None:
+            yield f"{field}.file", partial(read_route, route.file)
+    if config.is_simulated:
+        yield "simulation.target", partial(_check_motion, config.simulation.target)
+        for one in targets:
+            if one.motion is not None:
+                yield f"target {one.name!r}: motion", partial(_check_motion, one.motion)
+
+
+def _check_motion(motion: str) -> None:
+    from sidelong.sitl.world.motion import MOTIONS  # noqa: PLC0415  # only a simulated flight needs them
+    from sidelong.sitl.world.track import TrackError, read_track  # noqa: PLC0415
+
+    if motion in MOTIONS:
+        return
+    if Path(motion).suffix.lower() not in (".gpx", ".csv"):
+        raise InputError(f"{motion!r} is none of {', '.join(MOTIONS)} or a .gpx or .csv file.")
+    try:
+        read_track(Path(motion))
+    except TrackError as error:
+        raise InputError(f"{error}; give another track or one of {', '.join(MOTIONS)}.") from error
