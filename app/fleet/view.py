@@ -58,6 +58,7 @@ class FleetView(ViewDisplay):
         self._wanted, self._sides = configs[first].requirement.requirement().side, dict(sides)
         super().__init__(self._first, configs[first], address, ", ".join(configs), tuple(configs))
         self._others = {name: _OtherAircraft(self._aircraft[name], configs[name], self) for name in others}
+        self._shown += [one.shown for one in self._others.values()]
 
     def of(self, name: str) -> FlightDisplay:
         """Return the display of one aircraft."""
@@ -118,8 +119,7 @@ class FleetView(ViewDisplay):
 
     def _states(self) -> Json:
         """Return the state of each aircraft, with its name, the required side and the side of its role."""
-        shown = [self._own, *(one.shown for one in self._others.values())]
-        return {"fleet": [self._state_of(one, one.snapshot) for one in shown if one.snapshot is not None]}
+        return {"fleet": [self._state_of(one, one.snapshot) for one in self._shown if one.snapshot is not None]}
 
     def _state_of(self, one: ShownAircraft, snapshot: Snapshot) -> Json:
         one.vehicle = self._aircraft[one.name].status

@@ -97,12 +97,13 @@ class ViewDisplay:
         self._inner, self._config, self.address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._own = ShownAircraft(config, *fleet[:1])
+        self._shown = [self._own]
         self._feed: Feed | None = None
         self._trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
-        self._route: Route | None = None
+        self._routes: dict[str, Route] = {}  # by the target's name
         self._shading: Shading | None = None
         self._sent_at_s = -math.inf
         self._status: Callable[[], VehicleStatus] | None = None
@@ -172,10 +173,6 @@ class ViewDisplay:
 
     def _observe(self, snapshot: Snapshot) -> None:
         self._trail.extend(self._own.take(snapshot))
-        route = None if snapshot.route is None else snapshot.route.route
-        if snapshot.requirement != self._requirement or route is not self._route:
-            self._requirement, self._route = snapshot.requirement, route
-            self._setting = self._set()
         self.pump_if_due()
 
     # -- to and from the page ------------------------------------------------------------------------------
@@ -213,10 +210,20 @@ class ViewDisplay:
                 self._inner.note(f"{fault}; the flight continues")
 
     def _set(self) -> Json:
-        base = setting(self._config, self._own.encoder.plane, self._name, self._requirement, self._route)
+        base = setting(self._config, self._own.encoder.plane, self._name, self._requirement, self._routes.values())
         return base | under_flight(self.address, self._shading)
 
+    def _renew_setting(self) -> None:
+        """Send the setting again if the requirement or the route of a target has changed."""
+        snapshots = [one.snapshot for one in self._shown if one.snapshot is not None]
+        routes = {one.target: one.route.route for one in snapshots if one.route is not None}
+        requirement = self._requirement if self._own.snapshot is None else self._own.snapshot.requirement
+        if (requirement, routes) != (self._requirement, self._routes):
+            self._requirement, self._routes = requirement, routes
+            self._setting = self._set()
+
     def _update(self) -> Json:
+        self._renew_setting()
         update: Json = {
             "start_s": self._own.start_s,
             "trail": list(self._trail),

@@ -24,7 +24,7 @@ class Frames:
     """Frames of a replay: times_s, states (JSON); announced: (time_s, kind, text); decided_s: times of decided moves.
 
     start_s: when tracking began, else time of the first estimate; None if there was neither.
-    route: the last one given.
+    routes: the last one given of each target, by its name.
     """
 
     times_s: list[float] = field(default_factory=list)
@@ -33,7 +33,7 @@ class Frames:
     decided_s: list[float] = field(default_factory=list)
     start_s: float | None = None
     plane: LocalPlane | None = None
-    route: Route | None = None
+    routes: dict[str, Route] = field(default_factory=dict)
 
     def noted(self, steps: Iterable[Replayed], encoder: StateEncoder, proposals: bool = False) -> Iterator[Replayed]:
         """Yield the steps, storing what the page needs. proposals: moves repeat each second; store each one once."""
@@ -53,7 +53,7 @@ class Frames:
                 (one.time_s, one.kind, one.text) for one in announced if not (again and one.kind == "decision")
             ]
             if snapshot.route is not None:
-                self.route = snapshot.route.route
+                self.routes[snapshot.target] = snapshot.route.route
             if snapshot.aircraft is not None and snapshot.time_s >= last_s + step_s - _ROUNDING_S:
                 last_s = snapshot.time_s
                 self.times_s.append(last_s)

@@ -43,7 +43,9 @@ def serve_replay(
                     update = player.update()
                     new_shade = shading is not None and shading.is_new()
                     if not setting_sent or new_shade:
-                        base = setting(config, frames.plane, name, route=frames.route) | {"replay": player.setting}
+                        base = setting(config, frames.plane, name, routes=frames.routes.values()) | {
+                            "replay": player.setting
+                        }
                         update["setting"] = base | under_flight(address, shading)
                         setting_sent = True
                     if new_shade and shading is not None:

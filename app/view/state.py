@@ -6,6 +6,7 @@ Unknown values are null: JSON has no NaN.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -49,12 +50,12 @@ def setting(
     plane: LocalPlane | None,
     name: str,
     requirement: Requirement | None = None,
-    route: Route | None = None,
+    routes: Iterable[Route] = (),
 ) -> Json:
     """Return the settings, which change only on request. name: title of the page.
 
     The fences are included once the plane is known. requirement: the current one; by default the configured one.
-    route: expected of the target.
+    routes: the expected route of each target that has one.
     """
     requirement = requirement or config.requirement.requirement()
 
@@ -74,7 +75,7 @@ def setting(
         "keep_out": outlines(config.fences.keep_out),
         "name": name,
         "display": config.display.model_dump(),
-        "route": [] if route is None else [_rounded(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()],
+        "routes": [[_rounded(*point) for point in one.outline_m(_ROUTE_POINTS).tolist()] for one in routes],
         "origin": None if plane is None else _origin(plane),
     }
 

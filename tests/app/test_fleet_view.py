@@ -6,6 +6,7 @@ import io
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
@@ -19,6 +20,8 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
+from sidelong.mission.route.progress import RouteProgress
+from sidelong.mission.route.route import route_of
 
 PLANE = LocalPlane(47.4, 8.5)
 NAMES = ("plane", "wing")
@@ -163,6 +166,41 @@ def test_of_several_targets_the_page_names_each_and_whose_decisions_are_reported
     for name in NAMES:
         shown.of(name).say(Announce(snapshot.time_s, "decision", "moving"))
     assert [one[1:] for one in shown._announced] == [["decision", f"{name}: moving"] for name in NAMES]
+
+
+def on_route(snapshot, target, east_m):
+    """Return a snapshot of an aircraft at a target that is expected to go 400 m north."""
+    route = route_of(np.array([east_m, east_m]), np.array([0.0, 400.0]))
+    return replace(snapshot, target=target, route=RouteProgress(route, True, 100.0, 4.0, 0.9, math.nan))
+
+
+def test_the_map_draws_the_route_of_each_target_once(browser, snapshot):
+    names = ("plane", "wing", "kite")
+    shown = FleetView(
+        FleetPanel(Console(file=io.StringIO()), quiet=True), dict.fromkeys(names, Config()), Address(port=0)
+    )
+    with shown:
+        for name, target, east_m in zip(names, ("boat", "bike", "bike"), (0.0, 70.0, 70.0), strict=True):
+            shown.of(name).show(on_route(snapshot, target, east_m))
+        shown.pump()
+        page = browser.new_page()
+        page.goto(shown.url)
+        page.locator("#map path.aircraft.other").nth(1).wait_for(state="attached")
+        drawn = [one.get_attribute("points") for one in page.locator("#map polyline.route").all()]
+        assert [(one.split()[0], one.split()[-1]) for one in drawn] == [("0,0", "0,400"), ("70,0", "70,400")]
+        assert page.locator("#legend li.route").is_visible()
+        page.close()
+
+
+def test_the_routes_are_sent_again_only_when_one_changes(view, snapshot):
+    shown, _ = view
+    shown.of("plane").show(on_route(snapshot, "boat", 0.0))
+    shown.of("wing").show(on_route(snapshot, "bike", 70.0))
+    assert [line[0] for line in shown._update()["setting"]["routes"]] == [[0.0, 0.0], [70.0, 0.0]]
+    shown._setting = None  # as after it was sent
+    assert "setting" not in shown._update()
+    shown.of("wing").show(replace(snapshot, target="bike"))
+    assert [line[0] for line in shown._update()["setting"]["routes"]] == [[0.0, 0.0]]
 
 
 def test_messages_of_the_others_are_logged_by_the_time_since_their_own_start(view, snapshot):

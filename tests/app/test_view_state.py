@@ -74,7 +74,7 @@ def test_the_route_and_the_expected_path_along_it_are_sent(watching):
     assert not state_of(replace(watching, route=unused))["route"]["of_use"]
     off = state_of(replace(watching, route=RouteProgress(route, False, math.nan, math.nan, 0.1, math.nan)))["route"]
     assert (off["on"], off["along_m"], off["ahead"]) == (False, None, [])
-    drawn = setting(Config(), None, "", route=route)["route"]
+    (drawn,) = setting(Config(), None, "", routes=[route])["routes"]
     assert drawn[0] == drawn[-1] == [0.0, 0.0]
 
 

@@ -66,7 +66,7 @@ export class FlightMap {
     const shape = (name, kind) => svg(name, { class: kind }, this.ground);
     this.about = svg("g", {}, this.ground); // moves with the target
     this.fences = svg("g", {}, this.ground);
-    this.route = shape("polyline", "route");
+    this.routes = svg("g", {}, this.ground);
     this.side = svg("path", { class: "side" }, this.about);
     this.rings = [0, 1].map(() => svg("circle", { class: "ring" }, this.about));
     this.trailLine = shape("polyline", "trail");
@@ -365,7 +365,8 @@ export class FlightMap {
   }
 
   drawFixed() {
-    this.route.setAttribute("points", points(this.setting.route ?? []));
+    const routes = this.setting.routes ?? [];
+    this.routes.replaceChildren(...routes.map((line) => svg("polyline", { class: "route", points: points(line) })));
     const outlines = (kind) => (this.setting[kind.replace("-", "_")] ?? [])
       .map((outline) => svg("polygon", { class: kind, points: points(outline) }));
     this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"));

@@ -71,7 +71,7 @@ function set(setting) {
   configure(setting.display);
   showDisplay();
   map.drawFixed();
-  byId("legend").querySelector(".route").hidden = !setting.route?.length;
+  byId("legend").querySelector(".route").hidden = !setting.routes.length;
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
