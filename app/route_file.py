@@ -17,6 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.text_file import read_text
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.path import FloatArray
+from sidelong.mission.route.route import REACH_M
 
 _FILE_MAX_BYTES = 8 << 20
 _REMEDY = "give a route as .gpx, .geojson, .kml, .cot, or .csv with east_m,north_m or lat,lon"
@@ -65,13 +66,12 @@ def read_route(path: Path) -> RoutePoints:
     if different < 2:
         raise InputError(f"{path}: contains {different} points of a route; it needs at least two different points.")
     first, second = np.array(points, np.float64).T
-    beyond = ~np.isfinite(first) | ~np.isfinite(second)
-    if geodetic:
-        beyond |= (np.abs(first) > 90.0) | (np.abs(second) > 180.0)
-    if beyond.any():
-        bad = int(np.flatnonzero(beyond)[0])
-        limits = " (-90 to 90, -180 to 180)" if geodetic else ""
-        raise InputError(f"{path}: point {bad + 1}, {first[bad]:g}, {second[bad]:g}, is out of range{limits}.")
+    limits = (90.0, 180.0) if geodetic else (REACH_M, REACH_M)
+    within = (np.abs(first) <= limits[0]) & (np.abs(second) <= limits[1])
+    if not within.all():
+        bad = int(np.argmin(within))
+        ranges = ", ".join(f"-{limit:g} to {limit:g}" for limit in limits)
+        raise InputError(f"{path}: point {bad + 1}, {first[bad]:g}, {second[bad]:g}, is out of range ({ranges}).")
     return RoutePoints(np.ascontiguousarray(first), np.ascontiguousarray(second), geodetic)
 
 
@@ -162,15 +162,22 @@ def _longitude_latitude(words: list[str]) -> tuple[float, float]:
 
 
 def _csv(text: str) -> tuple[_Points, bool]:
-    lines = [line for line in text.splitlines() if line.strip()]
-    rows = csv.reader(lines, delimiter=max(",;\t", key=lines[0].count) if lines else ",")
-    header = [name.strip().lower() for name in next(rows, [])]
+    rows = csv.reader(text.splitlines(), delimiter=max(",;\t", key=text.lstrip().partition("\n")[0].count))
+    filled = ((rows.line_num, row) for row in rows if any(map(str.strip, row)))
+    header = [name.strip().lower() for name in next(filled, (0, []))[1]]
     for geodetic, names in enumerate(_CSV_COLUMNS):
         columns = [next((header.index(name) for name in alike if name in header), None) for alike in names]
         first, second = columns
         if first is not None and second is not None:
-            return [(_number(row[first]), _number(row[second])) for row in rows], bool(geodetic)
+            return [_cells(line, row, first, second) for line, row in filled], bool(geodetic)
     raise ValueError("the header names neither east_m, north_m nor lat, lon")
+
+
+def _cells(line: int, row: list[str], first: int, second: int) -> tuple[float, float]:
+    try:
+        return _number(row[first]), _number(row[second])
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"line {line}, {','.join(row):.60}, holds no position") from error
 
 
 def _number(word: str) -> float:

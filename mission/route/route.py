@@ -12,6 +12,7 @@ from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.path import FloatArray
 
 POINT_EVERY_M = 4.0
+REACH_M = 1e8  # no point of the Earth is farther from the origin
 _POINTS_MAX = 20_000
 _SAME_POINT_M = 0.05
 
@@ -96,15 +97,16 @@ def route_of(
         The route.
 
     Raises:
-        ValueError: There are fewer than two different points, or a coordinate is not finite.
+        ValueError: There are fewer than two different points, or a coordinate is out of range.
     """
     points_m = np.stack([np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)])
-    if not np.isfinite(points_m).all():
-        raise ValueError("a coordinate of the route is not a finite number")
+    if not (np.abs(points_m) <= REACH_M).all():
+        raise ValueError(f"a coordinate of the route is not a finite number up to {REACH_M:g} m")
     if lap and points_m.shape[1]:
         points_m = np.concatenate([points_m, points_m[:, :1]], axis=1)
-    leg_m = np.hypot(*np.diff(points_m)) if points_m.shape[1] > 1 else np.zeros(0)
-    points_m = points_m[:, np.append(True, leg_m > _SAME_POINT_M)] if points_m.shape[1] else points_m
+    # Of points that lie close together, those are kept that are apart from the last one kept.
+    apart = np.floor(np.cumsum(np.hypot(*np.diff(points_m, prepend=points_m[:, :1]))) / _SAME_POINT_M)
+    points_m = points_m[:, np.diff(apart, prepend=-1.0) > 0.0]
     if points_m.shape[1] < 2:
         raise ValueError("a route needs at least two different points")
     arc_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m))))

@@ -55,6 +55,10 @@ def test_every_format_gives_the_same_points(tmp_path: Path, name: str) -> None:
         ("a.csv", "x,y\n1,2", "names neither"),
         ("a.csv", "lat,lon\n47,8\n123.4,8", "point 2, 123.4, 8, is out of range"),
         ("a.csv", "east_m,north_m\n1,2", "contains 1 points"),
+        ("a.csv", "lat,lon\n47,8\n\n47;9,x\n", "line 4, 47;9,x, holds no position"),
+        ("a.csv", "lat,lon\n47,8\n47\n", "line 3, 47, holds no position"),
+        ("a.csv", "lat,lon\n47,8\n47,\n", "point 2, 47, nan, is out of range"),
+        ("a.csv", "east_m,north_m\n0,0\n1e308,5\n-1e308,5", "point 2, .*, is out of range"),
     ],
 )
 def test_wrong_file_is_one_sentence(tmp_path: Path, name: str, text: str, words: str) -> None:

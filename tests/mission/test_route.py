@@ -167,5 +167,12 @@ def test_lap_continues_at_its_first_point() -> None:
 def test_route_needs_two_different_finite_points() -> None:
     with pytest.raises(ValueError, match="two different points"):
         route_of(np.zeros(3), np.zeros(3))
-    with pytest.raises(ValueError, match="finite"):
-        route_of(np.array([0.0, math.nan]), np.zeros(2))
+    for east_m in (math.nan, math.inf, 1e308):
+        with pytest.raises(ValueError, match="finite"):
+            route_of(np.array([0.0, east_m]), np.zeros(2))
+
+
+def test_route_recorded_by_the_centimetre_keeps_its_length() -> None:
+    route = route_of(np.arange(0.0, 100.0, 0.01), np.zeros(10_000))
+    assert route.length_m == pytest.approx(100.0, abs=0.1)
+    assert route_of(np.array([0.0, 0.01, 0.02, 50.0]), np.zeros(4)).length_m == pytest.approx(50.0)
