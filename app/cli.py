@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import signal
 import sys
@@ -194,9 +195,11 @@ def run(arguments: list[str] | None = None) -> int:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
         return 0
-    except Exception:
+    except Exception as error:
         if interrupt_dropped():
             return _complain("interrupted.", INTERRUPTED)
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return _complain(f"the output cannot be written ({error.strerror}); free some space for it.", 2)
         with contextlib.suppress(OSError):
             traceback.print_exc()
         return 1

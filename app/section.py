@@ -37,6 +37,8 @@ def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
         return f"unknown key {where}; known there: {', '.join(_known_keys(kind, problem['loc']))}."
     if problem["type"] == "value_error":
         return f"{where + ': ' if where else ''}{_cut(str(problem['ctx']['error']))}."
+    if problem["type"] == "missing":
+        return f"{where} is missing; give it."
     given = f"{where} = {_cut(repr(problem['input']), _SHOWN_CHARACTERS)}"
     if problem["type"] in ("model_type", "dict_type"):
         return f"{given}: a table belongs there; write [{where}], and its keys below."

@@ -54,8 +54,12 @@ def check(
     optimise: Annotated[
         bool, _PUBLISHED("--optimise", help="Paper: also find the best threshold and airspeed.")
     ] = False,
-    slowest: Annotated[float, _PUBLISHED(help="Slowest airspeed --optimise may choose, m/s.")] = 8.0,
-    fastest: Annotated[float, _PUBLISHED(help="Fastest airspeed --optimise may choose, m/s.")] = 30.0,
+    slowest: Annotated[
+        float, _PUBLISHED(min=3.0, max=80.0, help="Slowest airspeed --optimise may choose, m/s.")
+    ] = 8.0,
+    fastest: Annotated[
+        float, _PUBLISHED(min=3.0, max=80.0, help="Fastest airspeed --optimise may choose, m/s.")
+    ] = 30.0,
     json: JsonOption = None,
 ) -> None:
     """Check whether the configured planner can keep the requirement, and name the number to change if it cannot.
@@ -81,6 +85,8 @@ def check(
         },
         "planner": {"name": planner},
     }
+    if slowest >= fastest:
+        raise InputError(f"--slowest {slowest:g} is not below --fastest {fastest:g}; change one.")
     airspeeds_m_s = (slowest, fastest) if optimise else None
     if not names_a_fleet(config):
         settings = load_config(config, overrides)

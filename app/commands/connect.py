@@ -43,7 +43,9 @@ def connect(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
     timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
-    listen_s: Annotated[float, typer.Option("--listen", min=0.5, help="Listen to the sensors this long, s.")] = 3.0,
+    listen_s: Annotated[
+        float, typer.Option("--listen", min=0.5, max=3600.0, help="Listen to the sensors this long, s.")
+    ] = 3.0,
     system_id: Annotated[int | None, typer.Option(min=1, max=255, help="MAVLink system id of the vehicle.")] = None,
     payload: Annotated[
         str | None,

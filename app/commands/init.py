@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import typer
 from pydantic.fields import FieldInfo
 
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import checked_file, console
 from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
@@ -90,15 +90,14 @@ def init(
       sidelong init fleet.toml --fleet 2
     """
     _check_preset(preset, fleet)
-    if not file.parent.is_dir():
-        raise InputError(f"{file}: there is no folder {file.parent}; create it or give another file.")
+    checked_file("init", file)
     try:
         with file.open("w" if force else "x", encoding="utf-8") as out:
             out.write(config_text(preset, fleet))
     except FileExistsError as error:
         raise InputError(f"{file} is there already; give another name, or --force to write over it.") from error
     except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror}).") from error
+        raise InputError(f"{file}: cannot be written ({error.strerror}); give another file.") from error
     console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)
 
 

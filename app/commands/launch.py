@@ -90,7 +90,9 @@ def launch(
         str | None, _SIMULATION(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
     ] = None,
     target_speed: Annotated[float | None, _MISSION(help="Highest speed to expect of the target, m/s.")] = None,
-    duration: Annotated[float, _MISSION(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
+    duration: Annotated[
+        float, _MISSION(min=1.0, max=1e6, help="Watch this long, s of the vehicle's time.")
+    ] = _DURATION_S,
     speed: Annotated[float | None, _SIMULATION(help="Simulated time over wall time [10; with --payload 4].")] = None,
     seed: Annotated[int | None, _SIMULATION(help="Seed of the simulation's noise.")] = None,
     side: Annotated[

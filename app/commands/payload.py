@@ -76,7 +76,7 @@ def _opened(to: str) -> Transport:
     try:
         return opened(f"udpout://{socket.gethostbyname(match[1])}:{match[2]}")
     except OSError as error:
-        raise InputError(f"--to {to!r:.80}: {error.strerror or error}.") from error
+        raise InputError(f"--to {to!r:.80}: {error.strerror or error}; give udpout:HOST:PORT.") from error
 
 
 async def _serve(

@@ -101,7 +101,7 @@ def replay(
 
         write_json(json, replay_fleet(fleet, one, verify))
         return
-    is_run = log.is_dir() or log.suffix == ".jsonl"
+    is_run = log.is_dir() or log == RunFolder(log.parent).journal
     if verify and not is_run:
         raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
     folder = RunFolder.open(log if log.is_dir() else log.parent) if is_run else None

@@ -258,8 +258,12 @@ def load_fleet(
     values: dict[str, Any] = read_toml(path) if path is not None else {}
     name = "command line" if path is None else str(path)
     aircraft = values.get("aircraft", {})
+    if not isinstance(aircraft, dict | list):
+        raise InputError(f"{name}: aircraft = {aircraft!r:.80}: a table belongs there; write [aircraft].")
     if isinstance(aircraft, dict):
         base_m = aircraft.get("height_m", AircraftSection.model_fields["height_m"].default)
+        if not isinstance(base_m, int | float):
+            raise InputError(f"{name}: aircraft.height_m = {base_m!r:.80}: give a number of metres.")
         values["aircraft"] = aircraft = [
             {**aircraft, "name": f"aircraft-{k + 1}", "height_m": base_m + k * LAYER_M} for k in range(count or 1)
         ]

@@ -50,9 +50,10 @@ def read_key(path: Path) -> SigningKey:
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             text = file.read(4096) if stat.S_ISREG(mode) else b""
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
         raise InputError(
-            f"signing key {path} cannot be read ({error.strerror}); make one with: sidelong sign {path}"
+            f"signing key {path} cannot be read ({getattr(error, 'strerror', error)}); "
+            f"make one with: sidelong sign {path}"
         ) from error
     if not stat.S_ISREG(mode):
         raise InputError(f"signing key {path} is not a regular file; make one with: sidelong sign FILE")

@@ -67,7 +67,7 @@ def export(flights: Sequence[Flight], wanted: Format, out: Path) -> None:
     try:
         out.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{out} cannot be written: {error.strerror}.") from error
+        raise InputError(f"{out} cannot be written ({error.strerror}); give another file to --out.") from error
 
 
 # -- mission items ------------------------------------------------------------------------------------------

@@ -135,7 +135,7 @@ class RunFolder(_Folder):
         if FleetFolder(path).journal.is_file():
             raise InputError(f"{path} is the run of a fleet; give the folder of one aircraft in it.")
         if not run.journal.is_file():
-            raise InputError(f"{path} is no run folder: it has no {run.journal.name}.")
+            raise InputError(f"{path} is no run folder: it has no {run.journal.name}; give a run folder or a log.")
         return run
 
 

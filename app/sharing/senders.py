@@ -102,14 +102,14 @@ def tls_context(certificate: Path | None, key: Path | None, authority: Path | No
         if authority is not None:
             # Since Python 3.13 a certificate must state its key usage; those of private authorities rarely do.
             context.verify_flags &= ~ssl.VERIFY_X509_STRICT
-    except (OSError, ssl.SSLError) as error:
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
         raise InputError(
             f"{name}: {authority} holds no certificates ({_reason(error)}); give a PEM file in {name}_authority_file."
         ) from error
     if certificate is not None:
         try:
             context.load_cert_chain(certificate, key, password=lambda: _refused(name))
-        except (OSError, ssl.SSLError) as error:
+        except (OSError, ValueError) as error:
             raise InputError(
                 f"{name}: {certificate} and its key cannot be used ({_reason(error)}); give PEM files in "
                 f"{name}_certificate_file and {name}_key_file."
@@ -128,4 +128,4 @@ def _reason(error: Exception) -> str:
         return "no answer"
     if isinstance(error, ssl.SSLError):
         return str(getattr(error, "verify_message", "") or error.reason or "TLS failed")
-    return str(getattr(error, "strerror", None) or error.__class__.__name__)
+    return str(getattr(error, "strerror", None) or error or error.__class__.__name__)

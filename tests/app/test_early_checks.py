@@ -31,6 +31,9 @@ from sidelong.app.errors import InputError
         (["launch", "--signing-key", "none"], "link.signing_key_file: signing key none cannot be read"),
         (["launch", "--side", "up"], "requirement.side: 'up' is none of left, right"),
         (["launch", "--json", "tests"], "tests is a folder; give a file to --json"),
+        (["replay", "pyproject.jsonl"], "pyproject.jsonl: there is no such run folder or log"),
+        (["replay", "tests"], "tests is no run folder: it has no journal.jsonl; give a run folder or a log"),
+        (["check", "--slowest", "20", "--fastest", "10"], "--slowest 20 is not below --fastest 10"),
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--truth", "pyproject.toml"], "is no truth file"),
         (["export", "tests/data/arduplane-follow-bike.tlog", "--out", "none/x.kml"], "there is no folder none"),
         (["study", "--scheduler", "here"], "--scheduler: 'here' is no address"),
@@ -67,6 +70,9 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
         ('[terrain]\nfolder = "none"', "terrain.folder: none: there is no such folder"),
         ('[link]\nsigning_key_file = "none"', "link.signing_key_file: signing key none cannot be read"),
         (_TLS + 'cot_authority_file = "none.pem"', "sharing.cot: none.pem holds no certificates"),
+        ('[link]\nsigning_key_file = "\\u0000"', "cannot be read (embedded null byte)"),
+        (_TLS + 'cot_authority_file = "\\u0000"', "holds no certificates (embedded null byte)"),
+        (_TLS + 'cot_certificate_file = "\\u0000"', "its key cannot be used (embedded null byte)"),
         (_TLS + 'cot_certificate_file = "none.pem"', "sharing.cot: none.pem and its key cannot be used"),
         ('[simulation]\ntarget = "none.gpx"', "simulation.target: none.gpx cannot be read"),
         (_AIRCRAFT + '[[target]]\nname = "bike"\nmotion = "none.csv"', "target 'bike': motion: none.csv cannot be"),
@@ -96,6 +102,9 @@ def test_a_named_file_is_opened_before_the_vehicle_is_waited_for(tmp_path, words
         (["lanch"], "No such command 'lanch'. Did you mean 'launch'?"),
         (["launch", "--speeed", "3"], "No such option: --speeed (Possible options: --seed, --speed"),
         (["export", "run", "--format", "gpxx"], "Invalid value for '--format': 'gpxx' is not one of 'plan'"),
+        (["launch", "--duration", "inf"], "Invalid value for '--duration'"),
+        (["connect", "udpin://127.0.0.1:1", "--listen", "inf"], "Invalid value for '--listen'"),
+        (["check", "--slowest", "nan"], "Invalid value for '--slowest'"),
         (["check", "--radius", "wide"], "'wide' is neither a number of metres nor auto"),
     ],
 )
@@ -104,6 +113,13 @@ def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence):
     assert ended.exit_code == 2
     assert sentence in ended.output
     assert "Value error" not in ended.output
+
+
+def test_a_file_next_to_a_journal_is_not_taken_for_it(tmp_path):
+    (tmp_path / "journal.jsonl").write_text("the journal")
+    (tmp_path / "other.jsonl").write_text("another file")
+    ended = CliRunner().invoke(app, ["replay", str(tmp_path / "other.jsonl")])
+    assert "other.jsonl is no log" in str(ended.exception)
 
 
 def test_lengths_below_nothing_are_not_reported_as_lengths(tmp_path, capsys):

@@ -111,7 +111,7 @@ MISTAKES = {
     'name = "south"': [
         ('name = "north"', "given twice"),
         ('name = "so/uth"', "aircraft.1.name"),
-        ("", "aircraft.1.name"),
+        ("", "aircraft.1.name is missing; give it."),
         ('name = "south"\nurl = "udpin://0.0.0.0:1"', "has no link"),
         ('name = "south"\ntarget = "bike"', "there are target"),
     ],
@@ -141,6 +141,19 @@ def test_a_mistake_is_one_sentence_naming_file_and_field(written, changed, to, a
         load_fleet(path)
     assert announced in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "announced"),
+    [
+        ('[aircraft]\nheight_m = "high"', "aircraft.height_m = 'high': give a number of metres"),
+        ("aircraft = 5", "aircraft = 5: a table belongs there"),
+    ],
+)
+def test_a_mistake_of_one_aircraft_that_is_to_be_two_is_one_sentence(written, text, announced):
+    with pytest.raises(InputError, match=r"^.*fleet\.toml: ") as refused:
+        load_fleet(written(text), {"simulation": {"autopilot": "px4"}}, 2)
+    assert announced in str(refused.value)
 
 
 def test_urls_are_unique(written):

@@ -108,6 +108,11 @@ def test_an_unknown_preset_names_those_there_are(tmp_path):
     assert not (tmp_path / "mission.toml").exists()
 
 
+def test_a_folder_in_place_of_the_file_is_reported(tmp_path):
+    with pytest.raises(InputError, match=r"is a folder; give a file to init\.$"):
+        init(tmp_path)
+
+
 def test_a_folder_that_is_not_there_is_reported(tmp_path):
-    with pytest.raises(InputError, match=r"there is no folder .*no; create it or give another file\.$"):
+    with pytest.raises(InputError, match=r"there is no folder .*no; create it or give another file to init\.$"):
         init(Path(tmp_path / "no" / "mission.toml"))

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from sidelong.app.analysis.summary import SummaryCollector
 from sidelong.app.analysis.truth import Truth
+from sidelong.app.cli import run
 from sidelong.app.commands.output import shielded_output, standard
 from sidelong.app.commands.progress import progress_bar
 from sidelong.app.config import load_config
@@ -61,6 +62,16 @@ def test_a_terminal_that_fails_is_an_error_but_for_a_flight(monkeypatch):
         standard.write("x")
         standard.flush()
     assert standard.lost == "No space left on device"
+
+
+@pytest.mark.parametrize("words", [["--help"], ["init"]])
+def test_a_full_disk_under_the_output_is_one_sentence(monkeypatch, capsys, tmp_path, words):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(standard, "lost", None)
+    monkeypatch.setattr("sys.stdout", Full())
+    assert run(words) == 2
+    announced = capsys.readouterr().err
+    assert announced == "sidelong: the output cannot be written (No space left on device); free some space for it.\n"
 
 
 def test_what_a_terminal_cannot_show_is_no_error(monkeypatch):
