@@ -44,6 +44,7 @@ class FramedDriver(PayloadDriver):
         self._settings = settings
         self._framer = framer
         self._trips = RoundTrips()
+        self._follows = False  # the aircraft's yaw: set with the first command where a gimbal has such a mode
         self._due = {name: Period(period_s) for name, period_s in periods_s.items()}
         self._range_unit_m = settings.range_unit_m or range_unit_m
         self._yaw_sign = -yaw_sign if settings.flip_yaw else yaw_sign
@@ -60,6 +61,7 @@ class FramedDriver(PayloadDriver):
     def restart(self, now_s: float) -> None:
         self._framer.clear()
         self._trips.clear()
+        self._follows = False
         self.identity = Identity()
         for period in self._due.values():
             period.restart()

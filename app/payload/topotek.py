@@ -40,11 +40,6 @@ class TopotekDriver(FramedDriver):
     def __init__(self, settings: DriverSettings) -> None:
         super().__init__(settings, Framer(_HEADERS, _length, _is_intact), _PERIODS_S, pitch_sign=-1.0)
         self._pushed_s = self._range_s = -math.inf
-        self._follows = False
-
-    def restart(self, now_s: float) -> None:
-        super().restart(now_s)
-        self._follows = False
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the requests to send now. Angles, and the range of most firmware, then come unasked for a while."""

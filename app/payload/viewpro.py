@@ -50,11 +50,6 @@ class ViewproDriver(FramedDriver):
         super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, pitch_sign=-1.0)
         self._counter = 0
         self._range_s = -math.inf
-        self._follows = False
-
-    def restart(self, now_s: float) -> None:
-        super().restart(now_s)
-        self._follows = False
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the requests to send now: each handshake is answered by a status frame."""
