@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.files import check_files
 from sidelong.app.commands.options import AIRCRAFT, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.commands.radius import RadiusOption, warn_of_band
 from sidelong.app.config import Config, load_config, unflyable
+from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
@@ -98,7 +98,7 @@ def check(
         console.print("feasible")
         return
     fleet = load_fleet(config, overrides)
-    check_files(fleet)
+    check_files(fleet, fleet.target)
     all_values, refused = [], []
     for member in fleet.members:
         console.print(f"{member.name}, at {member.config.aircraft.height_m:g} m:")

@@ -10,10 +10,10 @@ import typer
 from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
-from sidelong.app.commands.files import check_files
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.payload_status import degrees_of, pan_words, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
+from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
@@ -87,7 +87,7 @@ def connect(
     if urls or system_id is not None:
         raise InputError(f"{config} has the links of its aircraft; leave out the URL and --system-id.")
     fleet = load_fleet(config, overrides)
-    check_files(fleet)
+    check_files(fleet, fleet.target)
     reports, missing = [], []
     for member in fleet.members:
         console.print(f"{member.name}:")

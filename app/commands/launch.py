@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sidelong.app.commands.files import check_files
 from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption, panel
 from sidelong.app.commands.output import (
     JsonOption,
@@ -32,6 +31,7 @@ from sidelong.app.config import (
     load_config,
     with_values,
 )
+from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
@@ -297,7 +297,7 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
 
 
 def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) -> None:
-    check_files(fleet)
+    check_files(fleet, fleet.target)
     for member in fleet.members:
         _check_input(member.config, point_gimbal)
         if member.config.payload.kind != MAVLINK:

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 
 import typer
 
-from sidelong.app.commands.files import check_files
 from sidelong.app.commands.options import MAP
 from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
 from sidelong.app.config import check_flyable, load_config
+from sidelong.app.config_files import check_files
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.url import checked_url

@@ -32,6 +32,7 @@ def test_the_example_watches_and_ends(tmp_path):
     [
         ({"requirement": {"side": "up"}}, None, "side"),
         ({"aircraft": {"radius_m": 50.0}}, "udp://:14540", "udp"),
+        ({"route": {"file": "none.gpx"}}, None, "route.file: none.gpx"),
     ],
 )
 def test_a_wrong_configuration_is_refused_in_a_sentence(tmp_path, config, url, words):

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
-from sidelong.app.config import Config
+from sidelong.app.config import Config, RouteSection
 from sidelong.app.errors import InputError
-from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
 
 
-def check_files(config: Config) -> None:
+class NamedTarget(Protocol):
+    """A target of a fleet."""
+
+    name: str
+    route: RouteSection | None
+    motion: str | None
+
+
+def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
     """Raise InputError, which names the field and the file, if a file of the configuration cannot be used.
 
     Args:
         config: The configuration of one aircraft or of a fleet.
+        targets: Those of a fleet.
     """
-    for field, check in _checks(config):
+    for field, check in _checks(config, targets):
         try:
             check()
         except InputError as error:
@@ -30,7 +39,7 @@ def check_files(config: Config) -> None:
         check_certificates(config.sharing)
 
 
-def _checks(config: Config) -> Iterator[tuple[str, Callable[[], object]]]:
+def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[str, Callable[[], object]]]:
     """Yield each field that names a file, with the check of that file."""
     if config.link.signing_key_file is not None:
         from sidelong.app.link.key_file import read_key  # noqa: PLC0415  # as above
@@ -38,7 +47,6 @@ def _checks(config: Config) -> Iterator[tuple[str, Callable[[], object]]]:
         yield "link.signing_key_file", partial(read_key, config.link.signing_key_file)
     if config.terrain.folder is not None:
         yield "terrain.folder", partial(elevation_data, Path(config.terrain.folder))
-    targets = config.target if isinstance(config, FleetFile) else []
     for field, route in (("route", config.route), *((f"target {one.name!r}: route", one.route) for one in targets)):
         if route is not None and route.file is not None:
             yield f"{field}.file", partial(read_route, route.file)
