@@ -15,7 +15,7 @@ from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.predictive.cost_kernel import IntArray, table_value
 from sidelong.mission.predictive.decision_kernel import Looker
-from sidelong.mission.predictive.future_kernel import fill_classes
+from sidelong.mission.predictive.future_kernel import classes_about
 from sidelong.mission.predictive.moves_kernel import STEP_S
 from sidelong.mission.predictive.rollout_kernel import Futures, from_target
 from sidelong.mission.predictive.scene_kernel import Scene, in_frame
@@ -121,18 +121,17 @@ def wanted_value(
 
     s: 1 where the departure's frame is the wanted one, -1 where it is mirrored. classes, share: to be filled in.
     """
-    sin_t, cos_t, spare = f.course[one, p, 0], f.course[one, p, 1], np.empty(4)
+    sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
     vx, vy, air = f.place[one, p, 2], f.place[one, p, 3], scene.air
-    fill_classes(
+    which, shares, _ = classes_about(
         looker.motions,
         s * (vx * cos_t - vy * sin_t),
         vx * sin_t + vy * cos_t,
         s * (air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t),
         air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
-        classes[0, 0],
-        share[0, 0],
-        spare,
     )
+    for c in range(4):
+        classes[0, 0, c], share[0, 0, c] = which[c], shares[c]
     across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
     heading_rad = s * (heading_rad - f.course[one, p, 2])
     table = looker.table

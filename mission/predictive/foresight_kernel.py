@@ -24,7 +24,7 @@ from sidelong.mission.predictive.decision_kernel import (
     look_deeper,
     with_table,
 )
-from sidelong.mission.predictive.future_kernel import fill_classes, watched, winding
+from sidelong.mission.predictive.future_kernel import classes_about, watched, winding
 from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.programme_kernel import (
     COMPUTED_S,
@@ -91,7 +91,7 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
     if motions.wind_speed_m_s > 0.0 and abs(changed_rad) > _OTHER_WIND_RAD:
         s.state[KNOWN:] = 0.0
         s.state[WIND_RAD] = wind_rad
-    classes, share, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4)), np.empty((1, 1, 4))
+    classes, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     for k in range(f.place.shape[1]):
         course = course_index(f, _ROUTE, k, turn_rad)
         if s.state[KNOWN + course] > 0.0:
@@ -103,7 +103,9 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
         fastest = motions.target_speed_max_m_s
         vx, vy = fastest * math.sin(to_rad), fastest * math.cos(to_rad)
         wx, wy = motions.wind_speed_m_s * math.sin(from_rad), motions.wind_speed_m_s * math.cos(from_rad)
-        fill_classes(motions, vx, vy, wx, wy, classes[0, 0], share[0, 0], turn_share[0, 0])
+        which, _, shares = classes_about(motions, vx, vy, wx, wy)
+        for c in range(4):
+            classes[0, 0, c], turn_share[0, 0, c] = which[c], shares[c]
         found = s.after_turn[len(table.values) + course]
         resample(table.after_turn, table.cell_m, classes, turn_share, 0, 0, s.cell_m, table_rad, found)
 

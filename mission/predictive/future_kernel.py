@@ -9,7 +9,6 @@ import numpy as np
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.predictive.cost_kernel import IntArray
 from sidelong.mission.predictive.moves_kernel import STEP_S
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, in_frame
@@ -22,6 +21,8 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
     made_good_sigma_rad,
     place_at,
 )
+
+Four = tuple[float, float, float, float]
 
 FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
 _SLOW_M_S = 0.5  # the course of such a slow target is meaningless
@@ -46,17 +47,10 @@ class Turns(NamedTuple):
 
 
 @inlined
-def fill_classes(
-    motions: Motions,
-    velocity_x_m_s: float,
-    velocity_y_m_s: float,
-    wind_x_m_s: float,
-    wind_y_m_s: float,
-    classes: IntArray,
-    share: FloatArray,
-    turn_share: FloatArray,
-) -> None:
-    """Fill in the table's classes (4,) about velocities of target and wind, and their shares in V and after a turn.
+def classes_about(
+    motions: Motions, velocity_x_m_s: float, velocity_y_m_s: float, wind_x_m_s: float, wind_y_m_s: float
+) -> tuple[tuple[int, int, int, int], Four, Four]:
+    """Return the table's classes about velocities of target and wind, and their shares in V and after a turn.
 
     Of the wind only the direction counts: its speed is the table's. After a turn the speed before it is forgotten,
     but for that of a target that stood in a sector's table: it has no direction to turn from.
@@ -65,11 +59,8 @@ def fill_classes(
     speed = min(speed_m_s / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
     ring = min(int(speed), _SPEED_RINGS - 2)
     outer = speed - ring
-    classes[:], share[:], turn_share[:] = 0, 0.0, 0.0
     if motions.follows_course and motions.wind_speed_m_s == 0.0:
-        classes[0], classes[1] = ring, ring + 1
-        share[0], share[1], turn_share[0] = 1.0 - outer, outer, 1.0
-        return
+        return (ring, ring + 1, 0, 0), (1.0 - outer, outer, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     if motions.follows_course:
         directions, angle_rad = motions.wind_directions, math.atan2(wind_x_m_s, wind_y_m_s)
     else:
@@ -78,16 +69,18 @@ def fill_classes(
     direction -= directions * math.floor(direction / directions)
     first = int(direction)
     past = direction - first
-    for i in range(4):
-        a, b = ring + i // 2, (first + i % 2) % directions
-        ring_share, part = outer if i // 2 else 1.0 - outer, past if i % 2 else 1.0 - past
-        share[i] = ring_share * part
-        if motions.follows_course:
-            classes[i] = a * directions + b
-            turn_share[i] = 0.0 if i // 2 else part
-        else:
-            classes[i] = 1 + (a - 1) * directions + b if a else 0
-            turn_share[i] = share[i] if ring == 0 else 0.0 if i // 2 else part
+    near, far = first % directions, (first + 1) % directions
+    share = (1.0 - outer) * (1.0 - past), (1.0 - outer) * past, outer * (1.0 - past), outer * past
+    turned = 1.0 - past, past, 0.0, 0.0
+    if motions.follows_course:
+        inner, outside = ring * directions, (ring + 1) * directions
+        return (inner + near, inner + far, outside + near, outside + far), share, turned
+    # The first class is that of the standing target, which has no direction.
+    outside = 1 + ring * directions
+    if ring == 0:
+        return (0, 0, outside + near, outside + far), share, share
+    inner = outside - directions
+    return (inner + near, inner + far, outside + near, outside + far), share, turned
 
 
 @compiled
@@ -177,6 +170,7 @@ def _watch(
 ) -> None:
     """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
     horizon_s, place, facing, course = wish.course_horizon_s, found.place, found.facing, found.course
+    classes, share, turn_share = found.classes, found.share, found.turn_share
     air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     # Where it was one horizon before each of the first steps.
@@ -219,16 +213,15 @@ def _watch(
                 sigma_rad = made_good_sigma_rad(math.sqrt(position2 + velocity2 * since_s * since_s), way_m)
             facing[one, i, 0], facing[one, i, 1], facing[one, i, 2] = sin_f, cos_f, sigma_rad
             course[one, i, 0], course[one, i, 1], course[one, i, 2] = sin_t, cos_t, table_rad
-            fill_classes(
+            which, shares, turn_shares = classes_about(
                 motions,
                 vx * cos_t - vy * sin_t,
                 vx * sin_t + vy * cos_t,
                 air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t,
                 air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
-                found.classes[one, i],
-                found.share[one, i],
-                found.turn_share[one, i],
             )
+            for c in range(4):
+                classes[one, i, c], share[one, i, c], turn_share[one, i, c] = which[c], shares[c], turn_shares[c]
 
 
 @compiled

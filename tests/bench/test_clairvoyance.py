@@ -33,7 +33,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive import planner as planner_module
 from sidelong.mission.predictive.decision_kernel import Looker, commitment, look_deeper
-from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, fill_classes
+from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, classes_about
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, Situation
@@ -96,7 +96,7 @@ class Clairvoyant(PredictivePlanner):
         shape = *speed_m_s.shape, 4
         classes, share, turn_share = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
         for at, speed in np.ndenumerate(speed_m_s):
-            fill_classes(looker.motions, 0.0, speed, 0.0, 0.0, classes[at], share[at], turn_share[at])
+            classes[at], share[at], turn_share[at] = classes_about(looker.motions, 0.0, speed, 0.0, 0.0)
         facing = np.stack([np.sin(facing_rad), np.cos(facing_rad), np.zeros_like(facing_rad)], axis=2)
         course = np.stack([np.sin(course_rad), np.cos(course_rad), course_rad], axis=2)
         known = np.concatenate([place[:, :-1], velocity], axis=2)

@@ -7,7 +7,7 @@ import pytest
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import table_value
-from sidelong.mission.predictive.future_kernel import fill_classes
+from sidelong.mission.predictive.future_kernel import classes_about
 from sidelong.mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
@@ -20,8 +20,7 @@ class Motion:
 
     def __init__(self, table, target_m_s):
         self.table = table.arrays
-        self._classes, self._share = np.empty(4, np.int64), np.empty(4)
-        fill_classes(table.motions, *target_m_s, 0.0, 0.0, self._classes, self._share, np.empty(4))
+        self._classes, self._share, _ = map(np.array, classes_about(table.motions, *target_m_s, 0.0, 0.0))
 
     def value(self, *place):
         arrays, motion = self.table, (self._classes[None, None], self._share[None, None], 0, 0)
