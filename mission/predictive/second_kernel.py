@@ -46,6 +46,7 @@ from sidelong.mission.predictive.second_moves_kernel import (
     Fan,
     Seconds,
     lay,
+    placed_at,
     speeds_over_ground,
     stretch,
 )
@@ -300,7 +301,7 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
         if i == best or ends[j] + least >= bound:
             continue
         if not laid[j]:
-            lay(s, fan, j, 0, last)
+            lay(s, fan, j, last)
             laid[j] = True
         _running(x, y, j, last + 1, to_x, to_y, sin_f, cos_f, beside, sigma, weight, c, room)
         cost = -0.5 * (room[2, 0] + room[2, last])
@@ -398,7 +399,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
             if end > 0:
                 break
     first, laid, n, calm = room.first, room.laid, room.last, len(room.speeds) == 0
-    flown = seconds.flown[:0] if calm else seconds.flown
+    flown, placed = seconds.flown[:0] if calm else seconds.flown, seconds.placed
     if bar < np.inf:
         for one in range(count):
             first[one] = best[one]
@@ -425,13 +426,11 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
         start = Pose(x[at], y[at], heading[at])
         if not calm:
             stretch(seconds, level, start.heading_rad, room.speeds, longest, flown)
-        fan = Fan(
-            start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, seconds.placed, laid, n
-        )
+        fan = Fan(start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, placed, laid, n)
         laid[:] = False
         for j in range(SECONDS):
             if n[j] > 0:
-                lay(seconds, fan, j, n[j], n[j])
+                placed[0, j, n[j]], placed[1, j, n[j]], placed[2, j, n[j]] = placed_at(seconds, fan, j, n[j])
         for one in range(count):
             if first[one] < best[one]:
                 best[one] = first[one] + _cheapest(seconds, fan, at, one, second, best[one] - first[one])

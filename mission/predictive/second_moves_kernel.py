@@ -123,23 +123,27 @@ def stretch(s: Seconds, level: int, heading_rad: float, speeds: FloatArray, last
 
 
 @inlined
-def lay(s: Seconds, fan: Fan, j: int, first: int, last: int) -> None:
-    """Fill in second move j of a fan, seconds first..last of it."""
-    sin_h, cos_h, x_m, y_m, heading_rad = fan.sin_h, fan.cos_h, fan.start.x_m, fan.start.y_m, fan.start.heading_rad
-    own_x, own_y, turned = s.x_m[fan.level, j], s.y_m[fan.level, j], s.turned_rad[fan.level, j]
-    x, y, heading, flown = fan.placed[0, j], fan.placed[1, j], fan.placed[2, j], fan.flown
+def placed_at(s: Seconds, fan: Fan, j: int, k: int) -> tuple[float, float, float]:
+    """Return place and heading (x, y, heading) of second move j of a fan at second k of it."""
+    own_x, own_y, turned, level, flown = s.x_m, s.y_m, s.turned_rad, fan.level, fan.flown
     if len(flown) == 0:
-        for k in range(first, last + 1):
-            x[k] = x_m + own_x[k] * cos_h + own_y[k] * sin_h
-        for k in range(first, last + 1):
-            y[k] = y_m - own_x[k] * sin_h + own_y[k] * cos_h
-        for k in range(first, last + 1):
-            heading[k] = heading_rad + turned[k]
-        return
-    for k in range(first, last + 1):
+        across_m, along_m, turned_rad = own_x[level, j, k], own_y[level, j, k], turned[level, j, k]
+    else:
         i = min(int(flown[k, j]), SAMPLES - 2)
         past = flown[k, j] - i
-        across_m, along_m = own_x[i] + past * (own_x[i + 1] - own_x[i]), own_y[i] + past * (own_y[i + 1] - own_y[i])
-        x[k] = x_m + across_m * cos_h + along_m * sin_h
-        y[k] = y_m - across_m * sin_h + along_m * cos_h
-        heading[k] = heading_rad + (turned[i] + past * (turned[i + 1] - turned[i]))
+        across_m = own_x[level, j, i] + past * (own_x[level, j, i + 1] - own_x[level, j, i])
+        along_m = own_y[level, j, i] + past * (own_y[level, j, i + 1] - own_y[level, j, i])
+        turned_rad = turned[level, j, i] + past * (turned[level, j, i + 1] - turned[level, j, i])
+    return (
+        fan.start.x_m + across_m * fan.cos_h + along_m * fan.sin_h,
+        fan.start.y_m - across_m * fan.sin_h + along_m * fan.cos_h,
+        fan.start.heading_rad + turned_rad,
+    )
+
+
+@inlined
+def lay(s: Seconds, fan: Fan, j: int, last: int) -> None:
+    """Fill in second move j of a fan, up to second ``last`` of it."""
+    placed = fan.placed
+    for k in range(last + 1):
+        placed[0, j, k], placed[1, j, k], placed[2, j, k] = placed_at(s, fan, j, k)

@@ -340,7 +340,7 @@ def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, pape
     for way, places in ((flown[:0], calm), (flown, windy)):
         fan = Fan(start, 1.0, 0.0, 4, way, places, np.zeros(SECONDS, np.bool_), np.full(SECONDS, 12))
         for j in range(SECONDS):
-            lay(seconds, fan, j, 0, 12)
+            lay(seconds, fan, j, 12)
     np.testing.assert_allclose(np.hypot(*(calm[:2, 0, 1] - (5.0, -7.0))), 10.0, atol=0.1)
     np.testing.assert_allclose(np.hypot(*(windy[:2, 0, 1] - (5.0, -7.0))), 12.0, atol=0.1)
     later = np.hypot(*np.diff(windy[:2, :, :13]))
