@@ -262,16 +262,16 @@ def copy_state(values: FloatArray, found: FloatArray) -> None:
 @compiled
 def _carry_on(f: Flight, filtering: Filtering, hills: Hills, time_s: float) -> None:
     """Fill in the filter's state ahead, at a time: in steps of a second at most."""
-    copy_state(f.models, f.ahead)
-    at_s, spare = f.numbers[FILTER_S], f.models
+    before, ahead, at_s = f.models, f.ahead, f.numbers[FILTER_S]
     while time_s - at_s > 1.0:
-        spare = f.ahead.copy()
-        _predict(spare, 1.0, filtering, hills, f.ahead)
+        _predict(before, 1.0, filtering, hills, ahead)
+        before = ahead.copy()
         at_s += 1.0
     step_s = round((time_s - at_s) * 1e6) / 1e6
     if step_s > 0.0:
-        spare = f.ahead.copy() if at_s > f.numbers[FILTER_S] else f.models
-        _predict(spare, step_s, filtering, hills, f.ahead)
+        _predict(before, step_s, filtering, hills, ahead)
+    else:
+        copy_state(before, ahead)
 
 
 @compiled

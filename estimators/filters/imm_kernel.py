@@ -111,11 +111,11 @@ def mix(state: FloatArray, n: int, step_s: float, found: FloatArray) -> None:
         for before in range(_MODELS):
             for a in range(n):
                 apart[before, a] = state[before, 1 + a] - found[model, 1 + a]
-        p = found[model, 1 + n :].reshape(n, n)
         for a in range(n):
             a0, a1, a2, a3 = w0 * apart[0, a], w1 * apart[1, a], w2 * apart[2, a], w3 * apart[3, a]
+            row = 1 + n + a * n
             for b in range(n):
-                p[a, b] += a0 * apart[0, b] + a1 * apart[1, b] + a2 * apart[2, b] + a3 * apart[3, b]
+                found[model, row + b] += a0 * apart[0, b] + a1 * apart[1, b] + a2 * apart[2, b] + a3 * apart[3, b]
 
 
 @compiled

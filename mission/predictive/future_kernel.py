@@ -55,6 +55,7 @@ def classes_about(
     Of the wind only the direction counts: its speed is the table's. After a turn the speed before it is forgotten,
     but for that of a target that stood in a sector's table: it has no direction to turn from.
     """
+    # Numbers, as parts of arrays that are passed on in a loop count their references at each turn.
     speed_m_s = math.sqrt(velocity_x_m_s * velocity_x_m_s + velocity_y_m_s * velocity_y_m_s)
     speed = min(speed_m_s / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
     ring = min(int(speed), _SPEED_RINGS - 2)
