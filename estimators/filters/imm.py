@@ -18,6 +18,7 @@ calibrations become observable, which they hardly are for one aircraft alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -63,7 +64,7 @@ DENSITIES: dict[TargetKind, Densities] = {
 
 # Without ranges the filter averages over tens of seconds, in which a target holds its velocity better than that: this
 # share of the accelerations gives an ellipse that contains it as often (``tests/bench/test_camera_motion.py``).
-_SHARE_WITHOUT_RANGE = 0.25
+_SHARE_WITHOUT_RANGE, _WITHOUT_RANGE_S = 0.25, 3.0
 
 
 class TargetImm:
@@ -92,6 +93,8 @@ class TargetImm:
             begin_standing(mean, covariance, ground.grid, ground.sigma_m)
         row = np.concatenate(([1.0 / self.models], mean, covariance.ravel()))
         self._set_up(settings, sighting.time_s, np.tile(row, (self.models, 1)), ground)
+        self._ranged_s = -math.inf
+        self._note(sighting)
 
     @classmethod
     def resumed(
@@ -112,7 +115,7 @@ class TargetImm:
     def _set_up(self, settings: TrackerSettings, time_s: float, state: FloatArray, ground: Ground | None) -> None:
         self.time_s, self.state = time_s, state
         self._ground, self._soft_nis = ground, settings.soft_nis
-        self.densities, self._has_range = self._densities_of(settings), True
+        self.densities, self._ranged_s, self._averages = self._densities_of(settings), time_s, False
 
     @staticmethod
     def _densities_of(settings: TrackerSettings) -> Densities:
@@ -128,7 +131,7 @@ class TargetImm:
         self.time_s = time_s
         if step_s > 0.0:
             ahead, ground = np.empty_like(self.state), self._ground
-            densities = self.densities if self._has_range else steadier(self.densities)
+            densities = steadier(self.densities) if self._averages else self.densities
             if ground is None:
                 kernel.predict(self.state, step_s, densities, ahead)
             else:
@@ -148,8 +151,13 @@ class TargetImm:
         state, nis = self._updated(sighting, gate_nis)
         if nis <= gate_nis:
             self.state = state
-            self._has_range = sighting.has_range
+            self._note(sighting)
         return nis
+
+    def _note(self, sighting: AnySighting) -> None:
+        if sighting.has_range:
+            self._ranged_s = sighting.time_s
+        self._averages = sighting.time_s - self._ranged_s > _WITHOUT_RANGE_S
 
     def _updated(self, sighting: AnySighting, gate_nis: float) -> tuple[FloatArray, float]:
         """Return the state after a sighting, and its normalised innovation squared: useless if that is too large."""
@@ -195,7 +203,7 @@ class TargetImm:
 
 
 def steadier(densities: Densities) -> Densities:
-    """Return the process noise while no range is measured.
+    """Return the process noise while no ranges are measured.
 
     Args:
         densities: That of the same target with ranges.

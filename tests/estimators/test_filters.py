@@ -1,6 +1,7 @@
 """Every filter through the same scenes: what it reports of its own error must be true."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from sidelong.estimators.filters.biases import Biases
 from sidelong.estimators.filters.ekf import TargetEkf
 from sidelong.estimators.filters.imm import DENSITIES, TargetImm, starting_moments
 from sidelong.estimators.filters.imm_kernel import TARGET, Densities, predict
+from sidelong.estimators.sensing.sighting import UNKNOWN_RANGE_SIGMA_M
 from sidelong.estimators.settings import TrackerSettings
 from tests.estimators.plain_motion import (
     CRUISING,
@@ -244,3 +246,21 @@ def test_a_resting_target_that_creeps_is_not_taken_for_an_error_of_the_gimbal(sc
         calibration = target.biases().calibration
         nees.append((calibration.yaw_bias_rad / calibration.yaw_sigma_rad) ** 2)
     assert np.mean(nees) < chi2.ppf(0.99, 6) / 6
+
+
+@pytest.mark.parametrize(("dropout_s", "steadier"), [(0.0, False), (2.0, False), (5.0, True)])
+@pytest.mark.parametrize("kind", FILTERS)
+def test_motion_counts_as_steadier_only_while_ranges_are_missing(kind, dropout_s, steadier, scene):
+    """After a few seconds without ranges the velocity is predicted with less noise; without sightings it is not."""
+    sightings = scene.of(lambda _: (3.0, 0.0), 20.0).sightings(np.random.default_rng(1))
+    ranged_s = sightings[-1].time_s - dropout_s
+    flown = [
+        one if one.time_s <= ranged_s else replace(one, range_sigma_m=UNKNOWN_RANGE_SIGMA_M) for one in sightings
+    ]
+    *_, (target, _) = run(kind, flown)
+    usual = FILTERS[kind].resumed(SETTINGS, target.time_s, target.state)
+    target.predict(target.time_s + 10.0)
+    usual.predict(usual.time_s + 10.0)
+    variances, usual_variances = (np.diag(one.moments()[1])[2:] for one in (target, usual))
+    assert (variances < usual_variances).all() == steadier
+    assert (variances == usual_variances).all() != steadier
