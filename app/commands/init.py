@@ -24,6 +24,8 @@ _EXAMPLES = {
     "control.rc_channel": 9,
     "control.flight_mode": '"LOITER"',
     "control.aux_function": 300,
+    "sensors.gimbal_latency_s": "0.5",
+    "sensors.range_latency_s": "0.1",
     "sensors.range_component": "154",
     "sensors.gimbal_frame": '"earth"',
     "sensors.gimbal_component": "154",

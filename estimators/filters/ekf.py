@@ -31,7 +31,8 @@ class TargetEkf(TargetImm):
         density = settings.acceleration_density_m2_s3
         return Densities(density, density, 0.0)
 
-    def _updated(self, sighting: AnySighting, gate_nis: float) -> tuple[FloatArray, float]:
+    def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        """See :meth:`sidelong.estimators.filters.imm.TargetImm.update`."""
         mean, residual, by_columns = kernel.innovation(self.state, 0, seen(sighting))
         n, first = len(mean), errors_of(0, len(mean))[0]
         jacobian = np.zeros((3, n))
@@ -47,6 +48,9 @@ class TargetEkf(TargetImm):
             return mean + gain @ residual, kept @ before @ kept.T + gain @ noise @ gain.T, nis
 
         updated, covariance, nis = weighted(noise)
-        if self._soft_nis < nis <= gate_nis:  # Huber: the pull on the estimate no longer grows with the distance
+        if nis > gate_nis:
+            return nis
+        if nis > self._soft_nis:  # Huber: the pull on the estimate no longer grows with the distance
             updated, covariance, _ = weighted(math.sqrt(nis / self._soft_nis) * noise)
-        return np.concatenate(([1.0], updated, covariance.ravel()))[None], nis
+        self.state = np.concatenate(([1.0], updated, covariance.ravel()))[None]
+        return nis

@@ -93,8 +93,8 @@ class TargetImm:
             begin_standing(mean, covariance, ground.grid, ground.sigma_m)
         row = np.concatenate(([1.0 / self.models], mean, covariance.ravel()))
         self._set_up(settings, sighting.time_s, np.tile(row, (self.models, 1)), ground)
-        self._ranged_s = -math.inf
-        self._note(sighting)
+        if not sighting.has_range:
+            self._ranged_s, self._averages = -math.inf, True
 
     @classmethod
     def resumed(
@@ -148,21 +148,14 @@ class TargetImm:
         Returns:
             The normalised innovation squared: chi-square with three degrees of freedom for laser and gimbal.
         """
-        state, nis = self._updated(sighting, gate_nis)
+        state = self.state.copy()
+        nis = kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
         if nis <= gate_nis:
             self.state = state
-            self._note(sighting)
+            if sighting.has_range:
+                self._ranged_s = sighting.time_s
+            self._averages = sighting.time_s - self._ranged_s > _WITHOUT_RANGE_S
         return nis
-
-    def _note(self, sighting: AnySighting) -> None:
-        if sighting.has_range:
-            self._ranged_s = sighting.time_s
-        self._averages = sighting.time_s - self._ranged_s > _WITHOUT_RANGE_S
-
-    def _updated(self, sighting: AnySighting, gate_nis: float) -> tuple[FloatArray, float]:
-        """Return the state after a sighting, and its normalised innovation squared: useless if that is too large."""
-        state = self.state.copy()
-        return state, kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
 
     @property
     def height_m(self) -> float:

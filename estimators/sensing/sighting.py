@@ -24,16 +24,13 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-UNKNOWN_RANGE_SIGMA_M = 2e3
-"""Standard deviation of a range that was not measured, m."""
-
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
     """The target as seen from the aircraft at ``time_s``. Sigmas are those of the three measured numbers.
 
     The aircraft's height has an arbitrary zero, the same for all sightings. ``payload`` is the index of the payload
-    in a filter of several.
+    in a filter of several. Without ``has_range`` the slant range only says where to linearise.
     """
 
     time_s: float
@@ -48,11 +45,7 @@ class Sighting:
     aircraft_height_m: float = 0.0
     quality: float | None = None
     payload: int = 0
-
-    @property
-    def has_range(self) -> bool:
-        """Whether the slant range was measured."""
-        return self.range_sigma_m < UNKNOWN_RANGE_SIGMA_M
+    has_range: bool = True
 
     @property
     def horizontal_range_m(self) -> float:

@@ -19,7 +19,7 @@ from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
 from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.pose import History, PoseHistory
 from sidelong.estimators.sensing.readings import GimbalReading, RangeReading
-from sidelong.estimators.sensing.sighting import UNKNOWN_RANGE_SIGMA_M, Sighting
+from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _WAITING_MAX = 32  # so that what has waited is never long to take in
 # Timeout of the laser. After it one line of sight per interval is used, with an uninformative range.
 _BEGINNING_S = 3.0
 _SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
-_REACH_M = 5_000.0
+_UNKNOWN_M, _REACH_M = 2e3, 5_000.0
 _time_s = attrgetter("time_s")
 
 
@@ -163,7 +163,7 @@ class Pairing:
             level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
             if level_m is None:
                 return None
-            range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), UNKNOWN_RANGE_SIGMA_M
+            range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), _UNKNOWN_M
         else:
             return None
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
@@ -191,6 +191,7 @@ class Pairing:
             aircraft_north_m=aircraft_m[1],
             aircraft_height_m=aircraft_m[2],
             quality=None if reading is None else reading.quality,
+            has_range=reading is not None,
         )
 
     def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:

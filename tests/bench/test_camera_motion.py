@@ -30,7 +30,6 @@ from sidelong.estimators.filters.imm_kernel import (
     TURNING,
     Densities,
 )
-from sidelong.estimators.sensing.sighting import UNKNOWN_RANGE_SIGMA_M
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.flat import flat_ground
 from sidelong.estimators.tracking.track import Track
@@ -39,7 +38,7 @@ from tests.estimators.conftest import HEIGHT_M, STEP_S, Scene
 
 FLIGHTS, DURATION_S = size(200, 2), float(size(300, 30))
 _SPEED_SIGMA_M_S, _TRACK_SPEED_MAX_M_S = 1.0, 3.5
-_GROUND_SIGMA_M = 2.0
+_GROUND_SIGMA_M, _UNKNOWN_M = 2.0, 2e3
 _SKIPPED_S = 5.0
 _CHI2_95 = 5.991
 
@@ -93,7 +92,7 @@ def held_and_nees(target: np.ndarray, rng: np.random.Generator) -> tuple[float, 
     track.stand_on(flat_ground(_GROUND_SIGMA_M))
     scene = Scene(target, circling(target))
     for one, truth in zip(scene.sightings(rng, yaw_rad=yaw_rad, pitch_rad=pitch_rad), target, strict=True):
-        track.add(replace(one, range_sigma_m=UNKNOWN_RANGE_SIGMA_M, aircraft_height_m=HEIGHT_M + off_m))
+        track.add(replace(one, range_sigma_m=_UNKNOWN_M, has_range=False, aircraft_height_m=HEIGHT_M + off_m))
         if one.time_s > _SKIPPED_S:
             estimate = track.estimate(one.time_s)
             off = np.array([estimate.east_m, estimate.north_m]) - truth[:2]
