@@ -1,7 +1,8 @@
-"""The files that a configuration names, opened before any connection or computation."""
+"""The files that a configuration names and its fences, checked before any connection or computation."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from sidelong.app.config import Config, RouteSection
 from sidelong.app.errors import InputError
 from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.estimators.frames import LocalPlane
 
 
 class NamedTarget(Protocol):
@@ -22,7 +24,7 @@ class NamedTarget(Protocol):
 
 
 def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
-    """Raise InputError, which names the field and the file, if a file of the configuration cannot be used.
+    """Raise InputError, which names the field, if a file cannot be used or a fence is no polygon.
 
     Args:
         config: The configuration of one aircraft or of a fleet.
@@ -33,6 +35,11 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
             check()
         except InputError as error:
             raise InputError(f"{field}: {error}") from error
+    corners = [*itertools.chain(*config.fences.keep_in, *config.fences.keep_out)]
+    if corners:
+        from sidelong.app.assembly import fence_check  # noqa: PLC0415  # it loads the filter
+
+        fence_check(config, LocalPlane(*corners[0]))
     if config.sharing.cot is not None:
         from sidelong.app.flight.outputs import check_certificates  # noqa: PLC0415  # it loads MAVLink
 

@@ -75,10 +75,14 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
         (_TLS + 'cot_certificate_file = "\\u0000"', "its key cannot be used (embedded null byte)"),
         (_TLS + 'cot_certificate_file = "none.pem"', "sharing.cot: none.pem and its key cannot be used"),
         ('[simulation]\ntarget = "none.gpx"', "simulation.target: none.gpx cannot be read"),
+        (
+            "[fences]\nkeep_out = [[[4.0, 8.0], [4.1, 8.1], [4.1, 8.0], [4.0, 8.1]]]",
+            "keep_out polygon 1 has sides that",
+        ),
         (_AIRCRAFT + '[[target]]\nname = "bike"\nmotion = "none.csv"', "target 'bike': motion: none.csv cannot be"),
     ],
 )
-def test_a_named_file_that_cannot_be_used_is_reported_by_each_command(tmp_path, monkeypatch, command, text, words):
+def test_a_file_or_fence_that_cannot_be_used_is_reported_by_each_command(tmp_path, monkeypatch, command, text, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.csv").write_text("lat,lon\n47.4,8.5\n47.4,8.5\n")
     (tmp_path / "mission.toml").write_text(text)
