@@ -94,7 +94,7 @@ class TargetImm:
         row = np.concatenate(([1.0 / self.models], mean, covariance.ravel()))
         self._set_up(settings, sighting.time_s, np.tile(row, (self.models, 1)), ground)
         if not sighting.has_range:
-            self._ranged_s, self._averages = -math.inf, True
+            self._ranged_s = -math.inf
 
     @classmethod
     def resumed(

@@ -260,3 +260,14 @@ def test_motion_counts_as_steadier_only_while_ranges_are_missing(dropout_s, stea
     variances, usual_variances = (np.diag(one.moments()[1])[2:] for one in (target, usual))
     assert (variances < usual_variances).all() == steadier
     assert (variances == usual_variances).all() != steadier
+
+
+def test_density_of_the_ekf_is_the_configured_one_without_ranges_too(scene):
+    """Its first sighting has no range, as where the laser is silent at first."""
+    sightings = scene.of(lambda _: (3.0, 0.0), 20.0).sightings(np.random.default_rng(1))
+    first = replace(sightings[0], range_sigma_m=2e3, has_range=False)
+    *_, (target, _) = run("ekf", [first, *sightings[1:]])
+    usual = TargetEkf.resumed(SETTINGS, target.time_s, target.state)
+    target.predict(target.time_s + 10.0)
+    usual.predict(usual.time_s + 10.0)
+    assert (target.moments()[1] == usual.moments()[1]).all()
