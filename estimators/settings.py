@@ -93,3 +93,8 @@ class TrackerSettings:
     """Each axis, before the first sightings."""
     acceleration_density_m2_s3: float = 0.03
     """White acceleration of a target in the filters of a single motion."""
+
+    @property
+    def latencies_s(self) -> tuple[float, float]:
+        """Of gimbal and laser."""
+        return self.gimbal_latency_s, self.range_latency_s

@@ -169,7 +169,7 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             console.print(line, soft_wrap=True)
         for words in pan_words(pan_rad):
             console.print(words, soft_wrap=True)
-        delays, taken = tracker.delays, "taken as {:g} and {:g} s (sensors.latency_s)".format(*tracker.latencies_s)
+        delays, taken = tracker.delays, "gimbal {:g} s, laser {:g} s as configured".format(*tracker.latencies_s)
         unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
         console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)
         return {

@@ -118,8 +118,7 @@ def filtering_in(assumed: TrackerSettings) -> Filtering:
 def can_fly(settings: TrackerSettings) -> bool:
     """Return whether the loop supports the payload: no latency, no lever arm, the loop's filter."""
     placed = any(settings.lever_arm_body_m) or any(settings.mount_roll_pitch_yaw_rad)
-    late = settings.gimbal_latency_s or settings.range_latency_s
-    return settings.filter == "imm" and not late and not placed and settings.quality_min <= 0.9
+    return settings.filter == "imm" and not any(settings.latencies_s) and not placed and settings.quality_min <= 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)

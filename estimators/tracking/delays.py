@@ -54,7 +54,7 @@ class DelayFit:
     """
 
     def __init__(self, settings: TrackerSettings, parent_from_mount: Quaternion) -> None:
-        self._latencies_s = settings.gimbal_latency_s, settings.range_latency_s
+        self._latencies_s = settings.latencies_s
         delay_s, yaw_rad = settings.latency_sigma_s, settings.yaw_bias_sigma_rad
         self._sigmas = np.array([delay_s, delay_s, max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M])
         self._noise = settings.yaw_sigma_rad, settings.range_sigma_m

@@ -42,7 +42,7 @@ class Pairing:
     def __init__(self, settings: TrackerSettings, poses: PoseHistory) -> None:
         self._settings = settings
         self._poses = poses
-        self.gimbal_delay_s, self.range_delay_s = settings.gimbal_latency_s, settings.range_latency_s
+        self.gimbal_delay_s, self.range_delay_s = settings.latencies_s
         self._gimbals: History[GimbalReading] = History(_SPAN_S)
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
@@ -115,7 +115,7 @@ class Pairing:
         Args:
             delays: Delays of laser and gimbal; None: the configured ones.
         """
-        used_s = self._settings.gimbal_latency_s, self._settings.range_latency_s
+        used_s = self._settings.latencies_s
         if delays is not None:
             used_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
         self.gimbal_delay_s, self.range_delay_s = used_s

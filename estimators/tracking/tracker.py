@@ -152,7 +152,7 @@ class Tracker:
     @property
     def latencies_s(self) -> tuple[float, float]:
         """The delays of gimbal and laser as configured."""
-        return self._settings.gimbal_latency_s, self._settings.range_latency_s
+        return self._settings.latencies_s
 
     @property
     def delays(self) -> Delays | None:

@@ -104,7 +104,7 @@ def route_of(
         raise ValueError(f"a coordinate of the route is not a finite number up to {REACH_M:g} m")
     if lap and points_m.shape[1]:
         points_m = np.concatenate([points_m, points_m[:, :1]], axis=1)
-    # Of points that lie close together, those are kept that are apart from the last one kept.
+    # Of points that lie close together, one is kept for each _SAME_POINT_M of the way.
     apart = np.floor(np.cumsum(np.hypot(*np.diff(points_m, prepend=points_m[:, :1]))) / _SAME_POINT_M)
     points_m = points_m[:, np.diff(apart, prepend=-1.0) > 0.0]
     if points_m.shape[1] < 2:

@@ -1,9 +1,9 @@
 """A camera without a laser: how often does its 95 % ellipse contain the target?
 
 ``python -m pytest tests/bench/test_camera_motion.py -s``, for recorded targets and for targets that move as the
-filter's motion models do. The gimbal's yaw and pitch and the height of the ground are off as much as the settings
-say, drawn anew for each flight. They stay for a flight, so it takes many flights to measure such a share: this bench
-flies ten times as many as ``test_camera_flights.py`` does in the closed loop.
+filter's motion models do. The errors of the gimbal's yaw and pitch and of the ground's height have the standard
+deviations of the settings. They are constant during a flight, so this bench flies more flights than
+``test_camera_flights.py`` does in the closed loop.
 
 SIDELONG_TARGETS: a folder of recorded targets; without it those of the benchmark are used.
 """

@@ -30,7 +30,7 @@ DELAYS_S = tuple(map(float, os.environ.get("SIDELONG_DELAYS", "0,0.2,0.5,1,2").s
 RUNS = int(os.environ.get("SIDELONG_RUNS", "12"))
 DRAWS = int(os.environ.get("SIDELONG_DRAWS", "3"))
 BY_S = 300.0
-_FOUND_OFF_S = 0.03  # by so much an earlier flight is off
+_FOUND_OFF_S = 0.03  # error of the delays that an earlier flight found
 DURATION_S = float(os.environ.get("SIDELONG_DURATION", "1200"))
 
 
