@@ -83,6 +83,8 @@ class AircraftSection(Section):
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
+    pan_limit_deg: float = Field(180.0, ge=90, le=180)
+    """How far the gimbal pans to each side of the nose, degrees; below 180, figures of eight are flown."""
     height_m: float = Field(100.0, ge=20, le=3000)
     """Height of the circle above the reference in height_above, m."""
     height_above: Literal["home", "ground"] = "home"
@@ -101,6 +103,7 @@ class AircraftSection(Section):
             self.radius_m,
             math.radians(self.bank_max_deg),
             math.radians(self.roll_rate_max_deg_s),
+            math.radians(self.pan_limit_deg),
         )
 
 

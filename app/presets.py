@@ -73,16 +73,21 @@ class PayloadPreset:
         kind: value of ``payload.kind``.
         url: value of ``payload.url``.
         source: where the address is published.
+        pan_limit_deg: value of ``aircraft.pan_limit_deg``; None: it pans all around, or its manual gives no limit.
     """
 
     about: str
     kind: str
     url: str
     source: str
+    pan_limit_deg: float | None = None
 
-    def values(self) -> dict[str, dict[str, str]]:
+    def values(self) -> dict[str, dict[str, str | float]]:
         """Return the keys that it sets, by section."""
-        return {"payload": {"kind": self.kind, "url": self.url}}
+        found: dict[str, dict[str, str | float]] = {"payload": {"kind": self.kind, "url": self.url}}
+        if self.pan_limit_deg is not None:
+            found["aircraft"] = {"pan_limit_deg": self.pan_limit_deg}
+        return found
 
 
 PAYLOAD_PRESETS = {
@@ -93,7 +98,7 @@ PAYLOAD_PRESETS = {
         "SIYI ZT6, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "SIYI's manuals"
     ),
     "siyi-a8-mini": PayloadPreset(
-        "SIYI A8 mini, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "A8 mini manual v1.5"
+        "SIYI A8 mini, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "A8 mini manual v1.5", 135.0
     ),
     "viewpro-tcp": PayloadPreset(
         "Viewpro with a laser, by Ethernet", "viewpro", "tcp://192.168.2.119:2000", "Viewpro's TCP control document"

@@ -149,6 +149,9 @@ def run(
     gimbal_sigma_deg: Annotated[float, _PAYLOAD(help="Gimbal noise, degrees.")] = 0.35,
     gimbal_yaw_bias_deg: Annotated[float, _PAYLOAD(help="Constant gimbal error, degrees.")] = 0.4,
     gimbal_frame: Annotated[GimbalFrame, _PAYLOAD(help="What its yaw is relative to.")] = GimbalFrame.EARTH,
+    pan_limit_deg: Annotated[
+        float, _PAYLOAD(help="How far the gimbal pans to each side of the nose, degrees.")
+    ] = 180.0,
     dropouts: Annotated[float, _PAYLOAD(help="Fraction of the time without range.")] = 0.15,
     payload_latency_ms: Annotated[float, _PAYLOAD(help="Time from measurement to sending, ms.")] = 50.0,
     loss: Annotated[float, _LINK(help="Fraction of packets lost, each way.")] = 0.0,
@@ -202,6 +205,7 @@ def run(
             "--range-outliers": (range_outliers, 0.0, 1.0, True),
             "--gimbal-sigma-deg": (gimbal_sigma_deg, 0.0, 45.0, True),
             "--gimbal-yaw-bias-deg": (gimbal_yaw_bias_deg, -180.0, 180.0, True),
+            "--pan-limit-deg": (pan_limit_deg, 0.0, 180.0, False),
             "--dropouts": (dropouts, 0.0, 0.95, True),
             "--payload-latency-ms": (payload_latency_ms, 0.0, 10_000.0, True),
             "--loss": (loss, 0.0, 1.0, True),
@@ -223,6 +227,7 @@ def run(
         payload_latency_ms / 1000.0,
         range_message,
         gimbal_frame,
+        math.radians(pan_limit_deg),
     )
     own_terrain = terrain if payload_for is None else None  # the home of another vehicle comes from its own words
     with refusing(), ExitStack() as stack:

@@ -49,7 +49,10 @@ DEFAULT_HOMES = {
 
 @dataclass(frozen=True, slots=True)
 class PayloadSettings:
-    """Laser and gimbal. dropout_fraction: part of the time without range, in pieces of 0.5 to 8 s."""
+    """Laser and gimbal. dropout_fraction: part of the time without range, in pieces of 0.5 to 8 s.
+
+    pan_limit_rad: how far the gimbal pans to each side of the nose. A target beyond is not seen.
+    """
 
     range_sigma_m: float = 0.8
     outlier_fraction: float = 0.02
@@ -59,6 +62,7 @@ class PayloadSettings:
     latency_s: float = 0.05
     range_message: RangeMessage = RangeMessage.DISTANCE_SENSOR
     gimbal_frame: GimbalFrame = GimbalFrame.EARTH
+    pan_limit_rad: float = math.pi
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
-from sidelong.app.commands.payload_status import degrees_of, pan_words, payload_lines, payload_values
+from sidelong.app.commands.payload_status import degrees_of, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
@@ -31,6 +31,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.url import checked_url
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.registry import KIND_NAMES
+from sidelong.app.payload.session import pan_words
 from sidelong.app.records.sensing import Sensing
 
 

@@ -133,7 +133,8 @@ def _lines(presets: Mapping[str, Preset | PayloadPreset], fleet: int | None) -> 
     values: dict[str, dict[str, Any]] = {}
     for name, preset in presets.items():
         yield from _comment(f"Preset {name}: {preset.about}. Values from {preset.source}.")
-        values |= preset.values()
+        for section, own in preset.values().items():
+            values[section] = values.get(section, {}) | own
     for section, about in Config.model_fields.items():
         kind: Any = about.annotation
         if section == "aircraft" and fleet is not None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sidelong.app.payload.session import PayloadStatus
+from sidelong.app.payload.session import PayloadStatus, pan_words
 from sidelong.estimators.rotations import sight_direction
-
-_CLOSED_RAD = math.radians(1.0)
 
 
 def payload_values(status: PayloadStatus) -> dict[str, Any]:
@@ -64,17 +62,3 @@ def payload_lines(name: str, status: PayloadStatus) -> list[str]:
 def degrees_of(limits_rad: tuple[float, float] | None) -> list[float] | None:
     """Return limits in degrees."""
     return None if limits_rad is None else [round(math.degrees(limit_rad), 1) for limit_rad in limits_rad]
-
-
-def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:
-    """Return what pan limits mean for a watch, one sentence; none if the gimbal looks all around.
-
-    The aircraft turns through 360 degrees in each lap. A target outside the circle is therefore in every direction
-    from the nose for the same time, wherever the circle is.
-    """
-    if limits_rad is None or limits_rad[1] - limits_rad[0] >= math.tau - _CLOSED_RAD:
-        return []
-    least_deg, most_deg = (math.degrees(limit_rad) for limit_rad in limits_rad)
-    share = 100.0 - (most_deg - least_deg) / 3.6
-    reach = f"the gimbal pans from {least_deg:.0f} to {most_deg:.0f} degrees off the nose"
-    return [f"{reach}: it cannot look at a target outside the circle for {share:.0f} % of each lap"]

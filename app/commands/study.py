@@ -224,6 +224,10 @@ def study(
         if "study.terrain" not in dict(sweeps):
             sweeps.append(parsed_sweep("study.terrain=known,ignored"))
     found = designs(base, values, sweeps, console.print)
+    if fidelity is Fidelity.KINEMATIC and any(one.settings.config.aircraft.pan_limit_deg < 180.0 for one in found):
+        raise InputError(
+            "aircraft.pan_limit_deg: the kinematic study sees the target all around; give --fidelity closed-loop."
+        )
     if terrain is not None or fleet > 1:
         _check_side("--fleet" if terrain is None else "--terrain", found)
     found = _recorded(found, targets, runs, math.inf if duration is None else duration, routes)

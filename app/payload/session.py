@@ -17,6 +17,9 @@ _RESTART_S = 1.0  # of a lost payload
 _PAUSE_MAX_S = 0.25  # between two calls: a longer time in which this program was busy is no silence of the payload
 _NO_RANGE_AFTER_S = 10.0  # lasers miss for seconds
 _RATE_OVER_S = 2.0
+_CLOSED_RAD = math.radians(1.0)
+PAN_LIMIT_MIN_DEG = 90.0
+"""With less on one side of the nose, figures of eight do not keep a target in view either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +158,8 @@ class PayloadSession:
             no_laser = ", which has no laser: the range has to come from elsewhere"
             no_laser = no_laser if identity.has_laser is False else ""
             self._report(f"payload {self._name}: {identity.model}{no_laser}")
+            for words in pan_words(identity.pan_limits_rad):
+                self._report(f"payload {self._name}: {words}")
         fault = self._consistency.fault
         if fault and fault[:20] != self._fault[:20]:
             self._report(f"payload {self._name}: {fault}")
@@ -179,3 +184,21 @@ class PayloadSession:
             self._is_lost = self._is_rangeless = False
             self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
             self._range_s = now_s  # its laser may take some seconds
+
+
+def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:
+    """Return what pan limits mean for a watch, one sentence; none if the gimbal looks all around.
+
+    The aircraft turns through 360 degrees in each lap. A target outside the circle is therefore in every direction
+    from the nose for the same time, wherever the circle is; only figures of eight avoid that.
+    """
+    if limits_rad is None or limits_rad[1] - limits_rad[0] >= math.tau - _CLOSED_RAD:
+        return []
+    least_deg, most_deg = (math.degrees(limit_rad) for limit_rad in limits_rad)
+    share = 100.0 - (most_deg - least_deg) / 3.6
+    reach = f"the gimbal pans from {least_deg:.0f} to {most_deg:.0f} degrees off the nose"
+    lost = f"it cannot look at a target outside the circle for {share:.0f} % of each lap"
+    nearer_deg = min(-least_deg, most_deg)
+    if nearer_deg < PAN_LIMIT_MIN_DEG:
+        return [f"{reach}: {lost}"]
+    return [f"{reach}: {lost}; aircraft.pan_limit_deg = {nearer_deg:.0f} has figures of eight flown instead"]

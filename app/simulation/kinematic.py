@@ -343,7 +343,9 @@ class KinematicVehicle:
             truth = self.target.at(self.time_s)
             line_m = truth.east_m - state.east_m, truth.north_m - state.north_m, -self.height_m
             with_range = self._is_due(rates.laser_hz)
-            self._sent += self._payload.measure(self.time_s, boot_ms, *line_m, with_range=with_range)
+            self._sent += self._payload.measure(
+                self.time_s, boot_ms, *line_m, heading_rad=self.heading_rad, with_range=with_range
+            )
 
     @property
     def heading_rad(self) -> float:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM, Message
+from sidelong.estimators.frames import wrap_rad
 
 PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
 _LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
@@ -35,6 +36,7 @@ class PayloadErrors:
         has_laser: whether there is a laser.
         view_deg: field of view of a camera that tracks the target, 0 for none. Its gimbal points off the target by up
             to ``off_axis`` of the view.
+        pan_limit_rad: how far the gimbal pans to each side of the nose. A target beyond is not seen.
     """
 
     range_sigma_m: float = 0.8
@@ -49,6 +51,7 @@ class PayloadErrors:
     has_laser: bool = True
     view_deg: float = 0.0
     off_axis: float = 0.15
+    pan_limit_rad: float = math.pi
 
 
 class Payload:
@@ -66,7 +69,15 @@ class Payload:
         self._lines: deque[tuple[float, float, float, float]] = deque(maxlen=_REMEMBERED)
 
     def measure(
-        self, time_s: float, boot_ms: int, east_m: float, north_m: float, up_m: float, *, with_range: bool = True
+        self,
+        time_s: float,
+        boot_ms: int,
+        east_m: float,
+        north_m: float,
+        up_m: float,
+        *,
+        heading_rad: float = 0.0,
+        with_range: bool = True,
     ) -> list[Message]:
         """Return the readings of one moment.
 
@@ -76,6 +87,7 @@ class Payload:
             east_m: from the aircraft to the target.
             north_m: from the aircraft to the target.
             up_m: from the aircraft to the target, negative below.
+            heading_rad: where the nose points, clockwise from north.
             with_range: whether the laser measures now.
         """
         errors = self._errors
@@ -85,6 +97,9 @@ class Payload:
         range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()
         yaw_rad = math.atan2(east_m, north_m) + errors.yaw_bias_rad + errors.angle_sigma_rad * yaw_noise
         pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
+        pan_rad = wrap_rad(yaw_rad - heading_rad)
+        if abs(pan_rad) > errors.pan_limit_rad:  # the gimbal waits at its stop
+            return [self._gimbal(boot_ms, heading_rad + math.copysign(errors.pan_limit_rad, pan_rad), pitch_rad)]
         if errors.view_deg:
             return self._tracked(time_s, boot_ms, yaw_rad, pitch_rad)
         gimbal = self._gimbal(boot_ms, yaw_rad, pitch_rad)

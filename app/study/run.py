@@ -166,7 +166,11 @@ def _steered(
 def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
     """Return the errors of the payload, and the tracker's settings for it."""
     sensors = settings.config.sensors
-    errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg))
+    errors = PayloadErrors(
+        sensors.range_sigma_m,
+        math.radians(sensors.angle_sigma_deg),
+        pan_limit_rad=settings.aircraft().pan_limit_rad,
+    )
     return errors, tracker_settings(sensors, settings.config.planner.lost_after_s)
 
 

@@ -66,7 +66,7 @@ AUTOPILOTS = {"arduplane": AutopilotAnswer(1.0, 0.45), "px4": AutopilotAnswer(1.
 SHAPING = {
     "aircraft": (
         *("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
-        *("clearance_m", "climb_m_s", "descent_m_s"),
+        *("clearance_m", "climb_m_s", "descent_m_s", "pan_limit_deg"),
     ),
     "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold", "course_horizon_s"),
     "planner": ("lost_after_s",),

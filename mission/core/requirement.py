@@ -91,15 +91,19 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True)
 class Aircraft:
-    """The aircraft as the planner sees it: radius_m is that of the circle next to the target."""
+    """The aircraft as the planner sees it: radius_m is that of the circle next to the target.
+
+    pan_limit_rad: how far the gimbal pans to each side of the nose; pi: it looks all around.
+    """
 
     airspeed_m_s: float
     radius_m: float
     bank_max_rad: float = math.radians(45.0)
     roll_rate_max_rad_s: float = math.radians(30.0)
+    pan_limit_rad: float = math.pi
 
     def __post_init__(self) -> None:
-        convert_to_floats(self, "airspeed_m_s", "radius_m", "bank_max_rad", "roll_rate_max_rad_s")
+        convert_to_floats(self, "airspeed_m_s", "radius_m", "bank_max_rad", "roll_rate_max_rad_s", "pan_limit_rad")
 
     @property
     def lap_s(self) -> float:

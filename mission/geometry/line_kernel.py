@@ -97,6 +97,13 @@ def ground_speed_m_s(heading_rad: float, airspeed_m_s: float, wind_east_m_s: flo
 
 
 @compiled
+def crab_rad(course_rad: float, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float) -> float:
+    """Return how far the course over the ground lies clockwise of the nose."""
+    across_m_s = wind_east_m_s * math.cos(course_rad) - wind_north_m_s * math.sin(course_rad)
+    return math.asin(across_m_s / airspeed_m_s)
+
+
+@compiled
 def ground_speeds_m_s(
     heading_rad: FloatArray, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float, found: FloatArray
 ) -> None:

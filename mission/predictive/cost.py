@@ -28,16 +28,23 @@ _MARGIN_IN_WIND_S = 3.0
 # A target may turn towards the aircraft: the margin at the near edge is what the fastest one covers in this time.
 _MARGIN_OF_TARGET_S = 1.8
 
+# A second in which the gimbal cannot look at the target costs as much as this many off the side.
+_BLIND = 1.5
+
 Values = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True)
 class WatchCost:
-    """near_m..far_m: the band to keep. half_width_rad: of the watched sector about the normal; pi/2 is a side."""
+    """near_m..far_m: the band to keep. half_width_rad: of the watched sector about the normal; pi/2 is a side.
+
+    pan_limit_rad: of the gimbal, to each side of the nose; pi: it looks all around.
+    """
 
     near_m: float
     far_m: float
     half_width_rad: float = math.pi / 2
+    pan_limit_rad: float = math.pi
 
     @staticmethod
     def inside(
@@ -46,6 +53,7 @@ class WatchCost:
         half_width_rad: float = math.pi / 2,
         wind_speed_m_s: float = 0.0,
         target_speed_max_m_s: float = 0.0,
+        pan_limit_rad: float = math.pi,
     ) -> WatchCost:
         """Return the cost of a required band, with the planner's margins: wider in wind, and near a fast target.
 
@@ -55,10 +63,11 @@ class WatchCost:
             half_width_rad: Half of the sector, rad; pi/2 for a side.
             wind_speed_m_s: Wind speed, m/s.
             target_speed_max_m_s: Greatest speed of the target, m/s.
+            pan_limit_rad: Greatest pan of the gimbal, rad off the nose; pi: all around.
         """
         margin_m = _MARGIN_M + min(_MARGIN_IN_WIND_S * wind_speed_m_s, _MARGIN_M)
         near_m = max(margin_m, _MARGIN_OF_TARGET_S * target_speed_max_m_s)
-        return WatchCost(range_min_m + near_m, range_max_m - margin_m, half_width_rad)
+        return WatchCost(range_min_m + near_m, range_max_m - margin_m, half_width_rad, pan_limit_rad)
 
     def rate(
         self, x_m: Values, y_m: Values, widened_m: npt.ArrayLike = 0.0, side_blur_m: npt.ArrayLike = 1.0
@@ -84,5 +93,13 @@ class WatchCost:
     def terms(self) -> CostTerms:
         """The same as the loops see it."""
         return CostTerms(
-            self.near_m, self.far_m, math.cos(self.half_width_rad), _OUTSIDE, _OUTSIDE_PER_M, _WALL_WIDTH_M, _WALL
+            self.near_m,
+            self.far_m,
+            math.cos(self.half_width_rad),
+            _OUTSIDE,
+            _OUTSIDE_PER_M,
+            _WALL_WIDTH_M,
+            _WALL,
+            math.cos(self.pan_limit_rad),
+            _BLIND if self.pan_limit_rad < math.pi else 0.0,
         )

@@ -15,6 +15,10 @@ Float32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 
+# The border of where the gimbal can look is blurred over this difference of cosines: 10 degrees at 120 degrees.
+_BLIND_BLUR = 0.15
+
+
 class CostTerms(NamedTuple):
     """The numbers of :class:`sidelong.mission.predictive.cost.WatchCost`."""
 
@@ -25,6 +29,8 @@ class CostTerms(NamedTuple):
     outside_per_m: float
     wall_width_m: float
     wall: float
+    cos_pan_limit: float
+    blind: float
 
 
 class Table(NamedTuple):
@@ -59,6 +65,24 @@ def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTe
     near_wall = 1.0 if near_wall > 1.0 else near_wall
     beyond = c.outside - c.wall - c.outside_per_m * inside_m
     return off + c.wall * near_wall * near_wall + (beyond if inside_m < 0.0 else 0.0)
+
+
+@inlined
+def blind_rate(x_m: float, y_m: float, nose_rad: float, c: CostTerms) -> float:
+    """Return the cost per second where the nose points so that the gimbal cannot look at the target."""
+    range_m = math.sqrt(x_m * x_m + y_m * y_m)
+    ahead_m = -(x_m * math.sin(nose_rad) + y_m * math.cos(nose_rad))
+    share = 0.5 + (c.cos_pan_limit * range_m - ahead_m) / (_BLIND_BLUR * (range_m + 1.0))
+    share = 0.0 if share < 0.0 else share
+    return c.blind * (1.0 if share > 1.0 else share)
+
+
+@compiled
+def blind_rates(axis_m: FloatArray, nose_rad: float, c: CostTerms, found: FloatArray) -> None:
+    """Fill in the rate (n, n) at all places of a square, whose sides have the places axis_m (n,)."""
+    for i in range(len(axis_m)):
+        for j in range(len(axis_m)):
+            found[i, j] = blind_rate(axis_m[i], axis_m[j], nose_rad, c)
 
 
 @compiled

@@ -12,8 +12,17 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, fading_per_s, least
+from sidelong.mission.predictive.eights_kernel import EIGHTS, eights_from
 from sidelong.mission.predictive.future_kernel import Motions, Turns, first_of
-from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
+from sidelong.mission.predictive.moves_kernel import (
+    MOVES,
+    STEP_S,
+    Kept,
+    lines_from,
+    move_line,
+    ramp_anywhere,
+    ramp_on,
+)
 from sidelong.mission.predictive.programme_kernel import Foresight
 from sidelong.mission.predictive.rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame
@@ -116,6 +125,12 @@ class Alternatives(NamedTuple):
 
 
 @compiled
+def choices(looker: Looker) -> int:
+    """Return the number of moves to choose among: figures of eight are for a gimbal that cannot pan all around."""
+    return MOVES + EIGHTS if looker.terms.blind > 0.0 else MOVES
+
+
+@compiled
 def target_velocity(scene: Scene) -> tuple[float, float]:
     """Return the target's velocity towards east and north."""
     sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
@@ -198,7 +213,7 @@ def add_prices(among: Alternatives, radius_m: float, leave: float, change: float
 def look_ahead(
     scene: Scene, now: Situation, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray
 ) -> float:
-    """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
+    """Fill in what each move costs (choices,), its price included, and return what going on as planned costs."""
     table, prices, radius_m = looker.table, looker.prices, scene.radius_m
     # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
     beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, looker.motions) else 0.0
@@ -206,11 +221,25 @@ def look_ahead(
     stay_costs = np.empty(len(among.stays.trunk))
     view = View(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
     lap_s, rate_per_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s, fading_per_s(table)
-    lines_costs(among.moves, among.start, futures, scene.doubt, looker.terms, table, costs)
+    lines_costs(among.moves, among.start, futures, scene.doubt, looker.terms, table, scene.air, costs)
     add_sight(among.moves, among.start, sight, view, radius_m, lap_s, rate_per_s, costs)
-    lines_costs(among.stays, among.stays_start, futures, scene.doubt, looker.terms, table, stay_costs)
+    lines_costs(among.stays, among.stays_start, futures, scene.doubt, looker.terms, table, scene.air, stay_costs)
     add_sight(among.stays, among.stays_start, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
     add_prices(among, radius_m, prices.leave, prices.change, costs)
+    if len(costs) > MOVES:
+        eights = eights_from(
+            scene.mirror * scene.start.curvature_per_m,
+            radius_m,
+            ramp_anywhere(scene.air, looker.craft),
+            scene.air.airspeed_m_s * STEP_S,
+            beyond_m,
+            among.start.heading_rad,
+            scene.air,
+            rate_per_s,
+        )
+        lines_costs(eights, among.start, futures, scene.doubt, looker.terms, table, scene.air, costs[MOVES:])
+        add_sight(eights, among.start, sight, view, radius_m, lap_s, rate_per_s, costs[MOVES:])
+        costs[MOVES:] += prices.change if among.under_way else prices.leave
     return least(stay_costs)
 
 
@@ -238,13 +267,14 @@ def look_deeper(
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
     The cost of all other moves becomes infinite. That look is spared where staying would be cheaper than every move
-    even if moves were free, and the target comes too near in none of the futures; and where the ground hides
-    something: second moves know nothing of it. What gains less than min_gain may be given any cost above that.
+    even if moves were free, and the target comes too near in none of the futures; and where the ground or the pan
+    limits hide something: second moves know nothing of it. What gains less than min_gain may be given any cost above
+    that.
     """
     # Turns that the target may begin only matter with a second move.
     stay_cost = look_ahead(scene, now, likely(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
-    if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
+    if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost
     under_way = left_m(scene, now) > 0.0
     price = prices.change if under_way else prices.leave

@@ -20,12 +20,12 @@ from sidelong.mission.predictive.decision_kernel import (
     Looker,
     Prices,
     best_line,
+    choices,
     commitment,
     look_deeper,
     with_table,
 )
 from sidelong.mission.predictive.future_kernel import classes_about, watched, winding
-from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.programme_kernel import (
     COMPUTED_S,
     FOLLOWED,
@@ -171,7 +171,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
 
 @compiled
 def weigh(scene: Scene, now: Situation, looker: Looker, sight: Sight, costs: FloatArray) -> tuple[float, float]:
-    """Fill in what each move costs (MOVES,); return what staying costs, and what a move must gain beyond its price.
+    """Fill in what each move costs (choices,); return what staying costs, and what a move must gain beyond its price.
 
     Processes the target's estimate, as :func:`foresee` does.
     """
@@ -187,7 +187,7 @@ def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
     The ground hides nothing.
     """
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    costs = np.empty(MOVES)
+    costs = np.empty(choices(looker))
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
     stay_cost, min_gain = weigh(scene, now, looker, flat, costs)
     line = best_line(scene, looker, costs, stay_cost - min_gain)

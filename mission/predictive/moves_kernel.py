@@ -20,6 +20,7 @@ from sidelong.mission.geometry.line_kernel import (
     with_last_ramp,
 )
 from sidelong.mission.predictive.cost_kernel import IntArray
+from sidelong.mission.predictive.eights_kernel import eight_line
 from sidelong.mission.predictive.rollout_kernel import Air, Lines, spread
 from sidelong.mission.predictive.scene_kernel import Scene
 
@@ -83,6 +84,12 @@ def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
             ground_speed_m_s(heading_rad + turn_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s),
         )
     return sharpness_per_m2(fastest_m_s, craft)
+
+
+@compiled
+def ramp_anywhere(air: Air, craft: Craft) -> float:
+    """Return the ramp for the greatest ground speed of all headings."""
+    return sharpness_per_m2(air.airspeed_m_s + math.hypot(air.wind_x_m_s, air.wind_y_m_s), craft)
 
 
 @compiled
@@ -216,8 +223,10 @@ def lines_from(
 
 @compiled
 def move_line(scene: Scene, craft: Craft, move: int) -> FloatArray:
-    """Return the line (5, n) of a move, in the plane."""
+    """Return the line (5, n) of a move, from MOVES on of a figure of eight, in the plane."""
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
+    if move >= MOVES:
+        return eight_line(scene.start, move - MOVES, scene.mirror * scene.radius_m, ramp_anywhere(scene.air, craft))
     ramp = ramp_on(heading_rad, scene.air, craft)
     one = move_from(scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
     one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft))

@@ -33,7 +33,7 @@ from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, tu
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices, choices
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
 from sidelong.mission.predictive.foresight import foresight_along, no_route
 from sidelong.mission.predictive.foresight_kernel import weigh
@@ -59,6 +59,7 @@ _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _TURN_SHARE_IN_FLEET = 0.5
 _NO_BREACH = "a better place should the target turn"
+_EIGHT = "half a figure of eight keeps the target within the pan limits"
 # The table's classes need some speed, even for a target that is reported as stationary.
 _MIN_TARGET_SPEED_M_S = 0.5
 
@@ -96,6 +97,16 @@ def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
     return _PRICE_S * float((min(max(share, min_share), _MAX_SHARE) / _PRICE_SHARE) ** _PRICE_POWER)
 
 
+def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
+    """Return the pan limit that is planned for: aircraft of a fleet, of which another can look, plan for none.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+    """
+    return aircraft.pan_limit_rad if requirement.fleet_size == 1 else math.pi
+
+
 def turn_share(requirement: Requirement) -> float:
     """Return the tightest turn of a transition, in radii of the circle.
 
@@ -119,7 +130,8 @@ def table_configuration(
         wind_speed_m_s: Wind speed, m/s.
     """
     sector = requirement.sector
-    simple = sector is None and wind_speed_m_s == 0.0
+    pan_rad = pan_limit_rad(aircraft, requirement)
+    fine = sector is None and (wind_speed_m_s == 0.0 or pan_rad < math.pi)
     half_width_rad = math.pi / 2 if sector is None else sector.half_width_rad
     return TableConfiguration(
         aircraft.airspeed_m_s,
@@ -133,13 +145,15 @@ def table_configuration(
             half_width_rad,
             wind_speed_m_s,
             requirement.target_speed_max_m_s,
+            pan_rad,
         ),
         follows_course=sector is None,
-        # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds.
+        # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds. Figures of
+        # eight need them.
         wind_speed_m_s=wind_speed_m_s,
         leave_cost=price_s(aircraft, requirement),
-        cells=28 if simple else 20,
-        improvements=(8, 5) if simple else (5, 3),
+        cells=28 if fine else 20,
+        improvements=(8, 5) if fine else (5, 3),
     )
 
 
@@ -197,7 +211,8 @@ class PredictivePlanner:
         )
 
     def _foresight(self, table: Table, configuration: TableConfiguration) -> Foresight:
-        if self._route is None:
+        # The programme knows nothing of pan limits.
+        if self._route is None or configuration.cost.terms.blind > 0.0:
             return no_route()
         return foresight_along(self._route, table, configuration, self._progress)
 
@@ -257,7 +272,7 @@ class PredictivePlanner:
     def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         scene, sight = self.outlook(now, looker)
-        costs = np.empty(MOVES)
+        costs = np.empty(choices(looker))
         stay_cost, min_gain_s = weigh(scene, now, looker, sight, costs)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
         ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
@@ -267,7 +282,8 @@ class PredictivePlanner:
         move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self.check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
-            reason = f"moving {moved}: {breach or _NO_BREACH}"
+            why = breach or (_EIGHT if move >= MOVES else _NO_BREACH)
+            reason = f"moving {moved}: {why}"
         elif broken is not None:
             reason = f"staying: {broken}"
         elif bar <= costs[move] < stay_cost:

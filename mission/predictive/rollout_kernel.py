@@ -17,8 +17,15 @@ import numpy as np
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.geometry.line_kernel import ground_speed_m_s, moved_m, trapezoid, turned_rad, with_last_ramp
-from sidelong.mission.predictive.cost_kernel import CostTerms, IntArray, Table, cost_rate, table_value
+from sidelong.mission.geometry.line_kernel import (
+    crab_rad,
+    ground_speed_m_s,
+    moved_m,
+    trapezoid,
+    turned_rad,
+    with_last_ramp,
+)
+from sidelong.mission.predictive.cost_kernel import CostTerms, IntArray, Table, blind_rate, cost_rate, table_value
 
 # The target turns at random, so what it does at a certain moment of the roll-out matters only in the mean: every
 # third sample is enough.
@@ -354,7 +361,7 @@ def add_up(
 
 @compiled
 def lines_costs(
-    lines: Lines, start: Pose, f: Futures, d: Doubt, c: CostTerms, table: Table, costs: FloatArray
+    lines: Lines, start: Pose, f: Futures, d: Doubt, c: CostTerms, table: Table, air: Air, costs: FloatArray
 ) -> None:
     """Fill in the expected cost (lines,) of flying each line from a start in the departure's frame."""
     turned, time_s, weight, own_first = lines.turned_rad, lines.time_s, lines.weight, lines.own_first
@@ -368,6 +375,13 @@ def lines_costs(
     for one in range(len(f.weight)):
         _relate(x, y, time_s, one, step_s, f.place, f.facing, across, along)
         _rates(across, along, time_s, weight, f.facing[one, :, 2], step_s, d, c, rates)
+        if c.blind > 0.0:
+            place = f.place
+            for s in range(n):
+                _, off_x, off_y = from_target(place, step_s, one, x[s], y[s], time_s[s])
+                course_rad = heading_rad + turned[s]
+                nose_rad = course_rad - crab_rad(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+                rates[s] += weight[s] * blind_rate(off_x, off_y, nose_rad, c)
         _relate(x, y, time_s, one, step_s, f.place, course, across, along)
         for s in samples:
             k = min(int(time_s[s] / step_s), last_k)

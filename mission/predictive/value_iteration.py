@@ -20,9 +20,12 @@ import numpy.typing as npt
 
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.line_kernel import ARC, LinePoint, circle_after, line_at
 from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import value_kernel as kernel
+from sidelong.mission.predictive.cost_kernel import blind_rates
+from sidelong.mission.predictive.eights_kernel import EIGHTS, eight_line
 from sidelong.mission.predictive.moves import moves_from, staying_on
 from sidelong.mission.predictive.value_table import (
     HEADING_STEP_RAD,
@@ -39,6 +42,7 @@ Progress = Callable[[float], None]
 _EVALUATIONS = 9  # after each improvement
 _TURN_EVERY = 3  # evaluations between two updates of the expectation after a turn
 _COST_PER_CELL = 4  # the running cost has a finer grid of its own
+_COST_HEADINGS = 36  # of the running cost, where it depends on them
 _SAMPLES_PER_CELL = 2  # of a move's running cost
 # Turns of the target on the way count at the Gauss nodes of each move.
 _NODES, _NODE_WEIGHTS = (
@@ -103,6 +107,14 @@ def _moves(c: TableConfiguration, step_m: float) -> list[_Move]:
             arc = np.linspace(0.0, length_m, 2 * samples + 1)[None, :]
             east, north, turned = one.displaced_m(arc, 0.0)
             moves.append(_Move(price, arc[0], east[0], north[0], turned[0]))
+    if c.cost.terms.blind > 0.0:
+        for eight in range(EIGHTS):
+            line = eight_line(LinePoint(0.0, 0.0, 0.0, curvature_per_m), eight, c.radius_m, ramp)
+            length_m = float(line[ARC, -1])
+            arc = np.linspace(0.0, length_m, 2 * max(1, round(length_m / step_m)) + 1)
+            found = np.empty((3, arc.size))
+            line_at(line, circle_after(line, c.radius_m), arc, 0.0, 0.0, found)
+            moves.append(_Move(c.leave_cost, arc, *found))
     return moves
 
 
@@ -162,13 +174,18 @@ class _Solver:
         return values
 
     def _cost_grids(self) -> Float32:
-        """Return the running cost on its finer grid, a part (k, k) for each offset within a cell in x and y."""
+        """Return the running cost on its finer grid, a part (k, k) for each heading and offset within a cell."""
         per_cell = _COST_PER_CELL
         half = per_cell * ((self._n - 1) // 2 + self._pad)
-        axis = np.arange(-half, half + per_cell) * (self._cell_m / per_cell)
+        axis = np.arange(-half, half + per_cell, dtype=np.float64) * (self._cell_m / per_cell)
         rate = self._c.cost.rate(axis[:, None], axis[None, :], 0.0, 0.5 * self._cell_m).astype(np.float32)
-        offsets = range(per_cell)
-        return np.array([[rate[a::per_cell, b::per_cell] for b in offsets] for a in offsets])
+        rates, terms, offsets = [rate], self._c.cost.terms, range(per_cell)
+        if terms.blind > 0.0:
+            blind = np.empty((_COST_HEADINGS, *rate.shape))
+            for k in range(_COST_HEADINGS):
+                blind_rates(axis, math.tau / _COST_HEADINGS * k, terms, blind[k])
+            rates = list(rate + blind.astype(np.float32))
+        return np.array([[[one[a::per_cell, b::per_cell] for b in offsets] for a in offsets] for one in rates])
 
     def _evaluated(self, values: Float32, policy: npt.NDArray[np.int32]) -> Float32:
         """Return the values after following the policy for some more moves."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.geometry.line_kernel import ground_speed_m_s
+from sidelong.mission.geometry.line_kernel import crab_rad, ground_speed_m_s
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -56,9 +56,10 @@ def lay_out(
     """Fill in where each move leads, what counts there, and its discounted running cost with its price.
 
     Move m is line[:, first[m]:first[m + 1]]: evenly spaced arc, east, north and course turned, flown from heading 0;
-    every other sample is the middle of a step. grids (per_cell, per_cell, k, k) is the running cost at each offset
-    within a cell. Filled in: to_x, to_y, weight (classes, headings, moves, 4), to_heading (headings, moves, 4) and
-    own (classes, headings, moves, n, n).
+    every other sample is the middle of a step. grids (directions, per_cell, per_cell, k, k) is the running cost at
+    each offset within a cell, where the nose points in evenly spaced directions; one if they do not matter. Filled
+    in: to_x, to_y, weight (classes, headings, moves, 4), to_heading (headings, moves, 4) and own (classes, headings,
+    moves, n, n).
     """
     classes, headings, moves, n, _ = own.shape
     longest = 0
@@ -100,7 +101,10 @@ def lay_out(
                     share = np.float32((time_s[k + 1] - time_s[k - 1]) * counts[k])
                     fine_i, fine_j = round(x[k] * finer) + per_cell * pad, round(y[k] * finer) + per_cell * pad
                     i, j = fine_i // per_cell, fine_j // per_cell
-                    grid = grids[fine_i - per_cell * i, fine_j - per_cell * j]
+                    course_rad = h * heading_step_rad + turned[begin + k]
+                    nose_rad = course_rad - crab_rad(course_rad, airspeed_m_s, winds[v, 0], winds[v, 1])
+                    nose = round(nose_rad * (len(grids) / math.tau)) % len(grids)
+                    grid = grids[nose, fine_i - per_cell * i, fine_j - per_cell * j]
                     for row in range(n):
                         _add(total[row], grid[i + row, j : j + n], share)
 

@@ -103,6 +103,9 @@ class Payload:
         if not sight.clear:
             return Measurement([], False, False)
         yaw_rad, pitch_rad = sight.bearing_rad + bearing_error_rad, sight.elevation_rad + elevation_error_rad
+        pan_rad = math.remainder(yaw_rad - heading_rad, math.tau)
+        if abs(pan_rad) > settings.pan_limit_rad:  # the gimbal waits at its stop, and the laser hits something else
+            yaw_rad, valid = heading_rad + math.copysign(settings.pan_limit_rad, pan_rad), False
         messages = [self._gimbal_message(boot_ms, pitch_rad, yaw_rad, heading_rad)]
         if valid:
             messages.insert(0, self._range_message(boot_ms, range_m, outlier))

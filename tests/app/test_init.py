@@ -34,6 +34,13 @@ def test_a_preset_loads_back_and_is_flyable_by_both_planners(name, tmp_path):
     assert config.aircraft.aircraft().min_radius_m <= preset.radius_m
 
 
+def test_an_airframe_and_a_payload_with_pan_limits_share_a_section(tmp_path):
+    file = tmp_path / "one.toml"
+    init(file, preset="px4-sih,siyi-a8-mini")
+    aircraft = load_config(file).aircraft
+    assert (aircraft.airspeed_m_s, aircraft.pan_limit_deg) == (PRESETS["px4-sih"].airspeed_m_s, 135.0)
+
+
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=str)
 def test_a_preset_leaves_bank_for_corrections(preset):
     """Its circle is flown at least five degrees below the airframe's bank limit."""

@@ -8,12 +8,12 @@ import pytest
 from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.autopilots.px4 import Px4
-from sidelong.app.commands.payload_status import pan_words
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
 from sidelong.app.link.queries import pan_limits_rad
+from sidelong.app.payload.session import pan_words
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest
 
@@ -145,4 +145,4 @@ def test_pan_limits_are_reported_with_the_share_of_a_lap_that_they_cost(fields, 
     assert (words is None) == (pan_words(limits_rad) == [])
     for line in pan_words(limits_rad):
         assert words in line
-        assert line.endswith("for 33 % of each lap")
+        assert "for 33 % of each lap; aircraft.pan_limit_deg = 120 has figures of eight" in line

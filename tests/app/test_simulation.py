@@ -14,7 +14,7 @@ from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.link import Link, Silence
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.payload import Payload, PayloadErrors
+from sidelong.app.simulation.payload import Payload, PayloadErrors, sight_quaternion
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
@@ -141,6 +141,19 @@ def test_payload_errors_have_their_sizes():
     assert np.mean(np.abs(off_m) > 5.0) == pytest.approx(0.1 * 0.94, abs=0.03)
     assert np.std(off_m[np.abs(off_m) < 3.0]) == pytest.approx(0.8, rel=0.1)
     assert len(ranges) / count == pytest.approx(20.0 / 24.0, abs=0.08)  # 20 s between dropouts of 4 s
+
+
+@pytest.mark.parametrize("camera", [{}, {"has_laser": False, "view_deg": 30.0}], ids=["laser", "camera"])
+def test_a_gimbal_waits_at_its_stop_for_a_target_beyond_its_pan_limits(camera):
+    errors = PayloadErrors(angle_sigma_rad=0.0, yaw_bias_rad=0.0, off_axis=0.0, pan_limit_rad=2.0, **camera)
+    payload = Payload(errors, np.random.default_rng(2))
+    for pan_rad, yaw_rad in ((1.9, 1.9), (-1.9, -1.9), (2.1, 2.0), (-2.1, -2.0)):
+        heading_rad = 0.8
+        at = 300.0 * math.sin(heading_rad + pan_rad), 300.0 * math.cos(heading_rad + pan_rad), -100.0
+        gimbal, *others = payload.measure(0.0, 0, *at, heading_rad=heading_rad)
+        wanted = sight_quaternion(heading_rad + yaw_rad, math.atan2(-100.0, 300.0))
+        assert abs(np.dot(gimbal.fields["q"], wanted)) == pytest.approx(1.0, abs=1e-6)
+        assert bool(others) == (abs(pan_rad) < 2.0)
 
 
 @pytest.mark.parametrize("flavour", Flavour)

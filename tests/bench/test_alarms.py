@@ -46,8 +46,8 @@ class _Recorded(Payload):
 
     ranged_s = -math.inf
 
-    def measure(self, time_s, boot_ms, east_m, north_m, up_m, *, with_range=True):
-        sent = super().measure(time_s, boot_ms, east_m, north_m, up_m, with_range=with_range)
+    def measure(self, time_s, boot_ms, east_m, north_m, up_m, **how):
+        sent = super().measure(time_s, boot_ms, east_m, north_m, up_m, **how)
         true_m = math.hypot(east_m, north_m, up_m)
         ranges_m = [0.01 * one.fields["current_distance"] for one in sent if one.name == "DISTANCE_SENSOR"]
         if any(abs(range_m - true_m) < 5.0 * ERRORS.range_sigma_m for range_m in ranges_m):

@@ -9,7 +9,8 @@ RATE=4 times as fast as the clock: the programs do not wait for anyone, so the m
 judged from a minute after it was taken over, when it has come from home; the target waits for a PX4 to come up. The
 study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft; both are judged
 alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records. If NAME.route.csv (east_m, north_m) stands
-next to a track, flight and study know it as the target's route.
+next to a track, flight and study know it as the target's route. ``-k eights`` flies next to the first target with a
+gimbal that pans 120 degrees to each side.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 WIND_FROM_DEG = 270.0  # as the study's
 COMING_S = 60.0  # from the circle at home: a study begins next to the target
+PAN_LIMIT_DEG = 120.0
 SIDE_MAX, SIDE_ROUTE_MAX, MOVES_MAX, BAND_MIN, RANGE_MIN_M = 0.03, 0.02, 1.5, 0.995, 95.0
 _FILES = sorted(Path(os.environ.get("SIDELONG_TARGETS", "-")).glob("*.csv"))
 TARGETS = [file for file in _FILES if not file.stem.endswith(".route") and file.stem != "manifest"]
@@ -98,16 +100,40 @@ def test_a_flight_is_as_its_study_predicts(flavour, guidance, target, tmp_path, 
     assert watched.min_range_m >= RANGE_MIN_M
 
 
-def fly(flavour: Program, guidance: str, target: Path, folder: Path, payload: str = "") -> Flight:
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_eights_keep_a_target_within_pan_limits(flavour, tmp_path):
+    flight = fly(flavour, "mission", TARGETS[0], tmp_path, pan_limit_deg=PAN_LIMIT_DEG)
+    outside = beyond_pan_limits(tmp_path / "truth.csv", flight.run, flavour)
+    print(f"\n{flavour} {TARGETS[0].stem}: beyond the pan limits {100 * outside:.1f} %\n  flown   {flight.watched}")
+    assert outside < 0.5 * (1.0 - PAN_LIMIT_DEG / 180.0)  # half of what circles cost
+    assert flight.watched.band >= BAND_MIN
+    assert flight.watched.min_range_m >= RANGE_MIN_M
+
+
+def beyond_pan_limits(file: Path, run: Path, flavour: str) -> float:
+    """Return the share of a flight in which the target was further from the nose than the gimbal pans."""
+    log, _ = seen(read_truth(file), JournalReader(run / "journal.jsonl", JOURNAL_TYPES))
+    air_m = np.gradient(log[:, 1:3], log[:, 0], axis=0) - (WIND_M_S[flavour], 0.0)  # the wind is from the west
+    nose_rad, away_m = np.arctan2(*air_m.T), log[:, 3:5] - log[:, 1:3]
+    pan_rad = np.abs(np.angle(np.exp(1j * (np.arctan2(*away_m.T) - nose_rad))))
+    return float(np.mean(pan_rad > math.radians(PAN_LIMIT_DEG)))
+
+
+def fly(
+    flavour: Program, guidance: str, target: Path, folder: Path, payload: str = "", pan_limit_deg: float = 180.0
+) -> Flight:
     """Fly next to a target; payload: the maker's protocol that laser and gimbal speak, "" is MAVLink."""
     played = folder / "target.csv"
-    options, more = simulated(flavour, played, folder / "truth.csv"), ""
+    options, more = [*simulated(flavour, played, folder / "truth.csv"), "--pan-limit-deg", pan_limit_deg], ""
     if payload:
         address = f"127.0.0.1:{free_udp_port()}"
         options += ["--device", f"{payload}@{address}"]
         scheme = "tcp" if payload in OVER_TCP else "udp"
         more = f'[payload]\nkind = "{payload}"\nurl = "{scheme}://{address}"\n'
-    requirement = f"[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
+    requirement = (
+        f"pan_limit_deg = {pan_limit_deg}\n[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
+    )
     configured(folder / "mission.toml", flavour, requirement + more)
     (smooth,) = recorded_targets([target], math.inf, route_next_to).flown
     path_m = np.pad([smooth.east_m, smooth.north_m], ((0, 0), (round(2.0 * WAITS_S[flavour]), 0)), "edge")

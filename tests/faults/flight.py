@@ -7,8 +7,9 @@ of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -95,7 +96,12 @@ class FaultedFlight(ClosedLoop[Message]):
     """One flight with faults. What came of it is in ``flown``."""
 
     def __init__(
-        self, scenario: Scenario, faults: Sequence[Fault] = (), timer=lambda: 0.0, terrain: str = ""
+        self,
+        scenario: Scenario,
+        faults: Sequence[Fault] = (),
+        timer=lambda: 0.0,
+        terrain: str = "",
+        configured: Mapping[str, dict] = MappingProxyType({}),
     ) -> None:
         self._scenario, self._faults, self._timer = scenario, faults, timer
         autopilot = FLAVOURS[scenario.flavour]
@@ -105,7 +111,7 @@ class FaultedFlight(ClosedLoop[Message]):
         self._fault_rng = np.random.default_rng((scenario.seed, 77))
         self._noise = noise_rng
         ground = {"terrain": {"folder": terrain}} if terrain else {}
-        config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}, **ground})
+        config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}, **ground, **configured})
         self.controller: StandoffController = controller_of(config)
         settle(self.controller, config, _PLANE, HOME_DEG)
         self._target = RandomTarget(target_rng, scenario.duration_s + 1.0, 3.0, (15.0, 60.0))

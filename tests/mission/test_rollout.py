@@ -200,7 +200,8 @@ def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_r
     vx, vy = straight.place[0, 0, 2:]
     turned.place[0, 0, 2:] = vx * cos_t + vy * sin_t, vy * cos_t - vx * sin_t
     turned.facing[0, 0, :2], turned.course[0, 0] = (sin_t, cos_t), (sin_t, cos_t, 0.7)
-    cost, again, start, rest = np.empty(1), np.empty(1), Pose(0.0, 0.0, 0.0), (doubt, terms, table.arrays)
+    cost, again, start = np.empty(1), np.empty(1), Pose(0.0, 0.0, 0.0)
+    rest = doubt, terms, table.arrays, Air(10.0, 0.0, 0.0)
     lines_costs(single_line(x, y, heading, time_s, 0.02), start, straight, *rest, cost)
     other = x * cos_t + y * sin_t, y * cos_t - x * sin_t, heading + 0.7, time_s
     lines_costs(single_line(*other, 0.02), start, turned, *rest, again)

@@ -47,8 +47,8 @@ class Device(Payload):
         self._loop = loop
         self._before: tuple[float, Seen] | None = None
 
-    def measure(self, time_s, boot_ms, east_m, north_m, up_m, *, with_range=True):
-        gimbal, *laser = super().measure(time_s, boot_ms, east_m, north_m, up_m, with_range=with_range)
+    def measure(self, time_s, boot_ms, east_m, north_m, up_m, **how):
+        gimbal, *laser = super().measure(time_s, boot_ms, east_m, north_m, up_m, **how)
         loop, aircraft = self._loop, self._loop.simulated.aircraft
         w, x, y, z = gimbal.fields["q"]
         forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)

@@ -35,6 +35,16 @@ def test_the_recorded_quaternion_comes_out():
     assert angle_rad < math.radians(2.0)
 
 
+def test_a_gimbal_waits_at_its_stop_for_a_target_beyond_its_pan_limits():
+    settings = PayloadSettings(gimbal_sigma_rad=0.0, gimbal_yaw_bias_rad=0.0, dropout_fraction=0.0, pan_limit_rad=2.0)
+    for pan_rad, yaw_rad in ((1.9, 1.9), (-1.9, -1.9), (2.1, 2.0), (-2.1, -2.0)):
+        sight = Sight(300.0, 0.8 + pan_rad, -0.3)
+        (measured,) = measurements(settings, 1, sight, heading_rad=0.8)
+        (gimbal,) = of_kind([measured], "GIMBAL_DEVICE_ATTITUDE_STATUS")
+        assert math.remainder(yaw_pitch_rad(gimbal)[0] - 0.8 - yaw_rad, math.tau) == pytest.approx(0.0, abs=1e-5)
+        assert measured.laser_valid == (abs(pan_rad) < 2.0)
+
+
 def test_noise_outliers_and_dropouts_have_the_stated_size():
     measured = measurements(PayloadSettings(), 20_000)
     ranges_m = np.array([m.current_distance / 100.0 for m in of_kind(measured, "DISTANCE_SENSOR")])

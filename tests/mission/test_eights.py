@@ -1,0 +1,116 @@
+"""Figures of eight: what is flown, what it costs, and what it is for."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import wrap_rad
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.cost_kernel import blind_rate
+from sidelong.mission.predictive.eights_kernel import BACK, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
+from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.mission.predictive.rollout_kernel import Air
+
+RADIUS_M, RAMP, AIRSPEED_M_S = 50.0, 0.0008, 10.0
+LIMITED = Aircraft(AIRSPEED_M_S, RADIUS_M, pan_limit_rad=math.radians(120.0))
+BAND = Requirement(100.0, 500.0, Side.LEFT, 3.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_line_of_every_eight_is_flyable_and_ends_on_its_circle(sign):
+    start = LinePoint(30.0, -20.0, 0.7, sign / RADIUS_M)
+    for eight in range(EIGHTS):
+        line = eight_line(start, eight, sign * RADIUS_M, RAMP)
+        arc, curvature = line[ARC], line[CURVATURE]
+        assert tuple(line[[EAST, NORTH, COURSE, CURVATURE], 0]) == tuple(start)
+        assert np.diff(arc).min() > 0.0
+        assert np.abs(curvature).max() <= 1.0 / RADIUS_M + 1e-9
+        assert np.abs(np.diff(curvature) / np.diff(arc)).max() <= RAMP + 1e-9
+        assert curvature[-1] == pytest.approx(sign / RADIUS_M)
+        assert curvature.min() * sign == pytest.approx(-1.0 / RADIUS_M) if sign > 0 else curvature.max() > 0.0
+        # Course and place follow from the curvature.
+        course = start.course_rad + np.append(0.0, np.cumsum(0.5 * (curvature[1:] + curvature[:-1]) * np.diff(arc)))
+        np.testing.assert_allclose(line[COURSE], course, atol=1e-9)
+        middle = 0.5 * (course[1:] + course[:-1])
+        np.testing.assert_allclose(np.diff(line[EAST]), np.diff(arc) * np.sin(middle), atol=1e-3)
+        np.testing.assert_allclose(np.diff(line[NORTH]), np.diff(arc) * np.cos(middle), atol=1e-3)
+
+
+def test_an_eight_is_a_straight_a_turn_the_other_way_round_and_a_straight():
+    eight = (2 * TURNED.size + 1) * BACK.size + 1
+    line = eight_line(LinePoint(0.0, 0.0, 0.0, 1.0 / RADIUS_M), eight, RADIUS_M, RAMP)
+    step = np.diff(line[ARC])
+    held = {k: step[np.abs(line[CURVATURE, 1:] - k / RADIUS_M) + np.abs(step * 0) < 1e-9].sum() for k in (0.0, -1.0)}
+    assert held[0.0] == pytest.approx((OUTWARD[2] + BACK[1]) * RADIUS_M, abs=5.0)
+    assert held[-1.0] == pytest.approx(TURNED[1] * RADIUS_M, abs=5.0)
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0), (2.0, -1.0)])
+def test_what_is_rolled_out_is_what_is_flown(wind):
+    air, step_m, beyond_m = Air(AIRSPEED_M_S, *wind), 10.0, 40.0
+    lines = eights_from(1.0 / RADIUS_M, RADIUS_M, RAMP, step_m, beyond_m, 0.4, air, 0.01)
+    for eight in (0, 17, EIGHTS - 1):
+        line = eight_line(LinePoint(0.0, 0.0, 0.0, 1.0 / RADIUS_M), eight, RADIUS_M, RAMP)
+        first, last = lines.own_first[eight], lines.own_first[eight + 1] - 1
+        assert lines.end_m[eight] == pytest.approx(line[ARC, -1])
+        on_it = np.arange(1, int(line[ARC, -1] / step_m))
+        for found, row in ((lines.x_m, EAST), (lines.y_m, NORTH), (lines.turned_rad, COURSE)):
+            wanted = np.interp(step_m * on_it, line[ARC], line[row])
+            np.testing.assert_allclose(found[first + on_it - 1], wanted, atol=0.02)
+        # It is followed onto its circle.
+        on_circle_rad = beyond_m / RADIUS_M
+        assert lines.turned_rad[last] == pytest.approx(line[COURSE, -1] + on_circle_rad)
+        speeds = np.array([ground_speed_m_s(0.4 + rad, AIRSPEED_M_S, Wind(*wind)) for rad in line[COURSE]])
+        time_s = np.sum(np.diff(line[ARC]) * 0.5 * (1.0 / speeds[1:] + 1.0 / speeds[:-1]))
+        end = first + int(line[ARC, -1] / step_m) - 1
+        assert lines.time_s[end] == pytest.approx(time_s, abs=1.1 * step_m / speeds.min())
+        np.testing.assert_allclose(lines.weight[first : last + 1], np.exp(-0.01 * lines.time_s[first : last + 1]))
+
+
+def test_it_costs_where_the_gimbal_cannot_look():
+    terms = WatchCost(115.0, 485.0, pan_limit_rad=math.radians(120.0)).terms
+    for pan_deg, share in ((0.0, 0.0), (100.0, 0.0), (120.0, 0.5), (140.0, 1.0), (180.0, 1.0)):
+        for side in (1.0, -1.0):
+            bearing_rad = 0.3
+            place = -300.0 * math.sin(bearing_rad), -300.0 * math.cos(bearing_rad)
+            nose_rad = bearing_rad - side * math.radians(pan_deg)
+            assert blind_rate(*place, nose_rad, terms) == pytest.approx(share * terms.blind, abs=0.02)
+    assert WatchCost(115.0, 485.0).terms.blind == 0.0
+
+
+def test_aircraft_of_a_fleet_plan_for_no_pan_limit():
+    def planned_rad(requirement):
+        return table_configuration(LIMITED, requirement).cost.pan_limit_rad
+
+    assert planned_rad(BAND) == LIMITED.pan_limit_rad
+    assert planned_rad(Requirement(100.0, 500.0, Side.LEFT, 3.0, fleet_size=2)) == math.pi
+
+
+def test_figures_of_eight_keep_a_known_target_within_the_pan_limits():
+    """Circles would have it outside the limits for a third of the time."""
+    planner, speed_m_s = PredictivePlanner.for_(LIMITED, BAND), 1.0
+    plan, outside, beyond_band = Plan(Circle(-250.0, 0.0, RADIUS_M, clockwise=True)), 0, 0
+    state = AircraftState(0.0, *plan.circle.position_at_course(0.0), 0.0, AIRSPEED_M_S, 1.0 / RADIUS_M)
+    steps = range(500)
+    for k in steps:
+        north_m = speed_m_s * k
+        covariance = np.diag([1.0, 1.0, 0.04, 0.04])
+        target = TargetEstimate(k, 0.0, north_m, 0.0, speed_m_s, covariance, TrackQuality.GOOD, k)
+        chosen = planner.decide(state, target, plan, Wind(), 1.0).plan
+        here = point_at(plan, nearest_arc_m(plan, state) + AIRSPEED_M_S, state)
+        state = AircraftState(k + 1.0, *here[:3], AIRSPEED_M_S, here.curvature_per_m)
+        plan = chosen or plan
+        away = here.east_m, here.north_m - north_m - speed_m_s
+        pan_rad = wrap_rad(math.atan2(-away[0], -away[1]) - here.course_rad)
+        outside += abs(pan_rad) > LIMITED.pan_limit_rad
+        beyond_band += not 100.0 <= math.hypot(*away) <= 500.0
+    assert outside < 0.05 * len(steps)
+    assert beyond_band == 0
