@@ -15,7 +15,7 @@ from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import blind_rate
-from sidelong.mission.predictive.eights_kernel import BACK, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
+from sidelong.mission.predictive.eights_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air
 
@@ -35,7 +35,7 @@ def test_the_line_of_every_eight_is_flyable_and_ends_on_its_circle(sign):
         assert np.abs(curvature).max() <= 1.0 / RADIUS_M + 1e-9
         assert np.abs(np.diff(curvature) / np.diff(arc)).max() <= RAMP + 1e-9
         assert curvature[-1] == pytest.approx(sign / RADIUS_M)
-        assert curvature.min() * sign == pytest.approx(-1.0 / RADIUS_M) if sign > 0 else curvature.max() > 0.0
+        assert (sign * curvature).min() == pytest.approx(-1.0 / RADIUS_M)
         # Course and place follow from the curvature.
         course = start.course_rad + np.append(0.0, np.cumsum(0.5 * (curvature[1:] + curvature[:-1]) * np.diff(arc)))
         np.testing.assert_allclose(line[COURSE], course, atol=1e-9)
@@ -44,13 +44,17 @@ def test_the_line_of_every_eight_is_flyable_and_ends_on_its_circle(sign):
         np.testing.assert_allclose(np.diff(line[NORTH]), np.diff(arc) * np.cos(middle), atol=1e-3)
 
 
-def test_an_eight_is_a_straight_a_turn_the_other_way_round_and_a_straight():
-    eight = (2 * TURNED.size + 1) * BACK.size + 1
+def test_an_eight_is_a_leg_a_turn_the_other_way_round_and_a_leg():
+    eight = ((2 * BACK.size + 1) * BEND.size + 1) * TURNED.size + 1
     line = eight_line(LinePoint(0.0, 0.0, 0.0, 1.0 / RADIUS_M), eight, RADIUS_M, RAMP)
     step = np.diff(line[ARC])
-    held = {k: step[np.abs(line[CURVATURE, 1:] - k / RADIUS_M) + np.abs(step * 0) < 1e-9].sum() for k in (0.0, -1.0)}
-    assert held[0.0] == pytest.approx((OUTWARD[2] + BACK[1]) * RADIUS_M, abs=5.0)
-    assert held[-1.0] == pytest.approx(TURNED[1] * RADIUS_M, abs=5.0)
+
+    def held_m(share):
+        return step[np.abs(line[CURVATURE, 1:] - share / RADIUS_M) < 1e-9].sum()
+
+    assert held_m(-BEND[1]) == pytest.approx(OUTWARD[2] * RADIUS_M, abs=5.0)
+    assert held_m(-1.0) == pytest.approx(TURNED[1] * RADIUS_M, abs=5.0)
+    assert held_m(BEND[1]) == pytest.approx(BACK[1] * RADIUS_M, abs=5.0)
 
 
 @pytest.mark.parametrize("wind", [(0.0, 0.0), (2.0, -1.0)])
