@@ -286,4 +286,8 @@ def load_fleet(
             check_flyable(member.config)
         except InputError as error:
             raise InputError(f"{name}: aircraft {member.name!r}: {error}") from error
+        if member.config.aircraft.pan_limit_deg < 180.0 and member.config.requirement.fleet_size > 1:
+            raise InputError(
+                f"{name}: aircraft {member.name!r}: pan_limit_deg: a fleet plans for no pan limits; leave it out."
+            )
     return fleet

@@ -94,7 +94,8 @@ class Planning:
         self.planner.follow(self._route, self._progress)
         if self._route is None:
             return "no route of the target is known"
-        return f"the target is expected on a route of {self._route.length_m:.0f} m"
+        unused = "; figures of eight are planned without it" if self._aircraft.pan_limit_rad < math.pi else ""
+        return f"the target is expected on a route of {self._route.length_m:.0f} m{unused}"
 
     def _fresh_progress(self) -> FloatArray:
         return fresh_progress(0 if self._route is None else self._route.east_m.size)

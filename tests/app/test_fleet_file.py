@@ -54,6 +54,11 @@ def test_each_knows_how_many_watch_together(written):
     assert load_config(None).requirement.requirement().fleet_size == 1
 
 
+def test_a_fleet_plans_for_no_pan_limits(written):
+    with pytest.raises(InputError, match="'north': pan_limit_deg: a fleet plans for no pan limits; leave it out"):
+        load_fleet(written(TWO.replace('name = "north"', 'name = "north"\npan_limit_deg = 120')))
+
+
 def test_others_are_shown_of_one_target_and_of_every_aircraft_by_its_name(written):
     north, south = load_fleet(
         written(TWO + '[sharing]\ncot = "udp://127.0.0.1:8087"\nnmea = "udp://127.0.0.1:8088"\n')
