@@ -170,14 +170,14 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
 
 
 @compiled
-def weigh(scene: Scene, now: Situation, looker: Looker, sight: Sight, costs: FloatArray) -> tuple[float, float]:
-    """Fill in what each move costs (choices,); return what staying costs, and what a move must gain beyond its price.
+def weigh(scene: Scene, now: Situation, looker: Looker, sight: Sight) -> tuple[float, float, FloatArray]:
+    """Return what staying costs, what a move must gain beyond its price, and what each move costs (choices,).
 
     Processes the target's estimate, as :func:`foresee` does.
     """
     futures, judged_by = foresee(scene, now, looker)
-    min_gain = commitment(scene, now, futures, judged_by)
-    return look_deeper(scene, now, futures, judged_by, sight, min_gain, costs), min_gain
+    min_gain, costs = commitment(scene, now, futures, judged_by), np.empty(choices(looker))
+    return look_deeper(scene, now, futures, judged_by, sight, min_gain, costs), min_gain, costs
 
 
 @compiled
@@ -187,8 +187,7 @@ def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
     The ground hides nothing.
     """
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    costs = np.empty(choices(looker))
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    stay_cost, min_gain = weigh(scene, now, looker, flat, costs)
+    stay_cost, min_gain, costs = weigh(scene, now, looker, flat)
     line = best_line(scene, looker, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line

@@ -33,7 +33,7 @@ from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, tu
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices, choices
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
 from sidelong.mission.predictive.foresight import foresight_along, no_route
 from sidelong.mission.predictive.foresight_kernel import weigh
@@ -272,8 +272,7 @@ class PredictivePlanner:
     def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         scene, sight = self.outlook(now, looker)
-        costs = np.empty(choices(looker))
-        stay_cost, min_gain_s = weigh(scene, now, looker, sight, costs)
+        stay_cost, min_gain_s, costs = weigh(scene, now, looker, sight)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
         ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
