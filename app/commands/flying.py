@@ -59,13 +59,13 @@ def kept_if_armed(records: Path) -> Iterator[Callable[[Life], Life]]:
 def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
     """Report what keeps simulated flights of a configuration from the requirement, as ``check`` would.
 
-    Before the study's code is compiled for the first time this would take up to a minute: ``check`` is then
-    recommended instead.
+    Before the study's code is compiled for the first time, and with figures of eight, this would take up to a minute:
+    ``check`` is then recommended instead.
     """
     from sidelong.app.study.flight_kernel import advance  # noqa: PLC0415  # only once the options are checked
     from sidelong.app.study.prediction import predict  # noqa: PLC0415  # likewise
 
-    if not is_cached(advance):
+    if not is_cached(advance) or config.aircraft.pan_limit_deg < 180.0:
         note("how well this requirement can be kept has not been computed yet: sidelong check does it")
         return
     prediction = predict(config)

@@ -69,6 +69,12 @@ def test_launch_warns_of_what_check_refuses(tmp_path, monkeypatch, share, refuse
     assert any("sidelong check refuses this configuration" in note for note in notes) is refused
 
 
+def test_with_figures_of_eight_a_launch_leaves_the_prediction_to_check():
+    notes = []
+    flying.warn_of_prediction(Config.model_validate({"aircraft": {"pan_limit_deg": 120.0}}), notes.append)
+    assert notes == ["how well this requirement can be kept has not been computed yet: sidelong check does it"]
+
+
 def test_a_prediction_repeats_itself():
     config = Config.model_validate({"planner": {"name": "paper"}})
     assert predict(config) == predict(config)
