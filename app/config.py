@@ -26,7 +26,7 @@ from sidelong.app.sharing.address import Address
 from sidelong.app.sharing.contact import is_contact
 from sidelong.app.text_file import read_toml
 from sidelong.mission.core.feasibility import in_words
-from sidelong.mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
+from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG, Aircraft, Requirement, Side, widest_radius_m
 from sidelong.mission.viewpoint.side_policy import watching_from
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class AircraftSection(Section):
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
-    pan_limit_deg: float = Field(180.0, ge=90, le=180)
+    pan_limit_deg: float = Field(180.0, ge=PAN_LIMIT_MIN_DEG, le=180)
     """How far the gimbal pans to each side of the nose, degrees; below 180, figures of eight are flown."""
     height_m: float = Field(100.0, ge=20, le=3000)
     """Height of the circle above the reference in height_above, m."""

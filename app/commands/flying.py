@@ -65,7 +65,7 @@ def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
     from sidelong.app.study.flight_kernel import advance  # noqa: PLC0415  # only once the options are checked
     from sidelong.app.study.prediction import predict  # noqa: PLC0415  # likewise
 
-    if not is_cached(advance) or config.aircraft.pan_limit_deg < 180.0:
+    if not is_cached(advance) or config.aircraft.aircraft().has_pan_limit:
         note("how well this requirement can be kept has not been computed yet: sidelong check does it")
         return
     prediction = predict(config)

@@ -224,7 +224,7 @@ def study(
         if "study.terrain" not in dict(sweeps):
             sweeps.append(parsed_sweep("study.terrain=known,ignored"))
     found = designs(base, values, sweeps, console.print)
-    if fidelity is Fidelity.KINEMATIC and any(one.settings.config.aircraft.pan_limit_deg < 180.0 for one in found):
+    if fidelity is Fidelity.KINEMATIC and any(one.settings.aircraft().has_pan_limit for one in found):
         raise InputError(
             "aircraft.pan_limit_deg: the kinematic study sees the target all around; give --fidelity closed-loop."
         )

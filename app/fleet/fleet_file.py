@@ -286,7 +286,7 @@ def load_fleet(
             check_flyable(member.config)
         except InputError as error:
             raise InputError(f"{name}: aircraft {member.name!r}: {error}") from error
-        if member.config.aircraft.pan_limit_deg < 180.0 and member.config.requirement.fleet_size > 1:
+        if member.config.aircraft.aircraft().has_pan_limit and member.config.requirement.fleet_size > 1:
             raise InputError(
                 f"{name}: aircraft {member.name!r}: pan_limit_deg: a fleet plans for no pan limits; leave it out."
             )

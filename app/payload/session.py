@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from sidelong.app.payload.consistency import Consistency
 from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
+from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG
 
 LOST_AFTER_S = 2.0
 """Without a measurement for this long the payload counts as lost."""
@@ -18,8 +19,6 @@ _PAUSE_MAX_S = 0.25  # between two calls: a longer time in which this program wa
 _NO_RANGE_AFTER_S = 10.0  # lasers miss for seconds
 _RATE_OVER_S = 2.0
 _CLOSED_RAD = math.radians(1.0)
-PAN_LIMIT_MIN_DEG = 90.0
-"""With less on one side of the nose, figures of eight do not keep a target in view either."""
 
 
 @dataclass(frozen=True, slots=True)

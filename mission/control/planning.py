@@ -94,7 +94,7 @@ class Planning:
         self.planner.follow(self._route, self._progress)
         if self._route is None:
             return "no route of the target is known"
-        unused = "; figures of eight are planned without it" if self._aircraft.pan_limit_rad < math.pi else ""
+        unused = "; figures of eight are planned without it" if self._aircraft.has_pan_limit else ""
         return f"the target is expected on a route of {self._route.length_m:.0f} m{unused}"
 
     def _fresh_progress(self) -> FloatArray:

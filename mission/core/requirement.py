@@ -15,6 +15,8 @@ from sidelong.estimators.numbers import convert_to_floats, require_type
 GRAVITY_M_S2 = 9.80665
 # A circle wider than this share of the band leaves no room to move it in: it was found on recorded targets.
 _WIDEST_OF_BAND = 1.0 / 3.8
+PAN_LIMIT_MIN_DEG = 90.0
+"""With less on one side of the nose, figures of eight do not keep a target in view either."""
 
 
 class Side(StrEnum):
@@ -104,6 +106,11 @@ class Aircraft:
 
     def __post_init__(self) -> None:
         convert_to_floats(self, "airspeed_m_s", "radius_m", "bank_max_rad", "roll_rate_max_rad_s", "pan_limit_rad")
+
+    @property
+    def has_pan_limit(self) -> bool:
+        """Whether the gimbal does not look all around."""
+        return self.pan_limit_rad < math.pi
 
     @property
     def lap_s(self) -> float:

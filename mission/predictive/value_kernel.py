@@ -101,9 +101,11 @@ def lay_out(
                     share = np.float32((time_s[k + 1] - time_s[k - 1]) * counts[k])
                     fine_i, fine_j = round(x[k] * finer) + per_cell * pad, round(y[k] * finer) + per_cell * pad
                     i, j = fine_i // per_cell, fine_j // per_cell
-                    course_rad = h * heading_step_rad + turned[begin + k]
-                    nose_rad = course_rad - crab_rad(course_rad, airspeed_m_s, winds[v, 0], winds[v, 1])
-                    nose = round(nose_rad * (len(grids) / math.tau)) % len(grids)
+                    nose = 0
+                    if len(grids) > 1:
+                        course_rad = h * heading_step_rad + turned[begin + k]
+                        nose_rad = course_rad - crab_rad(course_rad, airspeed_m_s, winds[v, 0], winds[v, 1])
+                        nose = round(nose_rad * (len(grids) / math.tau)) % len(grids)
                     grid = grids[nose, fine_i - per_cell * i, fine_j - per_cell * j]
                     for row in range(n):
                         _add(total[row], grid[i + row, j : j + n], share)
