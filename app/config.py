@@ -83,8 +83,8 @@ class AircraftSection(Section):
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
-    pan_limit_deg: float = Field(180.0, ge=PAN_LIMIT_MIN_DEG, le=180)
-    """How far the gimbal pans to each side of the nose, degrees; below 180, figures of eight are flown."""
+    pan_limit_deg: float | None = Field(None, ge=PAN_LIMIT_MIN_DEG, le=180)
+    """Pan limit of the gimbal to each side of the nose; below 180, figures of eight are flown; none: as reported."""
     height_m: float = Field(100.0, ge=20, le=3000)
     """Height of the circle above the reference in height_above, m."""
     height_above: Literal["home", "ground"] = "home"
@@ -103,7 +103,7 @@ class AircraftSection(Section):
             self.radius_m,
             math.radians(self.bank_max_deg),
             math.radians(self.roll_rate_max_deg_s),
-            math.radians(self.pan_limit_deg),
+            math.radians(180.0 if self.pan_limit_deg is None else self.pan_limit_deg),
         )
 
 

@@ -200,6 +200,21 @@ def judge_moments(moments: Sequence[Moment], asked: Asked) -> Judgement:
     return Judgement.joined([judge(Samples.of(run), asked) for run in runs or [[]]])
 
 
+def within_pan_limits(
+    aircraft_m: FloatArray, target_m: FloatArray, heading_rad: FloatArray, limit_rad: float
+) -> BoolArray:
+    """Return whether the gimbal can look at the target, shape (n,).
+
+    Args:
+        aircraft_m: East and north of the aircraft, shape (n, 2).
+        target_m: The same of the target.
+        heading_rad: Where the nose points, clockwise from north, shape (n,).
+        limit_rad: How far the gimbal pans to each side of the nose.
+    """
+    east_m, north_m = (target_m - aircraft_m).T
+    return np.asarray(np.abs(_wrapped(np.arctan2(east_m, north_m) - heading_rad)) <= limit_rad)
+
+
 def score(
     judged: Judgement,
     source: Literal["truth", "estimate"],

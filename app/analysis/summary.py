@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from sidelong.app.analysis.input_times import InputTime, InputTimes
-from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score
+from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score, within_pan_limits
 from sidelong.app.analysis.truth import Truth
 from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import LocalPlane
@@ -44,6 +44,8 @@ class Summary:
     outcome: str
     time_in_sight: float | None = None
     min_clearance_m: float | None = None
+    time_within_pan_limits: float | None = None
+    """Share of the time in which the gimbal could look at the target; None if it pans all around."""
     time_on_side_now: float | None = None
     """By the target's present course; ``time_on_side`` is by the course it made good."""
     reversals: int | None = None
@@ -93,6 +95,8 @@ class Summary:
         yield "range", f"{self.min_range_m:.0f} to {self.max_range_m:.0f} m" if known else "-"
         if self.time_in_sight is not None:
             yield "time in sight", percent(self.time_in_sight)
+        if self.time_within_pan_limits is not None:
+            yield "target within the pan limits", percent(self.time_within_pan_limits)
         if self.min_clearance_m is not None:
             yield "least height over the ground", f"{self.min_clearance_m:.0f} m"
         yield "judged by", self.source
@@ -144,6 +148,7 @@ class SummaryCollector:
         self._position_age_s = 0.0  # at the end
         self._input_times = InputTimes()
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
+        self._within_pan: list[tuple[float, bool]] = []  # time, whether the gimbal can look at the target
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Snapshot) -> None:
@@ -172,6 +177,11 @@ class SummaryCollector:
         )
         if self.ground is not None:
             self._look(self.ground, snapshot)
+        if snapshot.pan_limit_rad < math.pi and math.isfinite(snapshot.sensor_status.heading_rad):
+            places = np.array([[aircraft.east_m, aircraft.north_m]]), np.array([[estimate.east_m, estimate.north_m]])
+            heading_rad = np.array([snapshot.sensor_status.heading_rad])
+            (within,) = within_pan_limits(*places, heading_rad, snapshot.pan_limit_rad)
+            self._within_pan.append((estimate.time_s, bool(within)))
 
     def _look(self, ground: Ground, snapshot: Snapshot) -> None:
         aircraft, target, height_m = snapshot.aircraft, snapshot.estimate, snapshot.sensor_status.height_m
@@ -193,6 +203,11 @@ class SummaryCollector:
         since = [(seen, clear_m) for time_s, seen, clear_m in self._over_ground if time_s >= start_s]
         clear = [clear_m for _, clear_m in since if not math.isnan(clear_m)]
         return sum(seen for seen, _ in since) / len(since) if since else None, min(clear, default=None)
+
+    def time_within_pan_limits(self, start_s: float) -> float | None:
+        """Return the share of time since ``start_s`` in which the gimbal could look at the estimated place."""
+        since = [within for time_s, within in self._within_pan if time_s >= start_s]
+        return sum(since) / len(since) if since else None
 
     def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
         """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
@@ -254,6 +269,7 @@ def summarise(
         outcome=outcome,
         time_in_sight=in_sight,
         min_clearance_m=clearance_m,
+        time_within_pan_limits=gatherer.time_within_pan_limits(start_s),
         inputs=gatherer.input_times(start_s, snapshot.time_s + snapshot.position_age_s),
         gimbal_delay_s=None if delays is None else round(delays.gimbal_s, 3),
         range_delay_s=None if delays is None else round(delays.range_s, 3),

@@ -30,8 +30,8 @@ from sidelong.app.link.queries import home_of, mode_of, pan_limits_rad
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.url import checked_url
 from sidelong.app.payload.address import read_payload
+from sidelong.app.payload.pan_limits import pan_words
 from sidelong.app.payload.registry import KIND_NAMES
-from sidelong.app.payload.session import pan_words
 from sidelong.app.records.sensing import Sensing
 
 

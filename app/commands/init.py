@@ -39,6 +39,7 @@ _EXAMPLES = {
     "link.take_over_from": '["RTL"]',
     "link.signing_key_file": '"vehicle.key"',
     "planner.winds_m_s": "[4.0, 8.0]",
+    "aircraft.pan_limit_deg": "135.0",
     "fences.keep_in": "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]",
     "fences.keep_out": "[[[47.405, 8.51], [47.410, 8.51], [47.410, 8.52]]]",
     "fences.floor_m": "60.0",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sidelong.app.payload.session import PayloadStatus, pan_words
+from sidelong.app.payload.pan_limits import pan_words
+from sidelong.app.payload.session import PayloadStatus
 from sidelong.estimators.rotations import sight_direction
 
 

@@ -224,10 +224,8 @@ def study(
         if "study.terrain" not in dict(sweeps):
             sweeps.append(parsed_sweep("study.terrain=known,ignored"))
     found = designs(base, values, sweeps, console.print)
-    if fidelity is Fidelity.KINEMATIC and any(one.settings.aircraft().has_pan_limit for one in found):
-        raise InputError(
-            "aircraft.pan_limit_deg: the kinematic study sees the target all around; give --fidelity closed-loop."
-        )
+    if fleet > 1 and any(one.settings.aircraft().has_pan_limit for one in found):
+        raise InputError("aircraft.pan_limit_deg: a fleet plans for no pan limits; leave it out.")
     if terrain is not None or fleet > 1:
         _check_side("--fleet" if terrain is None else "--terrain", found)
     found = _recorded(found, targets, runs, math.inf if duration is None else duration, routes)

@@ -1,7 +1,7 @@
-"""The operator's changes of the mission in flight: checked like a configuration, prepared outside the control loop.
+"""Changes of the mission in flight, by an operator or by the gimbal's report.
 
-A missing value table is computed by another process. The control loop does not wait for it: the change reaches the
-control step once the table is ready.
+They are checked like a configuration, and prepared outside the control loop. A missing value table is computed by
+another process. The control loop does not wait for it: the change reaches the control step once the table is ready.
 """
 
 from __future__ import annotations
@@ -33,9 +33,14 @@ class MissionChanges:
         self._config, self._controller, self._now_s, self._put, self._say = config, controller, now_s, put, say
         self._making_ready = OneTask()
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether an earlier change is still being made ready."""
+        return self._making_ready.is_running
+
     def take(self, change: MissionChange) -> None:
         """Accept a requested change."""
-        if self._making_ready.is_running:
+        if self.is_busy:
             self._announce(
                 f"{describe_change(change)} refused: the change before is still being made ready; ask again"
             )
@@ -56,7 +61,11 @@ class MissionChanges:
         changed = with_values(
             self._config,
             {
-                "aircraft": {"radius_m": change.radius_m, "height_m": change.height_m},
+                "aircraft": {
+                    "radius_m": change.radius_m,
+                    "height_m": change.height_m,
+                    "pan_limit_deg": change.pan_limit_deg,
+                },
                 "requirement": {
                     "range_min_m": change.range_min_m,
                     "range_max_m": change.range_max_m,

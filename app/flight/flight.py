@@ -29,6 +29,7 @@ from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.loop import ControlLoop, Display, Observer, Stepped
 from sidelong.app.flight.one_task import OneTask
 from sidelong.app.flight.outputs import open_beacon, outputs
+from sidelong.app.flight.pan_limit_input import PanLimitInput
 from sidelong.app.flight.payload_input import PayloadRunner
 from sidelong.app.flight.point_gimbal import GimbalPointer
 from sidelong.app.flight.point_payload import PayloadPointer
@@ -43,7 +44,7 @@ from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, wants_few
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
-from sidelong.app.link.queries import home_of, is_flying, mode_of
+from sidelong.app.link.queries import home_of, is_flying, mode_of, pan_limits_rad, reported_pan_limits_rad
 from sidelong.app.link.status_texts import StatusText
 from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
 from sidelong.app.planners.registry import planner_by_name
@@ -58,6 +59,7 @@ from sidelong.mission.core.events import (
     MissionChange,
     RoundTripReported,
 )
+from sidelong.mission.core.plan import PanPlanner
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
@@ -138,6 +140,7 @@ class Flight:
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
         self._begin(self._request_streams())
+        self._begin(self._request_pan_limits())
         sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._vehicle)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
@@ -250,6 +253,7 @@ class Flight:
             self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
         )
         shared.callback(changes.stop)
+        observers += self._pan_limits(changes)
         tables = self._wind_tables(loop)
         shared.callback(tables.stop)
         observers.append(tables)
@@ -348,6 +352,19 @@ class Flight:
         if self._terrain is not None:
             shared.callback(self._terrain.stop)
         return observers
+
+    def _pan_limits(self, changes: MissionChanges) -> list[Observer]:
+        """Return what plans for the gimbal's pan limits, where the planner can."""
+        planner, configured_deg = self._controller.planning.planner, self._config.aircraft.pan_limit_deg
+        if not (isinstance(planner, PanPlanner) and planner.plans_pan_limits):
+            return []
+        return [PanLimitInput(configured_deg, self._reported_pan_limits_rad, changes, self._display.note)]
+
+    def _reported_pan_limits_rad(self) -> tuple[float, float] | None:
+        return reported_pan_limits_rad(self._vehicle) if self._payload is None else self._payload.pan_limits_rad
+
+    async def _request_pan_limits(self) -> None:
+        await pan_limits_rad(self._vehicle)
 
     def _wind_tables(self, loop: ControlLoop) -> WindTables:
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)

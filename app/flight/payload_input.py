@@ -73,6 +73,11 @@ class PayloadRunner:
         """Point the gimbal; yaw is relative to the aircraft's heading."""
         self._send(self._session.point(pitch_rad, yaw_rad))
 
+    @property
+    def pan_limits_rad(self) -> tuple[float, float] | None:
+        """Least and greatest yaw off the nose; None while they are unknown, or if there are none."""
+        return self._session.pan_limits_rad
+
     def status(self) -> PayloadStatus:
         """Return what the payload delivers now."""
         return self._session.status(self._driver_s(time.monotonic()))

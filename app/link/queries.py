@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 from sidelong.app.autopilots.release import Release, release_in
 from sidelong.app.link.message import Message
@@ -13,6 +14,7 @@ from sidelong.mission.exchange.dialect import Home
 _FLYING_HEIGHT_M = 25.0
 _ANSWER_S, _TRIES = 0.8, 3
 _REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID, _GIMBAL_MANAGER_INFORMATION_ID = 512, 242, 148, 280
+_GIMBAL_MANAGER_INFORMATION = "GIMBAL_MANAGER_INFORMATION"
 _INFINITE_YAW = 2048  # GIMBAL_MANAGER_CAP_FLAGS
 
 
@@ -52,15 +54,23 @@ async def pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
     Returns:
         The least and the greatest yaw; None if there is no limit or none is reported.
     """
-    message = await _requested(vehicle, "GIMBAL_MANAGER_INFORMATION", _GIMBAL_MANAGER_INFORMATION_ID)
+    # Any component may be the manager: https://mavlink.io/en/services/gimbal_v2.html#discovery-of-gimbal-manager
+    await _requested(vehicle, _GIMBAL_MANAGER_INFORMATION, _GIMBAL_MANAGER_INFORMATION_ID, target_component=0)
+    return reported_pan_limits_rad(vehicle)
+
+
+def reported_pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
+    """Return the same as far as the vehicle has reported it, without a request."""
+    message = vehicle.latest.get(_GIMBAL_MANAGER_INFORMATION)
     if message is None or int(message.fields["cap_flags"]) & _INFINITE_YAW:
         return None
     least_rad, most_rad = float(message.fields["yaw_min"]), float(message.fields["yaw_max"])
     return (least_rad, most_rad) if least_rad < most_rad else None
 
 
-async def _requested(vehicle: Vehicle, name: str, message_id: int) -> Message | None:
-    request = {"command": _REQUEST_MESSAGE, "confirmation": 0, "param1": float(message_id)}
+async def _requested(vehicle: Vehicle, name: str, message_id: int, **address: int) -> Message | None:
+    """Return a message that is requested of the autopilot, or of another address."""
+    request: dict[str, Any] = address | {"command": _REQUEST_MESSAGE, "confirmation": 0, "param1": float(message_id)}
     request |= {f"param{i}": 0.0 for i in range(2, 8)}
     for _ in range(_TRIES):
         if name in vehicle.latest:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from sidelong.app.payload.consistency import Consistency
 from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
-from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG
+from sidelong.app.payload.pan_limits import pan_words
 
 LOST_AFTER_S = 2.0
 """Without a measurement for this long the payload counts as lost."""
@@ -18,7 +18,6 @@ _RESTART_S = 1.0  # of a lost payload
 _PAUSE_MAX_S = 0.25  # between two calls: a longer time in which this program was busy is no silence of the payload
 _NO_RANGE_AFTER_S = 10.0  # lasers miss for seconds
 _RATE_OVER_S = 2.0
-_CLOSED_RAD = math.radians(1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +120,11 @@ class PayloadSession:
         """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
         return list(self._driver.point(pitch_rad, yaw_rad))
 
+    @property
+    def pan_limits_rad(self) -> tuple[float, float] | None:
+        """Least and greatest yaw off the nose; None while they are unknown, or if there are none."""
+        return self._driver.identity.pan_limits_rad
+
     def status(self, now_s: float) -> PayloadStatus:
         """Return what the payload delivers now."""
         range_hz, angles_hz = (
@@ -183,21 +187,3 @@ class PayloadSession:
             self._is_lost = self._is_rangeless = False
             self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
             self._range_s = now_s  # its laser may take some seconds
-
-
-def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:
-    """Return what pan limits mean for a watch, one sentence; none if the gimbal looks all around.
-
-    The aircraft turns through 360 degrees in each lap. A target outside the circle is therefore in every direction
-    from the nose for the same time, wherever the circle is; only figures of eight avoid that.
-    """
-    if limits_rad is None or limits_rad[1] - limits_rad[0] >= math.tau - _CLOSED_RAD:
-        return []
-    least_deg, most_deg = (math.degrees(limit_rad) for limit_rad in limits_rad)
-    share = 100.0 - (most_deg - least_deg) / 3.6
-    reach = f"the gimbal pans from {least_deg:.0f} to {most_deg:.0f} degrees off the nose"
-    lost = f"it cannot look at a target outside the circle for {share:.0f} % of each lap"
-    nearer_deg = min(-least_deg, most_deg)
-    if nearer_deg < PAN_LIMIT_MIN_DEG:
-        return [f"{reach}: {lost}"]
-    return [f"{reach}: {lost}; aircraft.pan_limit_deg = {nearer_deg:.0f} has figures of eight flown instead"]

@@ -100,6 +100,7 @@ def payload_in(
         assumed.yaw_sigma_rad,
         assumed.pitch_sigma_rad,
         assumed.position_sigma_m,
+        math.cos(errors.pan_limit_rad),
     )
 
 
@@ -265,10 +266,12 @@ class CompiledFlight:
         """Measure with a payload that the loop cannot measure with."""
         truth, sensing = TargetTruth(*self._target.sampled[self._flight.counts[STEP]].tolist()), self._sensing
         assert sensing is not None
-        _, east_m, north_m, *_, bank_rad = self._flight.body.tolist()
-        place = east_m, north_m, self.height_m
-        seen = kernel.ground_and_sight(self._hills, *place, truth.east_m, truth.north_m)
-        sensing.observe(self._aircraft, self.height_m, bank_rad, truth, *seen)
+        body, target_m = kernel.body_of(self._flight), (truth.east_m, truth.north_m)
+        target_height_m, in_sight = kernel.ground_and_sight(
+            self._hills, body.east_m, body.north_m, self.height_m, *target_m
+        )
+        in_sight = in_sight and kernel.within_pan(body, self._frame, *target_m, self._payload.cos_pan_limit)
+        sensing.observe(self._aircraft, self.height_m, body.bank_rad, truth, target_height_m, in_sight)
 
     def _estimate(self) -> TargetEstimate | None:
         time_s = float(self._flight.body[0])

@@ -75,7 +75,7 @@ FLAT = Hills((np.zeros((0, 0), np.float32), 0.0, 0.0, 1.0, 1.0), 0.0, False, 0.0
 class Payload(NamedTuple):
     """Errors of laser and gimbal, and those that the filter assumes; perfect: the truth is known.
 
-    apart: it is measured with outside of the loop.
+    apart: it is measured with outside of the loop. cos_pan_limit: cosine of the gimbal's pan limit; -1: none.
     """
 
     perfect: bool
@@ -87,6 +87,7 @@ class Payload(NamedTuple):
     told_yaw_sigma_rad: float
     told_pitch_sigma_rad: float
     told_position_sigma_m: float
+    cos_pan_limit: float
 
 
 class Filtering(NamedTuple):
@@ -243,6 +244,18 @@ def ground_and_sight(
 
 
 @compiled
+def within_pan(body: Body, frame: Airframe, east_m: float, north_m: float, cos_pan_limit: float) -> bool:
+    """Return whether the gimbal can look at a place: the nose points along the velocity through the air."""
+    if cos_pan_limit <= -1.0:
+        return True
+    nose_east = body.speed_m_s * math.sin(body.course_rad) - frame.wind_east_m_s
+    nose_north = body.speed_m_s * math.cos(body.course_rad) - frame.wind_north_m_s
+    to_east_m, to_north_m = east_m - body.east_m, north_m - body.north_m
+    ahead = nose_east * to_east_m + nose_north * to_north_m
+    return ahead >= cos_pan_limit * math.hypot(nose_east, nose_north) * math.hypot(to_east_m, to_north_m)
+
+
+@compiled
 def _predict(state: FloatArray, step_s: float, filtering: Filtering, hills: Hills, found: FloatArray) -> None:
     """Fill in the filter's state a step later, on known ground or on none."""
     if hills.known:
@@ -382,6 +395,7 @@ def advance(
             if payload.apart:
                 return MEASURE
             measured = in_sight and not payload.perfect
+            measured = measured and within_pan(body, frame, truth[0], truth[1], payload.cos_pan_limit)
             if measured and not _see(f, body, target, target_m, payload, filtering, hills):
                 return REJECTED
         if f.counts[STAGE] == CHOOSE:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.analysis.score import Judgement, Samples, judge, score
+from sidelong.app.analysis.score import Judgement, Samples, judge, score, within_pan_limits
 from sidelong.app.study.settings import StudySettings
 from sidelong.mission.core.path import FloatArray
 
@@ -50,6 +50,7 @@ class RunResult:
         time_in_sight: fraction of time in which the target is in sight; NaN over flat ground.
         time_in_sight_where_possible: the same of the time in which any position on the side and in the band sees it.
         min_clearance_m: least height over the ground; NaN over flat ground.
+        time_within_pan_limits: fraction of time in which the gimbal can look at the target; NaN without limits.
         decision_s: processor time of the decisions that were measured.
         track: the flown path, None unless asked for.
     """
@@ -66,6 +67,7 @@ class RunResult:
     time_in_sight: float
     time_in_sight_where_possible: float
     min_clearance_m: float
+    time_within_pan_limits: float
     decision_s: npt.NDArray[np.float32]
     track: Track | None
 
@@ -117,9 +119,21 @@ def judged(
         float(angle_deg.std()) if angle_deg.size else math.nan,
         duration_s,
         *over_ground,
+        _within_pan_limits(settings, log),
         np.asarray(decision_s, np.float32),
         Track(log[:, 0], log[:, 1:3], log[:, 3:5], steps) if keep_track else None,
     )
+
+
+def _within_pan_limits(settings: StudySettings, log: FloatArray) -> float:
+    """Return the share of the time in which the gimbal can look at the target; NaN if it pans all around."""
+    aircraft, wind = settings.aircraft(), settings.wind
+    if not aircraft.has_pan_limit:
+        return math.nan
+    # The nose points along the velocity through the air.
+    air_m_s = np.gradient(log[:, 1:3], log[:, 0], axis=0) - (wind.east_m_s, wind.north_m_s)
+    heading_rad = np.arctan2(air_m_s[:, 0], air_m_s[:, 1])
+    return float(within_pan_limits(log[:, 1:3], log[:, 3:5], heading_rad, aircraft.pan_limit_rad).mean())
 
 
 def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, float, float]:

@@ -61,6 +61,7 @@ ON_FLAT_GROUND = (
     MOVES,
     REVERSALS,
 )
+WITHIN_PAN_LIMITS = Measure("time_within_pan_limits", "within the pan limits, %", "within pan, %", 5, 1)
 OVER_HILLS = (
     *ON_FLAT_GROUND,
     Measure("time_in_sight", "time in sight, %", "in sight, %", 5, 1),

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from sidelong.app.errors import missing_package
 from sidelong.app.study.design import word
-from sidelong.app.study.measures import ON_FLAT_GROUND, OVER_HILLS, Measure, decision_ms
+from sidelong.app.study.measures import ON_FLAT_GROUND, OVER_HILLS, WITHIN_PAN_LIMITS, Measure, decision_ms
 from sidelong.app.study.settings import PARTS, Fidelity, StudySettings
 from sidelong.app.study.store import MEASURES
 from sidelong.app.study.study import PlannerResult, StudyResult
@@ -49,7 +49,8 @@ def study_fidelity(settings: StudySettings) -> str:
 
 def measures_of(settings: StudySettings) -> tuple[Measure, ...]:
     """Return the measures of a study."""
-    return ON_FLAT_GROUND if settings.hills is None else OVER_HILLS
+    measures = ON_FLAT_GROUND if settings.hills is None else OVER_HILLS
+    return (*measures, WITHIN_PAN_LIMITS) if settings.aircraft().has_pan_limit else measures
 
 
 def right_aligned(table: Table, first: int) -> Table:

@@ -31,7 +31,7 @@ CREATE TABLE runs (
     {", ".join(f"{name} REAL" for name in MEASURES)}, decision_s BLOB NOT NULL
 ) WITHOUT ROWID;
 PRAGMA application_id = {0x51DE1043};
-PRAGMA user_version = 4;
+PRAGMA user_version = 5;
 """
 # Values that do not belong to one run, or follow from its target.
 _NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", "hills")

@@ -267,6 +267,7 @@ class StandoffController:
             self._sensor_status.copy(),
             settings.requirement,
             settings.aircraft.radius_m,
+            settings.aircraft.pan_limit_rad,
             self._height_asked_m,
             self.planning.target,
             self.planning.turn_payload,
@@ -625,6 +626,8 @@ class StandoffController:
             self.surroundings.heights, self._height_asked_m = self._heights_at(event.height_m), event.height_m
         self._changed_s = self.time_s
         when = "from the next plan on" if self.phase is Phase.WATCHING else "when you resume"
+        if event.pan_limit_deg is not None:
+            return (Announce(event.time_s, "decision", f"{event.who}: {what}, {when}{self.planning.route_note}"),)
         return (Announce(event.time_s, "operator", f"operator: {what}, {when}"),)
 
     def objection(self, change: MissionChange) -> str | None:

@@ -1,7 +1,8 @@
-"""What an operator's change does. Source: docs/how-to/maps.md#change-the-mission-in-flight."""
+"""What a change in flight does. Source: docs/how-to/maps.md#change-the-mission-in-flight."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from sidelong.mission.core.events import MissionChange
@@ -32,7 +33,9 @@ def aircraft_after(change: MissionChange, aircraft: Aircraft) -> Aircraft:
         change: The change.
         aircraft: The present limits.
     """
-    return aircraft if change.radius_m is None else replace(aircraft, radius_m=change.radius_m)
+    radius_m = aircraft.radius_m if change.radius_m is None else change.radius_m
+    pan_rad = aircraft.pan_limit_rad if change.pan_limit_deg is None else math.radians(change.pan_limit_deg)
+    return replace(aircraft, radius_m=radius_m, pan_limit_rad=pan_rad)
 
 
 def describe_change(change: MissionChange) -> str:
@@ -52,4 +55,6 @@ def describe_change(change: MissionChange) -> str:
         words.append(f"height {change.height_m:g} m")
     if change.side is not None:
         words.append(f"side {change.side}")
+    if change.pan_limit_deg is not None:
+        words.append(f"pan limits of +-{change.pan_limit_deg:g} degrees")
     return ", ".join(words)

@@ -27,6 +27,7 @@ class SensorStatus:
     """
 
     bank_rad: float = 0.0
+    heading_rad: float = math.nan
     height_m: float = math.nan
     range_s: float = -math.inf
     gimbal_s: float = -math.inf
@@ -40,6 +41,7 @@ class SensorStatus:
         """Return what it is now."""
         return SensorStatus(
             self.bank_rad,
+            self.heading_rad,
             self.height_m,
             self.range_s,
             self.gimbal_s,
@@ -62,7 +64,7 @@ class SensorStatus:
             case PositionReading():
                 self.height_m, self.delays = reading.height_m, tracker.delays
             case AttitudeReading():
-                self.bank_rad = reading.roll_rad
+                self.bank_rad, self.heading_rad = reading.roll_rad, reading.yaw_rad
             case RangeReading() if reading.source == tracker.range_source:
                 self.range_s = max(self.range_s, reading.time_s)
             case GimbalReading() if reading.source == tracker.gimbal_source:

@@ -49,6 +49,7 @@ class Snapshot:
     sensor_status: SensorStatus
     requirement: Requirement
     radius_m: float
+    pan_limit_rad: float
     height_m: float | None  # as a person has changed it; None: as configured
     target: str = ""  # which of a fleet's targets it is to watch
     turn_payload: bool = False  # to that target: it looks at another one

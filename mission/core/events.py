@@ -173,10 +173,11 @@ class OperatorRequest:
 
 @dataclass(frozen=True, slots=True)
 class MissionChange:
-    """A person's change of what is flown and asked for; None leaves a value as it is.
+    """A change of what is flown and asked for, by a person or by the gimbal's report; None leaves a value as it is.
 
     It was checked as a configuration is, and what the planner needs for it is at hand. side: left, right, either, or
-    bearings from the target such as 120-200. height_m is above what the configured one is above.
+    bearings from the target such as 120-200. height_m is above what the configured one is above. pan_limit_deg: what
+    the gimbal reports, degrees to each side of the nose.
     """
 
     time_s: float
@@ -186,6 +187,7 @@ class MissionChange:
     height_m: float | None = None
     side: str | None = None
     who: str = ""
+    pan_limit_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

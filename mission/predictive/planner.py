@@ -104,7 +104,11 @@ def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
         aircraft: Limits of the aircraft.
         requirement: Required band and side.
     """
-    return aircraft.pan_limit_rad if requirement.fleet_size == 1 else math.pi
+    return aircraft.pan_limit_rad if _plans_pan_limits(requirement) else math.pi
+
+
+def _plans_pan_limits(requirement: Requirement) -> bool:
+    return requirement.fleet_size == 1
 
 
 def turn_share(requirement: Requirement) -> float:
@@ -216,8 +220,16 @@ class PredictivePlanner:
             return no_route()
         return foresight_along(self._route, table, configuration, self._progress)
 
+    @property
+    def plans_pan_limits(self) -> bool:
+        """See :class:`sidelong.mission.core.plan.PanPlanner`."""
+        return _plans_pan_limits(self.requirement)
+
     def prepare(self, wind_speed_m_s: float) -> None:
-        """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
+        """See :class:`sidelong.mission.core.plan.WindPlanner`.
+
+        Nothing to do for a sector, whose table knows no wind.
+        """
         prepared = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
         if self._table_at is not None and self.requirement.sector is None and not prepared:
             self.tables.append(self._table_at(wind_speed_m_s))

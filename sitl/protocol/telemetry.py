@@ -56,7 +56,22 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
+            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._gimbal_manager,
         }
+
+    def _gimbal_manager(self) -> Any:
+        """Return the limits of a gimbal that the autopilot manages; None if it pans all around."""
+        settings = self._vehicle.settings
+        if settings.payload is None or settings.device or settings.payload.pan_limit_rad >= math.pi:
+            return None
+        pan_rad, pitch_rad, flags = (
+            settings.payload.pan_limit_rad,
+            0.5 * math.pi,
+            mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS,
+        )
+        return mavlink.MAVLink_gimbal_manager_information_message(
+            self._vehicle.boot_ms, flags, 1, 0.0, 0.0, -pitch_rad, 0.0, -pan_rad, pan_rad
+        )
 
     @property
     def battery_percent(self) -> int:

@@ -13,7 +13,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
 from sidelong.app.link.queries import pan_limits_rad
-from sidelong.app.payload.session import pan_words
+from sidelong.app.payload.pan_limits import pan_words
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest
 
@@ -145,4 +145,4 @@ def test_pan_limits_are_reported_with_the_share_of_a_lap_that_they_cost(fields, 
     assert (words is None) == (pan_words(limits_rad) == [])
     for line in pan_words(limits_rad):
         assert words in line
-        assert "for 33 % of each lap; aircraft.pan_limit_deg = 120 has figures of eight" in line
+        assert "for 33 % of each lap; one aircraft flies figures of eight instead" in line

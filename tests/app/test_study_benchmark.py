@@ -101,7 +101,7 @@ def test_benchmark_flies_the_example_controller_and_writes_its_json(command, tmp
         (("--planner", "controller"), "give its command by --controller"),
         (("--controller", "x", "--store", "s.db"), "leave out --controller"),
         (("--controller", "x", "--fidelity", "closed-loop"), "--controller: a closed loop does not fly that"),
-        (("--sweep", "aircraft.pan_limit_deg=120,180"), "the kinematic study sees the target all around"),
+        (("--fleet", "2", "--sweep", "aircraft.pan_limit_deg=120,180"), "a fleet plans for no pan limits"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(command, words, message) -> None:

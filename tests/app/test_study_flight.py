@@ -51,8 +51,9 @@ def assert_same(one, other):
         replace(SETTINGS, config=studied(side="either"), perfect_sensors=True),
         replace(SETTINGS, config=studied(side="120-200")),
         replace(SETTINGS, config=studied(radius_m=84.5, wind_speed_m_s=3.0, wind_from_deg=200.0)),
+        replace(SETTINGS, config=studied(pan_limit_deg=120.0, wind_speed_m_s=2.0, wind_from_deg=200.0)),
     ],
-    ids=["left", "right", "either", "sector", "wind"],
+    ids=["left", "right", "either", "sector", "wind", "pan limits"],
 )
 def test_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, settings):
     table = a_table(settings)

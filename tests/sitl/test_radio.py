@@ -1,11 +1,12 @@
 """Several stations at once: each with its own sequence numbers, rates and answers."""
 
+import math
 from itertools import pairwise
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour, PayloadSettings
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 
@@ -68,6 +69,14 @@ def test_unknown_messages_are_refused_as_by_the_real_ones(pair):
     px4 = ground.simulation.settings.flavour == Flavour.PX4
     expected = mavlink.MAV_RESULT_FAILED if px4 else mavlink.MAV_RESULT_DENIED
     assert interval(ground, 999, 1.0) == expected
+
+
+@pytest.mark.parametrize(("limit_rad", "reported"), [(2.0, [(-2.0, 2.0)]), (math.pi, [])])
+@pytest.mark.parametrize("flavour", Flavour)
+def test_the_autopilot_reports_the_pan_limits_of_its_gimbal(simulate, station, flavour, limit_rad, reported):
+    ground = station(simulate(flavour=flavour, payload=PayloadSettings(pan_limit_rad=limit_rad)))
+    ground.command_long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION)
+    assert [(one.yaw_min, one.yaw_max) for one in ground.all("GIMBAL_MANAGER_INFORMATION")] == reported
 
 
 def test_only_the_asking_station_gets_an_answer(pair):

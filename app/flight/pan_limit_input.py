@@ -1,0 +1,53 @@
+"""The pan limits that a gimbal reports become those of the plan: a change like an operator's, once in a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sidelong.app.flight.changes import MissionChanges
+from sidelong.app.payload.pan_limits import usable_pan_limit_deg
+from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.core.events import MissionChange
+
+GIMBAL = "gimbal"
+_EQUAL_DEG = 2.0
+
+
+class PanLimitInput:
+    """Pan limits of one flight, driven by its snapshots.
+
+    Args:
+        configured_deg: ``aircraft.pan_limit_deg``, which has precedence; None: not configured.
+        reported: Returns the least and the greatest yaw off the nose, rad; None while nothing is reported.
+        changes: Prepares the plan for them.
+        note: Receives what is done, and where the configuration contradicts the gimbal.
+    """
+
+    def __init__(
+        self,
+        configured_deg: float | None,
+        reported: Callable[[], tuple[float, float] | None],
+        changes: MissionChanges,
+        note: Callable[[str], object],
+    ) -> None:
+        self._configured_deg, self._reported, self._changes, self._note = configured_deg, reported, changes, note
+        self._is_settled = False
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Plan for the limits, once they are known and the target is watched."""
+        if self._is_settled or snapshot.phase is not Phase.WATCHING or self._changes.is_busy:
+            return
+        reported_rad = self._reported()
+        if reported_rad is None:
+            return
+        self._is_settled, limit_deg = True, usable_pan_limit_deg(reported_rad)
+        if limit_deg is None:
+            return
+        if self._configured_deg is None:
+            self._note(f"the gimbal pans {limit_deg:g} degrees to each side: a plan for that is being prepared")
+            self._changes.take(MissionChange(snapshot.time_s, who=GIMBAL, pan_limit_deg=limit_deg))
+        elif self._configured_deg > limit_deg + _EQUAL_DEG:
+            self._note(
+                f"aircraft.pan_limit_deg = {self._configured_deg:g}, but the gimbal pans {limit_deg:g} degrees only; "
+                "remove it to plan for that"
+            )
