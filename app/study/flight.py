@@ -324,7 +324,7 @@ def _blind() -> Looker:
         fresh_memory(1.0),
         nothing_kept(),
         Turns(np.zeros(1), 1.0),
-        Depth(0, 0.0, np.zeros(1), 0.0),
+        Depth(0, 0.0, np.zeros(1), 0.0, False),
         no_seconds(),
         no_route(),
     )

@@ -627,7 +627,7 @@ class StandoffController:
         self._changed_s = self.time_s
         when = "from the next plan on" if self.phase is Phase.WATCHING else "when you resume"
         if event.pan_limit_deg is not None:
-            return (Announce(event.time_s, "decision", f"{event.who}: {what}, {when}{self.planning.route_note}"),)
+            return (Announce(event.time_s, "decision", f"{event.who}: {what}, {when}"),)
         return (Announce(event.time_s, "operator", f"operator: {what}, {when}"),)
 
     def objection(self, change: MissionChange) -> str | None:

@@ -94,13 +94,7 @@ class Planning:
         self.planner.follow(self._route, self._progress)
         if self._route is None:
             return "no route of the target is known"
-        return f"the target is expected on a route of {self._route.length_m:.0f} m{self.route_note}"
-
-    @property
-    def route_note(self) -> str:
-        """Why the target's route is not used, as the end of a sentence; '' if it is used, or none is known."""
-        unused = self._route is not None and self._aircraft.has_pan_limit
-        return "; figures of eight are planned without the route" if unused else ""
+        return f"the target is expected on a route of {self._route.length_m:.0f} m"
 
     def _fresh_progress(self) -> FloatArray:
         return fresh_progress(0 if self._route is None else self._route.east_m.size)

@@ -65,12 +65,14 @@ class Depth(NamedTuple):
     """How deep to look: number of the best moves, 0 for none, over horizon_s at least.
 
     min_values (classes,), min_after_turn: the least that the table says, by which lines are passed over.
+    every_future: whether the first look, too, is at all that the target may do.
     """
 
     beam: int
     horizon_s: float
     min_values: FloatArray
     min_after_turn: float
+    every_future: bool
 
 
 class Looker(NamedTuple):
@@ -272,7 +274,8 @@ def look_deeper(
     that.
     """
     # Turns that the target may begin only matter with a second move.
-    stay_cost = look_ahead(scene, now, likely(futures), looker, sight, costs)
+    seen = futures if looker.depth.every_future else likely(futures)
+    stay_cost = look_ahead(scene, now, seen, looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost

@@ -165,7 +165,9 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
         f.turn_share[_ROUTE, k, 2] = 1.0
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
     timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
-    depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn)
+    # Figures of eight have no second look, and the route alone would lead too near to a target that leaves it.
+    every_future = looker.terms.blind > 0.0
+    depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn, every_future)
     return f, with_table(looker, timed, prices, depth)
 
 

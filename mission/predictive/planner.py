@@ -58,6 +58,8 @@ _MAX_TRIES = 30
 _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _TURN_SHARE_IN_FLEET = 0.5
+# Wider pan limits are planned for as these: what keeps them has room for the lag of the bank.
+_PLANNED_PAN_RAD = math.radians(120.0)
 _NO_BREACH = "a better place should the target turn"
 _EIGHT = "half a figure of eight keeps the target within the pan limits"
 # The table's classes need some speed, even for a target that is reported as stationary.
@@ -104,7 +106,9 @@ def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
         aircraft: Limits of the aircraft.
         requirement: Required band and side.
     """
-    return aircraft.pan_limit_rad if _plans_pan_limits(requirement) else math.pi
+    if not (aircraft.has_pan_limit and _plans_pan_limits(requirement)):
+        return math.pi
+    return min(aircraft.pan_limit_rad, _PLANNED_PAN_RAD)
 
 
 def _plans_pan_limits(requirement: Requirement) -> bool:
@@ -209,14 +213,13 @@ class PredictivePlanner:
             self._policy.memory,
             self._kept,
             Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),
-            Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min())),
+            Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min()), False),
             self._seconds,
             self._foresight(table.arrays, table.configuration),
         )
 
     def _foresight(self, table: Table, configuration: TableConfiguration) -> Foresight:
-        # The programme knows nothing of pan limits.
-        if self._route is None or configuration.cost.terms.blind > 0.0:
+        if self._route is None:
             return no_route()
         return foresight_along(self._route, table, configuration, self._progress)
 

@@ -21,7 +21,16 @@ import numpy.typing as npt
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.predictive.cost_kernel import CostTerms, Float32, IntArray, Table, cost_rate, table_value
+from sidelong.mission.geometry.line_kernel import crab_rad
+from sidelong.mission.predictive.cost_kernel import (
+    CostTerms,
+    Float32,
+    IntArray,
+    Table,
+    blind_rates,
+    cost_rate,
+    table_value,
+)
 from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures
 from sidelong.mission.route.progress_kernel import Way
 
@@ -130,6 +139,25 @@ def _fill_rates(
             aside_m = sigma_rad * along
             blur_m = max(1.0 + math.sqrt(sigma_m * sigma_m + aside_m * aside_m), 0.5 * cell_m)
             found[i, j] = np.float32(cost_rate(across, along, sigma_m, blur_m, c))
+
+
+@compiled
+def _fill_blind(air: Air, wind_x_m_s: float, wind_y_m_s: float, cell_m: float, c: CostTerms, found: Float32) -> None:
+    """Fill in the cost (HEADINGS, SIZE, SIZE) of where the gimbal cannot look; the wind is that in the plane."""
+    axis_m, rates = (np.arange(SIZE) - CELLS) * cell_m, np.empty((SIZE, SIZE))
+    for h in range(HEADINGS):
+        course_rad = h * 2.0 * math.pi / HEADINGS
+        blind_rates(axis_m, course_rad - crab_rad(course_rad, air.airspeed_m_s, wind_x_m_s, wind_y_m_s), c, rates)
+        for i in range(SIZE):
+            for j in range(SIZE):
+                found[h, i, j] = np.float32(rates[i, j])
+
+
+@compiled
+def _add_rows(blind: Float32, found: Float32) -> None:
+    for i in range(len(blind)):
+        for j in range(len(blind)):
+            found[i, j] += blind[i, j]
 
 
 @compiled
@@ -244,6 +272,9 @@ def fill_layers(
     wind_y = air.wind_x_m_s * sin_p + air.wind_y_m_s * cos_p
     chord_m = 2.0 * radius_m * math.sin(0.5 * _TURN * turn_step_rad)
     limit = _PAD - 1.01
+    blind = np.empty((HEADINGS if terms.blind > 0.0 else 0, SIZE, SIZE), np.float32)
+    if terms.blind > 0.0:
+        _fill_blind(air, wind_x, wind_y, cell_m, terms, blind)
     for layer in range(layers - 1, -1, -1):
         time_s = layer * dt_s
         k = min(int(time_s / f.step_s + 0.5), last_k)
@@ -254,6 +285,8 @@ def fill_layers(
                 _add_row(
                     rate[i], after_turn[course, h, i], np.float32(hazard_per_s), paid[h, i + _PAD, _PAD : _PAD + SIZE]
                 )
+            if len(blind) > 0:
+                _add_rows(blind[h], paid[h, _PAD : _PAD + SIZE, _PAD : _PAD + SIZE])
         if layer == layers - 1:
             table_rad = f.course[one, k, 2] - turn_rad
             resample(table.values, table.cell_m, f.classes, f.share, one, k, cell_m, table_rad, table_values)

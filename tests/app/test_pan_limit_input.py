@@ -95,9 +95,8 @@ def test_a_flight_that_has_adopted_them_is_replayed_to_the_last_bit(tmp_path):
     change = MissionChange(150.0, who="gimbal", pan_limit_deg=120.0)
     route = RouteGiven(140.0, (0.0, 0.0), (0.0, 1000.0), False, 10.0, None, "either")
     announced = recorded(folder, config, 200.0, {140.0: route, 150.0: change})
-    adopted = "gimbal: pan limits of +-120 degrees, from the next plan on"
     texts = [one.text for one in announced if isinstance(one, Announce)]
-    assert f"{adopted}; figures of eight are planned without the route" in texts
+    assert "gimbal: pan limits of +-120 degrees, from the next plan on" in texts
 
     replay = JournalReplay(controller_of(config))
     collector = SummaryCollector(config.requirement.requirement())
