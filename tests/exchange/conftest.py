@@ -97,7 +97,7 @@ class Flight(ClosedLoop[bytes]):
         rngs = [np.random.default_rng((seed, direction)) for direction in (1, 2)]
         super().__init__(SitlVehicle(self.simulation), Link(NO_FAULTS, rngs[1]), Link(NO_FAULTS, rngs[0]), speed)
         self._late = Link(NO_FAULTS, rngs[0])  # holds MISSION_CURRENT up on its way to us
-        self.events, self.outputs = [], []
+        self.events, self.outputs, self._each_output = [], [], []
         self.lines: dict[int, tuple] = {}  # of each plan, by number; 0: the first circle
         self.output_listeners: list[Callable[[object], object]] = []
         self.observers: list[Callable[[], object]] = []  # of each step
@@ -135,10 +135,14 @@ class Flight(ClosedLoop[bytes]):
 
     @property
     def has_control(self):
-        return any(isinstance(output, ControlAcquired) for outputs in self.outputs for output in outputs)
+        return any(isinstance(output, ControlAcquired) for output in self._each_output)
 
     def found(self, kind):
-        return [output for outputs in self.outputs for output in outputs if isinstance(output, kind)]
+        return [output for output in self._each_output if isinstance(output, kind)]
+
+    def forget_outputs(self):
+        self.outputs.clear()
+        self._each_output.clear()
 
     def to_vehicle(self, name, *, source=OWN_ID, **fields):
         """Send the vehicle a message from any station, without faults."""
@@ -179,6 +183,7 @@ class Flight(ClosedLoop[bytes]):
     def _note(self, event, outputs):
         self.events.append(event)
         self.outputs.append(outputs)
+        self._each_output.extend(outputs)
         for output in outputs:
             if isinstance(output, UploadPlan) and self.config.planner.guidance == "mission":
                 plan = replace(output.plan, circle=output.commanded)

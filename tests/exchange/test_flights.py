@@ -39,7 +39,7 @@ def test_the_circle_is_taken_over_again_in_two_round_trips(in_the_air, flavour):
     flight = in_the_air(flavour)
     flight.run(5.0)
     flight.core = flight.make_core(flight.planner)  # as a program that was started again
-    flight.outputs.clear()
+    flight.forget_outputs()
     flight.spoil(LinkFaults(delay_s=0.4))
     flight.run(2.0)
     begun_s = flight.link_s
@@ -61,7 +61,7 @@ def test_a_mission_after_one_that_px4_does_not_fly_is_started_as_soon_as_it_look
         foreign.put(index, item, current=index == 0)
     foreign.finish()
     flight.core = flight.make_core(flight.planner)
-    flight.outputs.clear()
+    flight.forget_outputs()
     flight.take_over("LOITER")
     assert flight.run(10.0, lambda: flight.has_control)
     assert not flight.found(TakeoverFailed)

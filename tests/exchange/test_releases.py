@@ -33,7 +33,7 @@ def test_a_circle_that_is_flown_is_taken_over_again(in_the_air, flavour, release
     flight = in_the_air(flavour, settings=of_release(flavour, release))
     flight.run(5.0)
     flight.core = flight.make_core(flight.planner)
-    flight.outputs.clear()
+    flight.forget_outputs()
     flight.take_over(flight.dialect.mission_mode)
     assert flight.run(10.0, lambda: flight.has_control)
     flight.run(40.0)
