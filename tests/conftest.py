@@ -46,7 +46,14 @@ _NOT_PLAIN = (
     "tests/records/test_klv",
     "tests/records/test_log",
 )
-_STUDIES = ("tests/app/test_study", "tests/app/test_prediction", "tests/app/test_fleet_commands")
+# Fleets come early among them: two workers that need the fleet's planner at the same time would both compile it.
+_STUDIES = (
+    "tests/app/test_fleet_commands",
+    "tests/app/test_study_fleet",
+    "tests/app/test_warm_up",
+    "tests/app/test_study",
+    "tests/app/test_prediction",
+)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -115,7 +122,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         (item for item in waiting if item not in second), key=lambda item: item.path.name == "test_fleet.py"
     )
     early = [item for start in _PLAIN for item in working if item.nodeid.startswith(start) and _is_plain(item)]
-    early += [item for item in working if item.nodeid.startswith(_STUDIES)]
+    early += dict.fromkeys(item for start in _STUDIES for item in working if item.nodeid.startswith(start))
     taken = set(early)
     others = [item for item in working if item not in taken]
     share = -(-len(items) // workers)  # of the last worker
