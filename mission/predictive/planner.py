@@ -55,11 +55,10 @@ _MAX_TRIES = 30
 # more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
 # leaves room in it. In a fleet, where other aircraft watch during a move, cheaper moves than those of that share are
 # too frequent in the tables. A remaining aircraft keeps these, as others may join it, and pays the fleet's price.
+# Figures of eight take two moves each, whatever their width: they have the least price.
 _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _TURN_SHARE_IN_FLEET = 0.5
-# Wider pan limits are planned for as these: what keeps them has room for the lag of the bank.
-_PLANNED_PAN_RAD = math.radians(120.0)
 _NO_BREACH = "a better place should the target turn"
 _EIGHT = "half a figure of eight keeps the target within the pan limits"
 # The table's classes need some speed, even for a target that is reported as stationary.
@@ -95,6 +94,8 @@ def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
         requirement: Required band and side.
     """
     share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
+    if pan_limit_rad(aircraft, requirement) < math.pi:
+        share = _MIN_SHARE
     min_share = _MIN_SHARE if requirement.fleet_size == 1 else _MIN_SHARE_IN_FLEET
     return _PRICE_S * float((min(max(share, min_share), _MAX_SHARE) / _PRICE_SHARE) ** _PRICE_POWER)
 
@@ -106,9 +107,7 @@ def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
         aircraft: Limits of the aircraft.
         requirement: Required band and side.
     """
-    if not (aircraft.has_pan_limit and _plans_pan_limits(requirement)):
-        return math.pi
-    return min(aircraft.pan_limit_rad, _PLANNED_PAN_RAD)
+    return aircraft.pan_limit_rad if _plans_pan_limits(requirement) else math.pi
 
 
 def _plans_pan_limits(requirement: Requirement) -> bool:

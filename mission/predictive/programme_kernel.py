@@ -144,7 +144,7 @@ def _fill_rates(
 @compiled
 def _fill_blind(air: Air, wind_x_m_s: float, wind_y_m_s: float, cell_m: float, c: CostTerms, found: Float32) -> None:
     """Fill in the cost (HEADINGS, SIZE, SIZE) of where the gimbal cannot look; the wind is that in the plane."""
-    axis_m, rates = (np.arange(SIZE) - CELLS) * cell_m, np.empty((SIZE, SIZE))
+    axis_m, rates = (np.arange(SIZE, dtype=np.float64) - CELLS) * cell_m, np.empty((SIZE, SIZE))
     for h in range(HEADINGS):
         course_rad = h * 2.0 * math.pi / HEADINGS
         blind_rates(axis_m, course_rad - crab_rad(course_rad, air.airspeed_m_s, wind_x_m_s, wind_y_m_s), c, rates)

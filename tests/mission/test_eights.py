@@ -1,6 +1,7 @@
 """Figures of eight: what is flown, what it costs, and what it is for."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import blind_rate
 from sidelong.mission.predictive.eights_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
-from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.mission.predictive.planner import PredictivePlanner, price_s, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air
+from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.route.route import route_of
 
 RADIUS_M, RAMP, AIRSPEED_M_S = 50.0, 0.0008, 10.0
 LIMITED = Aircraft(AIRSPEED_M_S, RADIUS_M, pan_limit_rad=math.radians(120.0))
@@ -98,23 +101,53 @@ def test_aircraft_of_a_fleet_plan_for_no_pan_limit():
     assert planned_rad(Requirement(100.0, 500.0, Side.LEFT, 3.0, fleet_size=2)) == math.pi
 
 
-def test_figures_of_eight_keep_a_known_target_within_the_pan_limits():
-    """Circles would have it outside the limits for a third of the time."""
-    planner, speed_m_s = PredictivePlanner.for_(LIMITED, BAND), 1.0
-    plan, outside, beyond_band = Plan(Circle(-250.0, 0.0, RADIUS_M, clockwise=True)), 0, 0
+def test_a_figure_of_eight_has_the_price_of_a_narrow_circle_whatever_its_width():
+    narrow, wide = Aircraft(AIRSPEED_M_S, RADIUS_M), Aircraft(20.0, 70.0)
+    limited = replace(wide, pan_limit_rad=LIMITED.pan_limit_rad)
+    assert price_s(limited, BAND) == price_s(narrow, BAND) < price_s(wide, BAND)
+    pair = replace(BAND, fleet_size=2)
+    assert price_s(limited, pair) == price_s(wide, pair)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return compute(table_configuration(LIMITED, BAND))
+
+
+def flown(planner, corners, speed_m_s):
+    """Return the shares of time beyond the pan limits, off the side and outside the band, next to a known target."""
+    (east_m, north_m), steps = np.array(corners).T, range(500)
+    gone_m = np.append(0.0, np.cumsum(np.hypot(np.diff(east_m), np.diff(north_m))))
+    times_s = gone_m / speed_m_s
+    places = np.array([[np.interp(k, times_s, axis) for axis in (east_m, north_m)] for k in range(len(steps) + 1)])
+    plan, found = Plan(Circle(-250.0, 0.0, RADIUS_M, clockwise=True)), []
     state = AircraftState(0.0, *plan.circle.position_at_course(0.0), 0.0, AIRSPEED_M_S, 1.0 / RADIUS_M)
-    steps = range(500)
     for k in steps:
-        north_m = speed_m_s * k
-        covariance = np.diag([1.0, 1.0, 0.04, 0.04])
-        target = TargetEstimate(k, 0.0, north_m, 0.0, speed_m_s, covariance, TrackQuality.GOOD, k)
+        covariance, velocity_m_s = np.diag([1.0, 1.0, 0.04, 0.04]), places[k + 1] - places[k]
+        target = TargetEstimate(k, *places[k], *velocity_m_s, covariance, TrackQuality.GOOD, k)
         chosen = planner.decide(state, target, plan, Wind(), 1.0).plan
         here = point_at(plan, nearest_arc_m(plan, state) + AIRSPEED_M_S, state)
         state = AircraftState(k + 1.0, *here[:3], AIRSPEED_M_S, here.curvature_per_m)
         plan = chosen or plan
-        away = here.east_m, here.north_m - north_m - speed_m_s
+        away = np.array([here.east_m, here.north_m]) - places[k + 1]
         pan_rad = wrap_rad(math.atan2(-away[0], -away[1]) - here.course_rad)
-        outside += abs(pan_rad) > LIMITED.pan_limit_rad
-        beyond_band += not 100.0 <= math.hypot(*away) <= 500.0
-    assert outside < 0.05 * len(steps)
-    assert beyond_band == 0
+        off_side = away[0] * velocity_m_s[1] - away[1] * velocity_m_s[0] > 0.0
+        range_m = math.hypot(*away)
+        found.append((abs(pan_rad) > LIMITED.pan_limit_rad, off_side, not 100.0 <= range_m <= 500.0))
+    return np.mean(found, axis=0)
+
+
+def test_figures_of_eight_keep_a_known_target_within_the_pan_limits(table):
+    """Circles would have it outside the limits for a third of the time."""
+    outside, _, beyond_band = flown(PredictivePlanner(LIMITED, BAND, table), [(0.0, 0.0), (0.0, 501.0)], 1.0)
+    assert outside < 0.05
+    assert beyond_band == 0.0
+
+
+def test_figures_of_eight_are_planned_along_a_known_route(table):
+    corners = [(0.0, 0.0), (0.0, 300.0), (300.0, 300.0), (300.0, 0.0), (600.0, 0.0), (600.0, 900.0)]
+    route = route_of(*np.array(corners).T)
+    known = flown(PredictivePlanner(LIMITED, BAND, table, route=route), corners, 3.0)
+    unknown = flown(PredictivePlanner(LIMITED, BAND, table), corners, 3.0)
+    assert known[0] + known[1] < 0.7 * (unknown[0] + unknown[1])
+    assert known[2] == 0.0
