@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sidelong.app.analysis.score import within_pan_limits
+from sidelong.app.simulation.airframe_kernel import Airframe, Body
 from sidelong.app.simulation.target import TargetTruth
 from sidelong.app.study import flight as compiled_flight
 from sidelong.app.study import run as study_run
 from sidelong.app.study.flight import can_fly
+from sidelong.app.study.flight_kernel import within_pan
 from sidelong.app.study.run import run
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.estimators.settings import TrackerSettings
@@ -69,6 +72,19 @@ def test_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, settings):
 def test_other_planners_fly_in_it_too(monkeypatch, planner):
     flown = run(SETTINGS, planner, 1, None, keep_track=True)
     assert_same(flown, step_by_step(monkeypatch, SETTINGS, planner, 1, None))
+
+
+def test_the_loop_and_the_judge_agree_on_what_the_gimbal_can_look_at():
+    rng, wind = np.random.default_rng(4), (2.0, -3.0)
+    for _ in range(200):
+        course_rad, limit_rad = rng.uniform(-math.pi, math.pi), rng.uniform(1.6, 3.1)
+        body = Body(0.0, *rng.uniform(-300.0, 300.0, 2), course_rad, 12.0, 0.0, 0.0)
+        east_m, north_m = rng.uniform(-300.0, 300.0, 2)
+        frame = Airframe(12.0, 0.5, 0.5, 1.0, *wind)
+        nose = 12.0 * math.sin(course_rad) - wind[0], 12.0 * math.cos(course_rad) - wind[1]
+        places = np.array([[body.east_m, body.north_m]]), np.array([[east_m, north_m]])
+        (judged,) = within_pan_limits(*places, np.array([math.atan2(*nose)]), limit_rad)
+        assert within_pan(body, frame, east_m, north_m, math.cos(limit_rad)) == judged
 
 
 class Jumping:
