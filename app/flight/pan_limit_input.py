@@ -1,7 +1,8 @@
-"""The pan limits that a gimbal reports become those of the plan: a change like an operator's, once in a flight."""
+"""The pan limits that a gimbal reports become those of the plan: a change like an operator's."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from sidelong.app.flight.changes import MissionChanges
@@ -35,6 +36,8 @@ class PanLimitInput:
 
     def show(self, snapshot: Snapshot) -> None:
         """Plan for the limits, once they are known and the target is watched."""
+        if snapshot.phase is Phase.YIELDED:
+            self._is_settled = snapshot.pan_limit_rad < math.pi  # a change on its way is refused
         if self._is_settled or snapshot.phase is not Phase.WATCHING or self._changes.is_busy:
             return
         reported_rad = self._reported()

@@ -87,6 +87,15 @@ def test_limits_are_adopted_once_the_target_is_watched(snapshot, configured_deg,
     for _ in range(2):
         adopting.show(watching)
     assert (changes.taken, notes) == (taken, noted)
+    # A pilot took over before the change was ready: it was refused. After it is adopted, nothing is repeated.
+    adopting.show(replace(watching, phase=Phase.YIELDED))
+    for _ in range(2):
+        adopting.show(watching)
+    assert (changes.taken, notes) == (2 * taken, 2 * noted)
+    limited = replace(watching, pan_limit_rad=2.0944)
+    for phase in (Phase.YIELDED, Phase.WATCHING):
+        adopting.show(replace(limited, phase=phase))
+    assert (changes.taken, notes) == (2 * taken, 2 * noted)
 
 
 def test_a_flight_that_has_adopted_them_is_replayed_to_the_last_bit(tmp_path):
