@@ -49,7 +49,7 @@ from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
 CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
 STRAIGHT = Turns(np.zeros(1), 10.0)
-SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0)
+SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0, False)
 
 
 def a_table(aircraft, requirement, wind_m_s=0.0):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -28,6 +29,7 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
         health=(),
         unknown="",
         requirement=REQUIREMENT,
+        pan_limit_rad=math.pi,
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
         sensor_status=SimpleNamespace(height_m=aircraft_m[2]),
         estimate=SimpleNamespace(
