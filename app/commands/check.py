@@ -136,6 +136,8 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         console.print(f"predicted from {prediction.flights} simulated flights of {FLIGHT_S / 60.0:.0f} minutes:")
         console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
         console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
+        if prediction.time_within_pan_limits is not None:
+            console.print(f"  time within the pan limits  {prediction.time_within_pan_limits}", soft_wrap=True)
         reasons = prediction.shortcoming(settings)
         if prediction.doubt():
             console.print(f"close to the limit: {prediction.doubt()}", soft_wrap=True)

@@ -82,11 +82,13 @@ class Prediction:
         flights: Their number.
         time_in_band: Share of the time in the range band.
         time_on_side: Share of the time on the required side; None if no target moved.
+        time_within_pan_limits: Share of the time in which the gimbal can look at the target; None without limits.
     """
 
     flights: int
     time_in_band: Share | None
     time_on_side: Share | None
+    time_within_pan_limits: Share | None = None
 
     def shortcoming(self, config: Config) -> str:
         """Return what the configuration does not achieve and what to change, '' if it is good enough.
@@ -121,7 +123,8 @@ class Prediction:
 
     def as_json(self) -> dict[str, Any]:
         """Return the prediction for the JSON summary."""
-        shares = {"time_in_band": self.time_in_band, "time_on_side": self.time_on_side}
+        names = "time_in_band", "time_on_side", "time_within_pan_limits"
+        shares: dict[str, Share | None] = {name: getattr(self, name) for name in names}
         shown = {name: None if share is None else asdict(share) for name, share in shares.items()}
         return {"flights": self.flights, "flight_s": FLIGHT_S, "in_doubt": bool(self.doubt()), **shown}
 
@@ -157,7 +160,7 @@ def prediction_of(fly: Callable[[int], RunResult]) -> Prediction:
     flown: list[RunResult] = []
     while True:
         flown += [fly(number) for number in range(len(flown), len(flown) + FLIGHTS)]
-        band, side = [one.time_in_band for one in flown], [one.time_on_side for one in flown]
-        found = Prediction(len(flown), Share.of(band), Share.of(side))
+        measured = [(one.time_in_band, one.time_on_side, one.time_within_pan_limits) for one in flown]
+        found = Prediction(len(flown), *(Share.of(shares) for shares in zip(*measured, strict=True)))
         if not found.doubt() or len(flown) >= FLIGHTS_MAX:
             return found

@@ -108,6 +108,7 @@ def test_the_t_of_student_is_scipys():
 class Flown:
     time_in_band: float
     time_on_side: float = 0.9
+    time_within_pan_limits: float = float("nan")
 
 
 @pytest.mark.parametrize(
@@ -123,6 +124,12 @@ def test_more_flights_are_flown_while_the_verdict_is_in_doubt(monkeypatch, share
     monkeypatch.setattr(prediction, "FLIGHTS_MAX", 12)
     found = prediction.prediction_of(lambda number: Flown(shares[number % len(shares)]))
     assert (found.flights, found.as_json()["in_doubt"]) == (flights, doubtful)
+
+
+def test_the_time_within_pan_limits_is_predicted_where_there_are_any():
+    assert prediction.prediction_of(lambda _number: Flown(0.97)).as_json()["time_within_pan_limits"] is None
+    limited = prediction.prediction_of(lambda _number: Flown(0.97, 0.9, 0.95))
+    assert limited.as_json()["time_within_pan_limits"]["mean"] == pytest.approx(0.95)
 
 
 def test_what_is_refused_by_one_share_is_not_in_doubt_by_another():
