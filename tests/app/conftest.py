@@ -6,6 +6,7 @@ import math
 import shutil
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from sidelong.app.config import Config
 from sidelong.app.flight.recording import Recording
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.records.run_folder import RunFolder
+from sidelong.estimators import compiled
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.mission.control.controller import StandoffController
@@ -32,6 +34,7 @@ from sidelong.mission.core.events import (
 )
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.geometry.follower import PlanTrack
+from sidelong.mission.predictive import planner
 
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 HEIGHT_M, GRAVITY_M_S2 = 100.0, 9.80665
@@ -192,6 +195,17 @@ def recorded(
     recording.close()
     assert not more
     return announced
+
+
+@pytest.fixture
+def small_tables(monkeypatch, tmp_path):
+    """Let value tables be small, and kept for this test alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(compiled.FOLDER.parent))  # only the table is computed, nothing compiled
+    whole = planner.table_configuration
+    monkeypatch.setattr(
+        planner, "table_configuration", lambda *known: replace(whole(*known), cells=4, improvements=(1, 1))
+    )
 
 
 @pytest.fixture

@@ -17,11 +17,9 @@ from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.estimators import compiled
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, MissionChange, UploadPlan
-from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
 from tests.turns import loop_turn
 
@@ -65,13 +63,8 @@ def test_what_cannot_be_flown_is_refused_in_one_sentence(change, sentence):
     assert put == []
 
 
-def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(compiled.FOLDER.parent))  # only the table is computed, nothing compiled
-    small = planner.table_configuration
-    monkeypatch.setattr(
-        planner, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
-    )
+@pytest.mark.usefixtures("small_tables")
+def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch):
     changes, put, announced = changes_of(Config())
     turns = 0
 

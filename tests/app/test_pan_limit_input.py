@@ -17,24 +17,15 @@ from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.payload.pan_limits import usable_pan_limit_deg
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.estimators import compiled
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import Announce, MissionChange, RouteGiven
-from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
 
 CONTRADICTED = "aircraft.pan_limit_deg = 180, but the gimbal pans 120 degrees only; remove it to plan for that"
 PREPARING = "the gimbal pans 120 degrees to each side: a plan for that is being prepared"
 
 
-@pytest.fixture(autouse=True)
-def _small_tables(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(compiled.FOLDER.parent))  # only the table is computed, nothing compiled
-    whole = planner.table_configuration
-    monkeypatch.setattr(
-        planner, "table_configuration", lambda *known: replace(whole(*known), cells=4, improvements=(1, 1))
-    )
+pytestmark = pytest.mark.usefixtures("small_tables")
 
 
 @pytest.mark.parametrize(

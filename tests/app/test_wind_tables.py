@@ -16,7 +16,6 @@ from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.estimators import compiled
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.circle import Circle
@@ -29,21 +28,13 @@ from sidelong.mission.core.events import (
     WindReported,
 )
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
 from tests.turns import loop_turn
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
 
-@pytest.fixture(autouse=True)
-def _small_tables(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(compiled.FOLDER.parent))  # only the table is computed, nothing compiled
-    whole = planner.table_configuration
-    monkeypatch.setattr(
-        planner, "table_configuration", lambda *known: replace(whole(*known), cells=4, improvements=(1, 1))
-    )
+pytestmark = pytest.mark.usefixtures("small_tables")
 
 
 class Windy:
