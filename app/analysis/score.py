@@ -8,6 +8,7 @@ Definitions:
   :mod:`sidelong.app.analysis.target_course`. Only the time after the target has made good a course counts. A
   required sector replaces the course; with either side allowed every direction is right.
 - **Observation angle**: from that normal, or from the middle of the sector, to the line from target to aircraft.
+- **Within the pan limits**: the target is no further from the nose than the gimbal pans.
 - **Move**: a departure to another circle. **Reversal**: a move within 10 s of the last one.
 
 - **Unknown**: a moment in which an input was missing or contradicted the others, by the flight's own estimate; and

@@ -140,7 +140,6 @@ class Flight:
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
         self._begin(self._request_streams())
-        self._begin(self._request_pan_limits())
         sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._vehicle)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
@@ -358,6 +357,8 @@ class Flight:
         planner, configured_deg = self._controller.planning.planner, self._config.aircraft.pan_limit_deg
         if not (isinstance(planner, PanPlanner) and planner.plans_pan_limits):
             return []
+        if self._payload is None:
+            self._begin(self._request_pan_limits())
         return [PanLimitInput(configured_deg, self._reported_pan_limits_rad, changes, self._display.note)]
 
     def _reported_pan_limits_rad(self) -> tuple[float, float] | None:

@@ -59,7 +59,7 @@ class SimulatedVehicles:
             *("--seed", str(simulation.seed)),
             *("--speed", f"{simulation.speed:g}"),
             *("--airspeed", ",".join(f"{one.aircraft.airspeed_m_s:g}" for one in configs)),
-            *("--pan-limit-deg", f"{config.aircraft.pan_limit_deg or 180.0:g}"),
+            *("--pan-limit-deg", f"{math.degrees(config.aircraft.aircraft().pan_limit_rad):g}"),
             *("--wind-speed", f"{simulation.wind_speed_m_s:g}"),
             *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
             *(option for truth in truths for option in ("--truth", str(truth))),

@@ -21,7 +21,7 @@ def usable_pan_limit_deg(limits_rad: tuple[float, float] | None) -> float | None
     if limits_rad is None or _looks_all_around(limits_rad):
         return None
     nearer_deg = float(math.floor(math.degrees(min(-limits_rad[0], limits_rad[1])) + 0.1))
-    return None if nearer_deg < PAN_LIMIT_MIN_DEG else min(nearer_deg, 180.0)
+    return None if nearer_deg < PAN_LIMIT_MIN_DEG else nearer_deg
 
 
 def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:

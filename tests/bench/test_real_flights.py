@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sidelong.app.analysis.score import within_pan_limits
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.flight.simulated import free_udp_port
@@ -115,9 +116,8 @@ def beyond_pan_limits(file: Path, run: Path, flavour: str) -> float:
     """Return the share of a flight in which the target was further from the nose than the gimbal pans."""
     log, _ = seen(read_truth(file), JournalReader(run / "journal.jsonl", JOURNAL_TYPES))
     air_m = np.gradient(log[:, 1:3], log[:, 0], axis=0) - (WIND_M_S[flavour], 0.0)  # the wind is from the west
-    nose_rad, away_m = np.arctan2(*air_m.T), log[:, 3:5] - log[:, 1:3]
-    pan_rad = np.abs(np.angle(np.exp(1j * (np.arctan2(*away_m.T) - nose_rad))))
-    return float(np.mean(pan_rad > math.radians(PAN_LIMIT_DEG)))
+    within = within_pan_limits(log[:, 1:3], log[:, 3:5], np.arctan2(*air_m.T), math.radians(PAN_LIMIT_DEG))
+    return 1.0 - float(within.mean())
 
 
 def fly(
