@@ -61,13 +61,15 @@ class Plan:
     """Leave the present path at ``departure_s`` on ``transition``, then fly ``circle`` indefinitely.
 
     transition is None for a plan that is only a circle (the first one, or the circle already flown). heights is
-    None where all is flown at the one configured height.
+    None where all is flown at the one configured height. precise: the transition is to be flown as closely as
+    waypoints allow, because the pan of the gimbal depends on the course.
     """
 
     circle: Circle
     transition: Path | None = None
     departure_s: float = 0.0
     heights: HeightProfile | None = None
+    precise: bool = False
 
     def __post_init__(self) -> None:
         convert_to_floats(self, "departure_s")

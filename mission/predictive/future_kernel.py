@@ -40,10 +40,14 @@ class Motions(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """Rates at which the target may begin to turn (f,), the first 0; they fade with this time constant."""
+    """Rates at which the target may begin to turn (f,), the first 0; they fade with this time constant.
+
+    stands: whether a target that has stopped stays where it is. Else it is predicted by what its estimate moves.
+    """
 
     rate_rad_s: FloatArray
     fades_s: float
+    stands: bool = False
 
 
 @inlined
@@ -95,6 +99,8 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
     k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    if turns.stands and memory[STANDING] > 0.0 and math.isnan(wish.fixed_course_rad):
+        speed_m_s = 0.0
     part, trail = no_part(), memory[TRAIL:]
     if moving and len(turns.rate_rad_s) > 1:
         part = repeated_part(trail, scene.frame_east_m, scene.frame_north_m, speed_m_s)
@@ -105,7 +111,7 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
     for i in range(k):
         faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
     for one in range(f):
-        _turning(scene, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
+        _turning(scene, speed_m_s, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
     if more > 0:
         weight[1], x_m, y_m = part.chance, np.empty(k + 1), np.empty(k + 1)
         predict_along(trail, part, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
@@ -117,9 +123,8 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
 
 
 @compiled
-def _turning(scene: Scene, rate_rad_s: float, faded_s: FloatArray, place: FloatArray) -> None:
+def _turning(scene: Scene, speed_m_s: float, rate_rad_s: float, faded_s: FloatArray, place: FloatArray) -> None:
     """Fill in the places and velocities (k, 4) of a target that begins to turn: by the rate for faded_s (k,)."""
-    speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     x_m = y_m = 0.0
     vx, vy = speed_m_s * math.sin(course_rad), speed_m_s * math.cos(course_rad)

@@ -211,7 +211,7 @@ class PredictivePlanner:
             Prices(price, change, own.commit_cost, own.commit_s, own.threat_s),
             self._policy.memory,
             self._kept,
-            Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),
+            Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s, table.configuration.cost.terms.blind > 0.0),
             Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min()), False),
             self._seconds,
             self._foresight(table.arrays, table.configuration),
@@ -361,7 +361,7 @@ def cheapest_allowed(
     order, broken = np.argsort(costs, kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
         path = Path(*move_line(scene, looker.craft, move))
-        plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
+        plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=looker.terms.blind > 0.0)
         rejection = check(plan)
         if rejection is None:
             return move, plan, broken

@@ -26,6 +26,8 @@ from sidelong.mission.upload.waypoints import lay_out
 NAV_WAYPOINT, NAV_LOITER_UNLIM = 16, 17
 FRAME_GLOBAL, FRAME_GLOBAL_RELATIVE_ALT = 0, 3
 
+_PRECISE_M = 4.0  # deviation of a precise plan; chords of gentle curves turn the course by 10 degrees at 15 m
+
 
 def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> MissionItem:
     """Return an unlimited loiter; param3 is the radius, negative counter-clockwise.
@@ -60,7 +62,7 @@ def plan_items(
     circle = circle_item(plan.circle, plane, plan.circle_height_m(height_m))
     if plan.transition is None:
         return (circle,)
-    tracking = tracking or LineTracking()
+    tracking, wanted_m = tracking or LineTracking(), _PRECISE_M if plan.precise else tolerance_m
     waypoints = (
         MissionItem(
             NAV_WAYPOINT,
@@ -72,7 +74,7 @@ def plan_items(
             *e7(plane.latitude_longitude_deg(east_m, north_m)),
             _height_nearby_m(plan.transition, plan.heights, east_m, north_m, height_m),
         )
-        for east_m, north_m in lay_out(plan.transition, plan.circle, tracking, tolerance_m)
+        for east_m, north_m in lay_out(plan.transition, plan.circle, tracking, tolerance_m, wanted_m)
     )
     return (*waypoints, circle)
 

@@ -38,7 +38,9 @@ class UnflyableError(ValueError):
     """No few waypoints make the autopilot fly the transition closely enough."""
 
 
-def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_m: float) -> tuple[Point, ...]:
+def lay_out(
+    transition: Path, circle: Circle, tracking: LineTracking, tolerance_m: float, wanted_m: float = math.inf
+) -> tuple[Point, ...]:
     """Return the fewest waypoints (east, north) found that lead along a transition to a circle within a tolerance.
 
     Args:
@@ -46,26 +48,29 @@ def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_
         circle: The circle.
         tracking: How the autopilot flies along waypoints.
         tolerance_m: Greatest deviation from the transition, m.
+        wanted_m: Deviation to be kept where waypoints can be found for it, m.
 
     Raises:
         UnflyableError: The flown path would leave the transition by more than ``tolerance_m``.
     """
-    problem = _Problem(transition, circle, tracking)
-    least_m, count = problem.deviations_m(np.empty((0, 2)))[1], 0  # straight to the circle
-    if least_m <= tolerance_m:
-        return ()
+    problem, wanted_m = _Problem(transition, circle, tracking), min(wanted_m, tolerance_m)
+    best, count = np.empty((0, 2)), 0  # straight to the circle
+    least_m = problem.deviations_m(best)[1]
     for simplification_m in _SIMPLIFICATIONS_M:
+        if least_m <= wanted_m:
+            break
         waypoints = np.array(problem.reference.simplify(simplification_m, preserve_topology=False).coords)
         if len(waypoints) == count:
             continue
         count = len(waypoints)
-        waypoints, deviation_m = _shifted(problem, waypoints, tolerance_m)
-        if deviation_m <= tolerance_m:
-            return tuple((float(east_m), float(north_m)) for east_m, north_m in waypoints)
-        least_m = min(least_m, deviation_m)
-    raise UnflyableError(
-        f"the autopilot would fly {least_m:.0f} m off the transition; tolerance_m is {tolerance_m:.0f}"
-    )
+        waypoints, deviation_m = _shifted(problem, waypoints, wanted_m)
+        if deviation_m < least_m:
+            best, least_m = waypoints, deviation_m
+    if least_m > tolerance_m:
+        raise UnflyableError(
+            f"the autopilot would fly {least_m:.0f} m off the transition; tolerance_m is {tolerance_m:.0f}"
+        )
+    return tuple((float(east_m), float(north_m)) for east_m, north_m in best)
 
 
 class _Problem:
