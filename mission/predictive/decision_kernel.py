@@ -10,8 +10,8 @@ import numpy as np
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
-from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
-from sidelong.mission.predictive.cost_kernel import CostTerms, Table, fading_per_s, least
+from sidelong.mission.geometry.line_kernel import ARC, Craft, crab_rad, line_at, sharpness_per_m2, turn_radius_m
+from sidelong.mission.predictive.cost_kernel import CostTerms, Table, blind_rate, fading_per_s, least
 from sidelong.mission.predictive.eights_kernel import EIGHTS, eights_from
 from sidelong.mission.predictive.future_kernel import Motions, Turns, first_of
 from sidelong.mission.predictive.moves_kernel import (
@@ -309,15 +309,20 @@ def look_deeper(
 
 @compiled
 def leaves(scene: Scene, now: Situation, futures: Futures, looker: Looker, near_m: float, far_m: float) -> bool:
-    """Return whether the present plan leads out of a band within threat_s in one of the futures."""
-    place = futures.place
+    """Return whether the present plan leads out of a band, or beyond the pan limits, within threat_s in a future."""
+    place, air, terms = futures.place, scene.air, looker.terms
     ahead, time_s = flown_on(scene, now, looker.prices.threat_s * scene.air.airspeed_m_s)
     for k in range(len(time_s)):
         i = min(int(time_s[k] / STEP_S + 0.5), place.shape[1] - 1)
         for one in range(len(place)):
-            range_m = math.hypot(ahead[0, k] - place[one, i, 0], ahead[1, k] - place[one, i, 1])
+            x_m, y_m = ahead[0, k] - place[one, i, 0], ahead[1, k] - place[one, i, 1]
+            range_m = math.hypot(x_m, y_m)
             if range_m < near_m or range_m > far_m:
                 return True
+            if terms.blind > 0.0:
+                nose_rad = ahead[2, k] - crab_rad(ahead[2, k], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+                if blind_rate(x_m, y_m, nose_rad, terms) >= terms.blind:
+                    return True
     return False
 
 
