@@ -24,6 +24,8 @@ from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.route.progress import RoutePlanner
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import route_of
+from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.upload.waypoints import lay_out
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
@@ -61,6 +63,11 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         planner.decide(aircraft, replace(_TARGET, time_s=time_s, last_sighting_s=time_s), plan, Wind(), 0.5)
         point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
         plan = Plan(_CIRCLE, path.path(0, east_m, north_m, course_rad), time_s)
+    tracking, here = LineTracking(), _CIRCLE.position_at_course(0.0)
+    lay_out(path.path(0, *here, 0.0), _CIRCLE, tracking, math.inf)
+    for goal in (here, _CIRCLE):  # a simulated vehicle asks for each step
+        tracking.wanted_per_m(here, 0.0, 15.0, here, goal)
+    tracking.is_done(here, here, here)
     far = replace(_TARGET, east_m=_TARGET.east_m + beyond_m)
     for course_rad in (1.6, 3.1, 4.7, 0.0):
         east_m, north_m = _CIRCLE.position_at_course(course_rad)

@@ -323,7 +323,7 @@ def _blind() -> Looker:
         Prices(0.0, 0.0, 0.0, 0.0),
         fresh_memory(1.0),
         nothing_kept(),
-        Turns(np.zeros(1), 1.0),
+        Turns(np.zeros(1), 1.0, False),
         Depth(0, 0.0, np.zeros(1), 0.0, False),
         no_seconds(),
         no_route(),

@@ -331,7 +331,7 @@ def _value_at(now: Situation, looker: Looker) -> float:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
     turns = looker.turns
     if len(looker.foresight.way.points) == 0:  # only the first future counts
-        turns = Turns(turns.rate_rad_s[:1], turns.fades_s)
+        turns = Turns(turns.rate_rad_s[:1], turns.fades_s, turns.stands)
     every = winding(scene, looker.motions, looker.wish, looker.memory, turns)
     f = first_of(along_route(scene, looker, every)[0], 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)

@@ -7,14 +7,33 @@ from dataclasses import replace
 
 import numpy as np
 
+from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.geometry import line_kernel
 from sidelong.mission.geometry.line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
 
-__all__ = ["LinePoint", "dead_reckoned", "line_at", "line_of", "nearest_arc_m", "off_track", "point_at"]
+__all__ = [
+    "LinePoint",
+    "circling_of",
+    "dead_reckoned",
+    "line_at",
+    "line_of",
+    "nearest_arc_m",
+    "off_track",
+    "point_at",
+]
 
 _NO_LINE = np.empty((5, 0))
+
+
+def circling_of(circle: Circle) -> Circling:
+    """Return a circle as the loops see it.
+
+    Args:
+        circle: The circle.
+    """
+    return Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
 
 
 def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
@@ -24,7 +43,7 @@ def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
         plan: The plan.
     """
     path, circle = plan.transition, plan.circle
-    circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
+    circling = circling_of(circle)
     if path is None:
         return _NO_LINE, circling
     return np.array((path.arc_m, path.east_m, path.north_m, path.course_rad, path.curvature_per_m)), circling

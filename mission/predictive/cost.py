@@ -29,7 +29,7 @@ _MARGIN_IN_WIND_S = 3.0
 _MARGIN_OF_TARGET_S = 1.8
 
 # A second in which the gimbal cannot look at the target costs as much as this many off the side.
-_BLIND = 1.5
+_BLIND = 2.5
 
 Values = npt.NDArray[np.floating]
 

@@ -47,7 +47,7 @@ class Turns(NamedTuple):
 
     rate_rad_s: FloatArray
     fades_s: float
-    stands: bool = False
+    stands: bool
 
 
 @inlined

@@ -211,7 +211,11 @@ class PredictivePlanner:
             Prices(price, change, own.commit_cost, own.commit_s, own.threat_s),
             self._policy.memory,
             self._kept,
-            Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s, table.configuration.cost.terms.blind > 0.0),
+            Turns(
+                own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]),
+                own.turn_fades_s,
+                table.configuration.cost.terms.blind > 0.0,
+            ),
             Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min()), False),
             self._seconds,
             self._foresight(table.arrays, table.configuration),

@@ -32,7 +32,7 @@ _BEYOND_BAND_M = 75.0  # the grid reaches this far past the far edge
 _SPEEDS = (0.0, 0.5, 1.0)  # rings of classes, as shares of the target's greatest speed
 # Classes on each ring: of the target's motion where the frame does not turn with it, else of the wind, if any.
 _TARGET_DIRECTIONS, _WIND_DIRECTIONS = 8, 4
-_VERSION = "1"  # of the way the table is computed; part of its key
+_VERSION = "2"  # of the way the table is computed; part of its key
 
 
 @dataclass(frozen=True, slots=True)

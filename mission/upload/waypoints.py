@@ -22,6 +22,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.geometry.wind import path_times_s
 from sidelong.mission.upload.line_tracking import LineTracking, Point
+from sidelong.mission.upload.line_tracking_kernel import nearest_on
 
 _SIMPLIFICATIONS_M = (60.0, 40.0, 27.0, 18.0, 12.0, 8.0, 5.0, 3.0)
 _HOPEFUL_M = 60.0  # where the model flies farther off, shifting the waypoints does not help
@@ -109,15 +110,11 @@ class _Problem:
             float(self._times_s[-1]),
         )
         planned_m = np.interp(flown[:, 0], self._times_s, line.arc_m)
-        east_m = flown[:, 1, None] - line.east_m
-        north_m = flown[:, 2, None] - line.north_m
-        apart_m2 = east_m**2 + north_m**2
-        apart_m2[np.abs(line.arc_m - planned_m[:, None]) > _WINDOW_M] = np.inf
-        nearest = np.argmin(apart_m2, axis=1)
-        at = (np.arange(nearest.size), nearest)
+        nearest, apart_m = nearest_on(flown, planned_m, line.arc_m, line.east_m, line.north_m, _WINDOW_M)
         course_rad = line.course_rad[nearest]
-        right_m = east_m[at] * np.cos(course_rad) - north_m[at] * np.sin(course_rad)
-        return np.interp(self._grid_m, line.arc_m[nearest], right_m), float(np.sqrt(apart_m2[at]).max())
+        east_m, north_m = flown[:, 1] - line.east_m[nearest], flown[:, 2] - line.north_m[nearest]
+        right_m = east_m * np.cos(course_rad) - north_m * np.sin(course_rad)
+        return np.interp(self._grid_m, line.arc_m[nearest], right_m), float(apart_m.max())
 
     def normals(self, waypoints: FloatArray) -> FloatArray:
         """Return the unit vectors to the right of the line at the points of it nearest to the waypoints."""

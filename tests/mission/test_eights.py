@@ -13,11 +13,14 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import blind_rate
+from sidelong.mission.predictive.decision_kernel import commitment
 from sidelong.mission.predictive.eights_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
-from sidelong.mission.predictive.planner import PredictivePlanner, price_s, table_configuration
+from sidelong.mission.predictive.foresight_kernel import foresee
+from sidelong.mission.predictive.planner import PredictivePlanner, price_s, situation, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.route.route import route_of
@@ -112,6 +115,23 @@ def test_a_figure_of_eight_has_the_price_of_a_narrow_circle_whatever_its_width()
 @pytest.fixture(scope="module")
 def table():
     return compute(table_configuration(LIMITED, BAND))
+
+
+@pytest.mark.parametrize(("leg_m", "given_up"), [(10.0, True), (300.0, False)])
+def test_a_young_plan_is_given_up_where_it_leads_beyond_the_pan_limits(table, leg_m, given_up):
+    """It is a leg past the target, and then the circle on which the nose turns away from it."""
+    planner = PredictivePlanner(LIMITED, BAND, table)
+    per_m = 1.0 / RADIUS_M
+    path = Trapezoids.between(per_m, [0.0], [leg_m], [per_m], RAMP).path(0, -300.0, 60.0, math.pi)
+    plan = Plan(Circle(-350.0, 60.0 - leg_m, RADIUS_M, clockwise=True), path, -2.0)
+    state = AircraftState(0.0, -300.0, 60.0, math.pi, AIRSPEED_M_S, 0.0)
+    target = TargetEstimate(0.0, 0.0, 0.0, 0.0, 2.0, np.diag([1.0, 1.0, 0.04, 0.04]), TrackQuality.GOOD, 0.0)
+    now, looker = situation(state, target, plan, Wind(), 0.5), planner.lookers[0]
+    scene, _ = planner.outlook(now, looker)
+    futures, judged_by = foresee(scene, now, looker)
+    anywhere = judged_by._replace(terms=judged_by.terms._replace(blind=0.0))
+    assert commitment(scene, now, futures, anywhere) == looker.prices.commit > 0.0
+    assert commitment(scene, now, futures, judged_by) == (0.0 if given_up else looker.prices.commit)
 
 
 def flown(planner, corners, speed_m_s):

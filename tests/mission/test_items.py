@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -55,6 +56,14 @@ def test_arduplane_reaches_the_first_waypoint_at_the_departure_and_px4_can_still
         first = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, tracking)[0]
         first_m = PLANE.east_north_m(*first.latitude_longitude_deg)
         assert min_m < math.dist(first_m, (path.east_m[0], path.north_m[0])) < max_m
+
+
+def test_a_precise_plan_is_flown_closer_than_the_tolerance() -> None:
+    plan = Plan(NEW, abcd(PRESENT, NEW))
+    coarse, precise = (plan_items(one, PLANE, 80.0, 15.0) for one in (plan, replace(plan, precise=True)))
+    assert len(precise) > len(coarse)
+    assert precise == plan_items(plan, PLANE, 80.0, 4.0)
+    assert plan_items(replace(plan, precise=True), PLANE, 80.0, 2.0) == plan_items(plan, PLANE, 80.0, 2.0)
 
 
 def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_figure() -> None:

@@ -48,7 +48,7 @@ from tests.mission import plain_rollout
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
 CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
-STRAIGHT = Turns(np.zeros(1), 10.0)
+STRAIGHT, TURNING = Turns(np.zeros(1), 10.0, False), Turns(np.radians([0.0, -3.0, 3.0]), 10.0, False)
 SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0, False)
 
 
@@ -265,7 +265,7 @@ def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share
 def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_requirement):
     """Three futures of equal weight: straight on, and turns to either side that fade."""
     look = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement))
-    memory, turns = fresh_memory(1.0), Turns(np.radians([0.0, -3.0, 3.0]), 10.0)
+    memory, turns = fresh_memory(1.0), TURNING
     memory[STANDING] = 0.0
     futures = winding(look.scene, look.table.motions, WISH, memory, turns)
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
@@ -276,9 +276,21 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     np.testing.assert_array_equal(straight.place[0], futures.place[0])
 
 
+def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, paper_requirement):
+    look, memory = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement)), fresh_memory(1.0)
+    for standing, stands, stays in ((1.0, True, True), (1.0, False, False), (0.0, True, False)):
+        memory[STANDING] = standing
+        turns = TURNING._replace(stands=stands)
+        place = winding(look.scene, look.table.motions, WISH, memory, turns).place
+        assert np.all(place == 0.0) == stays
+    # With a sector nobody asks whether the target stands: the memory holds its first value.
+    sector = WISH._replace(fixed_course_rad=0.3)
+    assert np.any(winding(look.scene, look.table.motions, sector, fresh_memory(1.0), turns).place != 0.0)
+
+
 def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft, paper_requirement):
     """It goes 200 m to and fro at 4 m/s; 48 m before it turns for the fourth time it is expected to."""
-    motions, turns = a_table(paper_aircraft, paper_requirement).motions, Turns(np.radians([0.0, -3.0, 3.0]), 10.0)
+    motions, turns = a_table(paper_aircraft, paper_requirement).motions, TURNING
     for side in (1.0, -1.0):
         memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
         present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
@@ -311,7 +323,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     for time_s in range(30):
         remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory)
     memory[STANDING] = 0.0
-    futures = winding(scene, table.motions, wish, memory, Turns(np.radians([0.0, -3.0, 3.0]), 10.0))
+    futures = winding(scene, table.motions, wish, memory, TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
     ahead, end = staying_ahead(scene, look.now, under_way)
     moved = moving_ahead(scene, look.craft, 20)

@@ -116,6 +116,14 @@ def test_the_flown_line_keeps_the_tolerance_with_few_waypoints(shape: str, name:
     assert len(waypoints) <= {15.0: 7, 8.0: 9, 4.0: 11}[tolerance_m]
 
 
+def test_a_wanted_deviation_is_kept_where_it_can_be_and_else_the_tolerance() -> None:
+    tracking, path = arduplane(15.0), abcd(CIRCLE, FAR)
+    assert lay_out(path, FAR, tracking, 15.0, 4.0) == lay_out(path, FAR, tracking, 4.0)
+    assert len(lay_out(path, FAR, tracking, 15.0, 4.0)) > len(lay_out(path, FAR, tracking, 15.0))
+    waypoints = lay_out(path, FAR, tracking, 15.0, 0.05)
+    assert 0.05 < max_distance_m(fly(tracking, path, waypoints, FAR), path, FAR) < 4.0
+
+
 def test_a_looser_tolerance_never_takes_more_waypoints() -> None:
     counts = [len(lay_out(abcd(CIRCLE, FAR), FAR, arduplane(15.0), tolerance_m)) for tolerance_m in (3, 10, 30)]
     assert counts == sorted(counts, reverse=True)

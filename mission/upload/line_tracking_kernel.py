@@ -1,0 +1,182 @@
+"""The inner loops of :mod:`sidelong.mission.upload.line_tracking`: steering along waypoints, and flights of them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sidelong.estimators.compiled import compiled
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.requirement import GRAVITY_M_S2
+from sidelong.mission.geometry.line_kernel import Circling, LinePoint, remainder
+
+IntArray = npt.NDArray[np.int64]
+
+_STEP_S = 0.25
+_LINE_INTERCEPT = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
+
+
+class Law(NamedTuple):
+    """The guidance law: gain_per_s / v is g, look_ahead_s * v is l, at a ground speed v."""
+
+    gain_per_s: float
+    look_ahead_s: float
+
+
+class Airframe(NamedTuple):
+    """Speed and limits of the aircraft, and the wind."""
+
+    airspeed_m_s: float
+    wind_east_m_s: float
+    wind_north_m_s: float
+    roll_lag_s: float
+    bank_max_rad: float
+    roll_rate_max_rad_s: float
+
+
+@compiled
+def is_done(
+    east_m: float,
+    north_m: float,
+    from_east_m: float,
+    from_north_m: float,
+    to_east_m: float,
+    to_north_m: float,
+    switch_m: float,
+) -> bool:
+    """Return whether a leg ends here: near its waypoint, or abreast of it. from_east_m is NaN on a first leg."""
+    past_east_m, past_north_m = east_m - to_east_m, north_m - to_north_m
+    if math.hypot(past_east_m, past_north_m) <= switch_m:
+        return True
+    return (to_east_m - from_east_m) * past_east_m + (to_north_m - from_north_m) * past_north_m >= 0.0
+
+
+@compiled
+def _pursue(error_rad: float, speed_m_s: float, law: Law) -> float:
+    error_rad = remainder(error_rad)
+    return law.gain_per_s / speed_m_s * math.sin(max(-0.5 * math.pi, min(0.5 * math.pi, error_rad)))
+
+
+@compiled
+def to_line_per_m(
+    east_m: float,
+    north_m: float,
+    course_rad: float,
+    speed_m_s: float,
+    from_east_m: float,
+    from_north_m: float,
+    to_east_m: float,
+    to_north_m: float,
+    law: Law,
+) -> float:
+    """Return the curvature that leads to the line from a waypoint to the next, or to that one if the first is NaN."""
+    if math.isnan(from_east_m):
+        return _pursue(math.atan2(to_east_m - east_m, to_north_m - north_m) - course_rad, speed_m_s, law)
+    line_rad = math.atan2(to_east_m - from_east_m, to_north_m - from_north_m)
+    right_m = (east_m - to_east_m) * math.cos(line_rad) - (north_m - to_north_m) * math.sin(line_rad)
+    offset = max(-_LINE_INTERCEPT, min(_LINE_INTERCEPT, right_m / (law.look_ahead_s * speed_m_s)))
+    return _pursue(line_rad - math.asin(offset) - course_rad, speed_m_s, law)
+
+
+@compiled
+def to_circle_per_m(
+    east_m: float, north_m: float, course_rad: float, speed_m_s: float, circle: Circling, law: Law
+) -> float:
+    """Return the curvature that leads onto a circle."""
+    east_m, north_m = east_m - circle.east_m, north_m - circle.north_m
+    distance_m, radius_m = math.hypot(east_m, north_m), abs(circle.radius_m)
+    turn = 1.0 if circle.radius_m > 0.0 else -1.0
+    outside_m = distance_m - radius_m
+    error_rad = remainder(math.atan2(east_m, north_m) + turn * 0.5 * math.pi - course_rad)
+    gain_per_m, look_ahead_m = law.gain_per_s / speed_m_s, law.look_ahead_s * speed_m_s
+    hold_per_m = turn * math.cos(error_rad) ** 2 / max(radius_m / 2.0, distance_m) + gain_per_m * (
+        math.sin(error_rad) + turn * outside_m / look_ahead_m
+    )
+    if outside_m <= 0.0:
+        return hold_per_m
+    # Far outside, the law for the circle would turn too early: steer for its centre until it turns less.
+    centre_per_m = _pursue(math.atan2(-east_m, -north_m) - course_rad, speed_m_s, law)
+    return centre_per_m if turn * centre_per_m < turn * hold_per_m else hold_per_m
+
+
+@compiled
+def _ground_speed_m_s(course_rad: float, frame: Airframe) -> float:
+    sine, cosine = math.sin(course_rad), math.cos(course_rad)
+    along_m_s = frame.wind_east_m_s * sine + frame.wind_north_m_s * cosine
+    across_m_s = frame.wind_east_m_s * cosine - frame.wind_north_m_s * sine
+    air_m_s2 = frame.airspeed_m_s * frame.airspeed_m_s - across_m_s * across_m_s
+    return max(along_m_s + math.sqrt(max(air_m_s2, 0.0)), 1.0)
+
+
+@compiled
+def flown(
+    start: LinePoint,
+    waypoints: FloatArray,
+    circle: Circling,
+    first_is_line: bool,
+    switch_m: float,
+    frame: Airframe,
+    law: Law,
+    duration_s: float,
+) -> FloatArray:
+    """Return rows of (time s, east m, north m) (n, 3) of a flight of waypoints (k, 2) to a circle."""
+    east_m, north_m, course_rad, curvature_per_m = start
+    from_east_m, from_north_m = (east_m, north_m) if first_is_line else (np.nan, np.nan)
+    rows, leg = np.empty((math.ceil(duration_s / _STEP_S) + 1, 3)), 0
+    lagged = 1.0 - math.exp(-_STEP_S / frame.roll_lag_s)
+    for step in range(len(rows)):
+        rows[step, 0], rows[step, 1], rows[step, 2] = step * _STEP_S, east_m, north_m
+        speed_m_s = _ground_speed_m_s(course_rad, frame)
+        while leg < len(waypoints) and is_done(
+            east_m, north_m, from_east_m, from_north_m, waypoints[leg, 0], waypoints[leg, 1], switch_m
+        ):
+            from_east_m, from_north_m, leg = waypoints[leg, 0], waypoints[leg, 1], leg + 1
+        if leg == len(waypoints):
+            wanted_per_m = to_circle_per_m(east_m, north_m, course_rad, speed_m_s, circle, law)
+        else:
+            to_east_m, to_north_m = waypoints[leg, 0], waypoints[leg, 1]
+            wanted_per_m = to_line_per_m(
+                east_m, north_m, course_rad, speed_m_s, from_east_m, from_north_m, to_east_m, to_north_m, law
+            )
+        tightest_per_m = GRAVITY_M_S2 * math.tan(frame.bank_max_rad) / speed_m_s**2
+        wanted_per_m = max(-tightest_per_m, min(tightest_per_m, wanted_per_m))
+        ramp_per_m = GRAVITY_M_S2 * frame.roll_rate_max_rad_s / speed_m_s**2 * _STEP_S
+        change_per_m = max(-ramp_per_m, min(ramp_per_m, (wanted_per_m - curvature_per_m) * lagged))
+        way_m = speed_m_s * _STEP_S
+        turned_rad = (curvature_per_m + change_per_m / 2.0) * way_m
+        middle_rad = course_rad + turned_rad / 2.0
+        east_m, north_m = east_m + way_m * math.sin(middle_rad), north_m + way_m * math.cos(middle_rad)
+        course_rad += turned_rad
+        curvature_per_m += change_per_m
+    return rows
+
+
+@compiled
+def nearest_on(
+    rows: FloatArray,
+    planned_m: FloatArray,
+    arc_m: FloatArray,
+    line_east_m: FloatArray,
+    line_north_m: FloatArray,
+    window_m: float,
+) -> tuple[IntArray, FloatArray]:
+    """Return the index of the nearest point of a line for each row of a flight, and the distance there, (n,) each.
+
+    arc_m, line_east_m, line_north_m (k,): the line. planned_m (n,), rising: where along it each row should be. The
+    nearest point is looked for within the window about that; the distance is infinite where none is.
+    """
+    nearest, apart_m = np.zeros(len(rows), np.int64), np.full(len(rows), np.inf)
+    first = 0
+    for k in range(len(rows)):
+        while first < len(arc_m) and arc_m[first] < planned_m[k] - window_m:
+            first += 1
+        i = first
+        while i < len(arc_m) and arc_m[i] <= planned_m[k] + window_m:
+            here_m = math.hypot(rows[k, 1] - line_east_m[i], rows[k, 2] - line_north_m[i])
+            if here_m < apart_m[k]:
+                nearest[k], apart_m[k] = i, here_m
+            i += 1
+    return nearest, apart_m
