@@ -99,6 +99,7 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
     k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    # The rest of its velocity is an error of the estimate, which would turn the course that is watched.
     if turns.stands and memory[STANDING] > 0.0 and math.isnan(wish.fixed_course_rad):
         speed_m_s = 0.0
     part, trail = no_part(), memory[TRAIL:]
