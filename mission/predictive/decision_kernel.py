@@ -330,8 +330,8 @@ def leaves(scene: Scene, now: Situation, futures: Futures, looker: Looker, near_
 def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -> float:
     """Return what a new plan must gain beyond its price because the present one departed only just now.
 
-    Nothing where the present one leads out of the band, or beyond the pan limits, in a likely future: for others it is
-    not given up so early.
+    Nothing where the present one leads out of the band, or beyond the pan limits, in a likely future: for others it
+    is not given up so early.
     """
     prices, terms = looker.prices, looker.terms
     if now.line.shape[1] == 0 or now.age_s >= prices.commit_s:

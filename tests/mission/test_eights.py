@@ -165,9 +165,13 @@ def test_figures_of_eight_keep_a_known_target_within_the_pan_limits(table):
 
 
 def test_figures_of_eight_are_planned_along_a_known_route(table):
-    corners = [(0.0, 0.0), (0.0, 300.0), (300.0, 300.0), (300.0, 0.0), (600.0, 0.0), (600.0, 900.0)]
-    route = route_of(*np.array(corners).T)
-    known = flown(PredictivePlanner(LIMITED, BAND, table, route=route), corners, 3.0)
-    unknown = flown(PredictivePlanner(LIMITED, BAND, table), corners, 3.0)
-    assert known[0] + known[1] < 0.7 * (unknown[0] + unknown[1])
-    assert known[2] == 0.0
+    """Four targets with right angles in their way: together they are lost or off side for less of the time."""
+    known, unknown = [], []
+    for turn in (1.0, -1.0):
+        corners = np.array([(0, 0), (0, 300), (300, 300), (300, 0), (600, 0), (600, 900)]) * (turn, 1.0)
+        for speed_m_s in (2.5, 3.0):
+            planner = PredictivePlanner(LIMITED, BAND, table, route=route_of(*corners.T))
+            known.append(flown(planner, corners, speed_m_s))
+            unknown.append(flown(PredictivePlanner(LIMITED, BAND, table), corners, speed_m_s))
+    assert np.sum(known, axis=0)[:2].sum() < 0.7 * np.sum(unknown, axis=0)[:2].sum()
+    assert np.sum(known, axis=0)[2] == 0.0
