@@ -63,7 +63,7 @@ def test_a_precise_plan_is_flown_closer_than_the_tolerance() -> None:
     coarse, precise = (plan_items(one, PLANE, 80.0, 15.0) for one in (plan, replace(plan, precise=True)))
     assert len(precise) > len(coarse)
     assert precise == plan_items(plan, PLANE, 80.0, 4.0)
-    assert plan_items(replace(plan, precise=True), PLANE, 80.0, 2.0) == plan_items(plan, PLANE, 80.0, 2.0)
+    assert plan_items(replace(plan, precise=True), PLANE, 80.0, 3.0) == plan_items(plan, PLANE, 80.0, 3.0)
 
 
 def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_figure() -> None:
