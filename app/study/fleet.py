@@ -54,8 +54,7 @@ from sidelong.mission.fleet.events import (
 )
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.geometry.line_kernel import Circling
-from sidelong.mission.geometry.progress import line_of
+from sidelong.mission.geometry.progress import circling_of, line_of
 from sidelong.mission.laws.phased import phased
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
@@ -290,13 +289,11 @@ class FleetRun:
                 aircraft_on(settings, flown, circle),
                 settings.config.aircraft.height_m + k * settings.layer_m,
             )
-            signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
-            ring = Circling(circle.east_m, circle.north_m, signed_m)
             members.append(
                 _Member(
                     f"aircraft {k + 1}",
                     height_m,
-                    new_flight(body.body, ring, height_m, (1, 1), self._steps, 1),
+                    new_flight(body.body, circling_of(circle), height_m, (1, 1), self._steps, 1),
                     body,
                     TeamPlanner(PredictivePlanner(aircraft, requirement, table)),
                     aircraft.airspeed_m_s,

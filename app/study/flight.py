@@ -52,8 +52,8 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan, Planner
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.line_kernel import Circling, Craft
-from sidelong.mission.geometry.progress import line_of
+from sidelong.mission.geometry.line_kernel import Craft
+from sidelong.mission.geometry.progress import circling_of, line_of
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
 from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
@@ -182,9 +182,8 @@ class CompiledFlight:
         self._filtering = filtering_in(assumed)
         self._assumed, self._wind = assumed, wind
         self._frame = start.frame(kernel.STEP_S)
-        circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
         self._flight: Flight = kernel.new_flight(
-            start.body, circling, height_m, (len(MODELS), 1 + n + n * n), steps, assumed.reacquire_after
+            start.body, circling_of(circle), height_m, (len(MODELS), 1 + n + n * n), steps, assumed.reacquire_after
         )
         self._watch = StopWatch()
 

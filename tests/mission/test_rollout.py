@@ -283,7 +283,7 @@ def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, pa
         turns = TURNING._replace(stands=stands)
         place = winding(look.scene, look.table.motions, WISH, memory, turns).place
         assert np.all(place == 0.0) == stays
-    # With a sector nobody asks whether the target stands: the memory holds its first value.
+    # A sector does not depend on whether the target stands: the memory holds its first value.
     sector = WISH._replace(fixed_course_rad=0.3)
     assert np.any(winding(look.scene, look.table.motions, sector, fresh_memory(1.0), turns).place != 0.0)
 
