@@ -28,8 +28,11 @@ _MARGIN_IN_WIND_S = 3.0
 # A target may turn towards the aircraft: the margin at the near edge is what the fastest one covers in this time.
 _MARGIN_OF_TARGET_S = 1.8
 
-# A second in which the gimbal cannot look at the target costs as much as this many off the side.
-_BLIND = 2.5
+# The planner keeps the target this far inside the pan limits. Just beyond them, a second costs as much as this many
+# off the side. Far beyond them, where the payload's tracker loses the target, it costs so many more with circles of
+# these shares of the band: the wider they are, the more side and room a figure of eight takes.
+_PAN_MARGIN_RAD, _BLIND = math.radians(2.0), 2.5
+_LOST, _LOST_SHARES = (20.0, 0.0), (0.1, 1.0 / 3.8)
 
 Values = npt.NDArray[np.floating]
 
@@ -38,13 +41,15 @@ Values = npt.NDArray[np.floating]
 class WatchCost:
     """near_m..far_m: the band to keep. half_width_rad: of the watched sector about the normal; pi/2 is a side.
 
-    pan_limit_rad: of the gimbal, to each side of the nose; pi: it looks all around.
+    pan_limit_rad: of the gimbal, to each side of the nose; pi: it looks all around. lost: what a second far beyond
+    costs more than one just beyond.
     """
 
     near_m: float
     far_m: float
     half_width_rad: float = math.pi / 2
     pan_limit_rad: float = math.pi
+    lost: float = 0.0
 
     @staticmethod
     def inside(
@@ -54,6 +59,7 @@ class WatchCost:
         wind_speed_m_s: float = 0.0,
         target_speed_max_m_s: float = 0.0,
         pan_limit_rad: float = math.pi,
+        radius_m: float = 0.0,
     ) -> WatchCost:
         """Return the cost of a required band, with the planner's margins: wider in wind, and near a fast target.
 
@@ -64,10 +70,15 @@ class WatchCost:
             wind_speed_m_s: Wind speed, m/s.
             target_speed_max_m_s: Greatest speed of the target, m/s.
             pan_limit_rad: Greatest pan of the gimbal, rad off the nose; pi: all around.
+            radius_m: Radius of the circles, m; needed with a pan limit.
         """
         margin_m = _MARGIN_M + min(_MARGIN_IN_WIND_S * wind_speed_m_s, _MARGIN_M)
-        near_m = max(margin_m, _MARGIN_OF_TARGET_S * target_speed_max_m_s)
-        return WatchCost(range_min_m + near_m, range_max_m - margin_m, half_width_rad, pan_limit_rad)
+        near_m = range_min_m + max(margin_m, _MARGIN_OF_TARGET_S * target_speed_max_m_s)
+        far_m = range_max_m - margin_m
+        if pan_limit_rad >= math.pi:
+            return WatchCost(near_m, far_m, half_width_rad)
+        lost = float(np.interp(radius_m / (range_max_m - range_min_m), _LOST_SHARES, _LOST))
+        return WatchCost(near_m, far_m, half_width_rad, pan_limit_rad - _PAN_MARGIN_RAD, lost)
 
     def rate(
         self, x_m: Values, y_m: Values, widened_m: npt.ArrayLike = 0.0, side_blur_m: npt.ArrayLike = 1.0
@@ -102,4 +113,5 @@ class WatchCost:
             _WALL,
             math.cos(self.pan_limit_rad),
             _BLIND if self.pan_limit_rad < math.pi else 0.0,
+            self.lost,
         )

@@ -15,8 +15,9 @@ Float32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 
-# The border of where the gimbal can look is blurred over this difference of cosines: 10 degrees at 120 degrees.
-_BLIND_BLUR = 0.15
+# The border of where the gimbal can look is blurred over this difference of cosines: 10 degrees at 120 degrees. From
+# the limit on, the further cost rises over the other difference: up to 143 degrees.
+_BLIND_BLUR, _LOST_BLUR = 0.15, 0.3
 
 
 class CostTerms(NamedTuple):
@@ -31,6 +32,7 @@ class CostTerms(NamedTuple):
     wall: float
     cos_pan_limit: float
     blind: float
+    lost: float
 
 
 class Table(NamedTuple):
@@ -72,9 +74,11 @@ def blind_rate(x_m: float, y_m: float, nose_rad: float, c: CostTerms) -> float:
     """Return the cost per second where the nose points so that the gimbal cannot look at the target."""
     range_m = math.sqrt(x_m * x_m + y_m * y_m)
     ahead_m = -(x_m * math.sin(nose_rad) + y_m * math.cos(nose_rad))
-    share = 0.5 + (c.cos_pan_limit * range_m - ahead_m) / (_BLIND_BLUR * (range_m + 1.0))
+    beyond = (c.cos_pan_limit * range_m - ahead_m) / (range_m + 1.0)
+    share, far = 0.5 + beyond / _BLIND_BLUR, beyond / _LOST_BLUR
     share = 0.0 if share < 0.0 else share
-    return c.blind * (1.0 if share > 1.0 else share)
+    far = 0.0 if far < 0.0 else far
+    return c.blind * (1.0 if share > 1.0 else share) + c.lost * (1.0 if far > 1.0 else far)
 
 
 @compiled

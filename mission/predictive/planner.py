@@ -153,6 +153,7 @@ def table_configuration(
             wind_speed_m_s,
             requirement.target_speed_max_m_s,
             pan_rad,
+            aircraft.radius_m,
         ),
         follows_course=sector is None,
         # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds. Figures of

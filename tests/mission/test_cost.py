@@ -46,3 +46,12 @@ def test_a_sector_ends_at_its_edges():
     for off_deg, off in ((0.0, 0.0), (39.0, 0.0), (41.0, 1.0), (-41.0, 1.0), (180.0, 1.0)):
         angle = math.radians(off_deg)
         assert rate(-300.0 * math.cos(angle), 300.0 * math.sin(angle), sector) == off
+
+
+def test_wide_circles_pay_less_where_the_gimbal_loses_the_target():
+    narrow, wide = (
+        WatchCost.inside(100.0, 500.0, pan_limit_rad=2.0, radius_m=radius_m) for radius_m in (40.0, 120.0)
+    )
+    assert narrow.lost > wide.lost == 0.0
+    assert narrow.pan_limit_rad == wide.pan_limit_rad == 2.0 - math.radians(2.0)
+    assert WatchCost.inside(100.0, 500.0, radius_m=40.0) == WatchCost.inside(100.0, 500.0)
