@@ -28,9 +28,9 @@ _MARGIN_IN_WIND_S = 3.0
 # A target may turn towards the aircraft: the margin at the near edge is what the fastest one covers in this time.
 _MARGIN_OF_TARGET_S = 1.8
 
-# The planner keeps the target this far inside the pan limits. Just beyond them, a second costs as much as this many
-# off the side. Far beyond them, where the payload's tracker loses the target, it costs so many more with circles of
-# these shares of the band: the wider they are, the more side and room a figure of eight takes.
+# The planner keeps the target this far inside the pan limits. Just beyond them, a second costs as much as _BLIND
+# seconds off the side. Far beyond them, where the payload's tracker loses the target, _LOST is added: its values are
+# for circles of these shares of the band, because a figure of eight with wide circles takes more side and room.
 _PAN_MARGIN_RAD, _BLIND = math.radians(2.0), 2.5
 _LOST, _LOST_SHARES = (20.0, 0.0), (0.1, 1.0 / 3.8)
 
