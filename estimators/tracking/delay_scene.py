@@ -37,12 +37,12 @@ class Fit(NamedTuple):
 
     Attributes:
         shared: gimbal delay s, laser delay s, yaw bias rad, range bias m, (4,).
-        sigmas: their standard deviations, (4,).
+        information: inverse of their covariance by the readings alone, without the priors, (4, 4).
         cost: negative logarithm of the likelihood, less a constant.
     """
 
     shared: FloatArray
-    sigmas: FloatArray
+    information: FloatArray
     cost: float
 
 
@@ -96,12 +96,12 @@ class _Normal:
         self.cost += add_turns(path, scale_m2, _FREEDOM, robust, self.band, self.right)
 
     def solved(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the steps of the knots (n, 2) and of the shared numbers (4,), and the covariance (4, 4) of these."""
+        """Return the steps of the knots (n, 2) and of the shared numbers (4,), and these' information (4, 4)."""
         self.band[4] += 1e-9
         found = solve_banded(self.band, np.column_stack([self.right, self.border]))
-        covariance = np.linalg.inv(self.corner - self.border.T @ found[:, 1:]).astype(np.float64, copy=False)
-        step = covariance @ (self.right_shared - self.border.T @ found[:, 0])
-        return (found[:, 0] - found[:, 1:] @ step).reshape(-1, 2), step, covariance
+        information = self.corner - self.border.T @ found[:, 1:]
+        step = np.linalg.solve(information, self.right_shared - self.border.T @ found[:, 0]).astype(float, copy=False)
+        return (found[:, 0] - found[:, 1:] @ step).reshape(-1, 2), step, information
 
 
 class Scene:
@@ -142,7 +142,7 @@ class Scene:
         """
         shared, scale_m2 = start.copy(), scale_m**2
         path = self._first_path(shared)
-        step, covariance, cost = np.zeros(4), np.zeros((4, 4)), math.inf
+        step, information, cost = np.zeros(4), np.zeros((4, 4)), math.inf
         for iteration in range(_ITERATIONS_MAX):
             free = settled or iteration >= _STIFF_ITERATIONS
             if free:
@@ -154,11 +154,11 @@ class Scene:
             cost = normal.cost
             if free and iteration and abs(step[:2]).max() < _SETTLED_S:
                 break
-            moved, step, covariance = normal.solved()
+            moved, step, information = normal.solved()
             path = path + moved
             shared = shared + step
             shared[:2] = np.clip(shared[:2], MIN_DELAY_S, MAX_DELAY_S)
-        return Fit(shared, np.sqrt(np.diag(covariance)), cost), math.sqrt(scale_m2)
+        return Fit(shared, information - np.diag(sigmas**-2), cost), math.sqrt(scale_m2)
 
     def _add_sights(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
         time_s = self._sight_s - shared[0]

@@ -31,7 +31,9 @@ _READINGS_MIN, _SPAN_MIN_S = 50, 12.0
 _GAP_MAX_S = 3.0  # of positions and attitudes
 # The next fit comes when the readings span a fifth more, within these limits: a large delay is found early.
 _GROWTH, _EVERY_MIN_S, _EVERY_MAX_S = 0.2, 10.0, 60.0
-_SIGMAS = 4.0  # a target's own motion is not quite the noise that the fit takes it for
+# Standard deviations stated, of those assumed. Of readings: a target's own motion is not quite the noise that the fit
+# takes it for. Of priors: on a steady circle, a late gimbal differs from a yaw error by the prior of that alone.
+_READINGS_SIGMAS, _PRIORS_SIGMAS = 4.0, 2.0
 _RANGE_BIAS_SIGMA_M = 3.0  # holds the error of the target's height, too
 _STARTS_S = (
     (0.0, 0.0),
@@ -164,7 +166,8 @@ class DelayFit:
         self._shared, self._scale_m, self._fits = best.shared, scale_m, self._fits + 1
         gimbal_s, range_s = (best.shared[:2] + self._latencies_s).tolist()
         yaw_rad = float(best.shared[2])
-        gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, _ = (_SIGMAS * best.sigmas).tolist()
+        information = best.information / _READINGS_SIGMAS**2 + np.diag((_PRIORS_SIGMAS * self._sigmas) ** -2)
+        gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, _ = np.sqrt(np.diag(np.linalg.inv(information))).tolist()
         return Delays(gimbal_s, range_s, gimbal_sigma_s, range_sigma_s, yaw_rad, yaw_sigma_rad)
 
 

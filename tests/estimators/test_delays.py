@@ -122,6 +122,14 @@ def test_tracker_corrects_the_delays_that_it_finds():
     assert error_m(fed(TrackerSettings(latency_sigma_s=0.0), 2.0, 0.5, "vehicle")) > 10.0
 
 
+@pytest.mark.parametrize(("late_s", "used_s"), [(0.5, 0.5), (0.2, 0.0)])
+def test_gimbal_is_found_late_on_a_steady_circle_where_no_likely_yaw_error_explains_it(late_s, used_s):
+    """Of a yaw error with a standard deviation of 1 degree, 0.5 s would need 7 degrees, and 0.2 s 3 degrees."""
+    steady = fed(TrackerSettings(), late_s, 0.0, "earth", moves=False, until_s=60.0)
+    found = 0.0 if steady.delays is None else steady.delays.gimbal_s
+    assert found == pytest.approx(used_s, abs=0.1)
+
+
 @pytest.mark.parametrize(("found_s", "used_s"), [((0.05,), 0.0), ((0.1,), 0.1), ((0.1, 0.07), 0.07)])
 def test_configured_delays_stay_until_they_are_evidently_wrong(found_s, used_s, monkeypatch):
     """A fit that differs by 2.5 sigmas changes nothing; after a first correction, a difference of 1.5 is enough."""
