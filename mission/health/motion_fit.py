@@ -264,7 +264,8 @@ class MotionFit:
         if reported_m < near_m:  # outliers, no change
             self.changed_s = self.jumped_s = -math.inf
             kept = [one for one, off in zip(self._samples, reported_off_m, strict=True) if off < _JUMP_M]
-            self._samples = deque(kept, maxlen=_SAMPLES)
+            self._samples.clear()
+            self._samples.extend(kept)
             return None
         return verdicts[best] if off_m[best] < near_m and reported_m > _DISCONTINUED * near_m else None
 

@@ -258,26 +258,50 @@ def test_rate_of_each_input_is_known():
     assert report.rate_hz == pytest.approx(10.0, rel=0.05)
 
 
-def test_target_that_turns_does_not_look_like_a_wrong_frame():
-    """A car that drives a U-turn while the aircraft circles keeps the verdict clear."""
-    health, source = Health(), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+def circled(target_at):
+    """Yield time and payload check after each moment of a minute in which the aircraft circles next to a target."""
+    payload, source = Health().payload, Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     laser = Source("DISTANCE_SENSOR", 154)
     for k in range(600):
         time_s = 0.1 * k
         course_rad = 0.25 * time_s
         east_m, north_m = 60.0 * math.sin(course_rad - math.pi / 2), 60.0 * math.cos(course_rad - math.pi / 2)
         speed = (15.0 * math.sin(course_rad), 15.0 * math.cos(course_rad))
-        turn_rad = min(max(time_s - 25.0, 0.0) * 0.5, math.pi)
-        target = np.array((250.0 + 10.0 * math.sin(turn_rad), 8.0 * min(time_s, 25.0) + 10.0 * math.cos(turn_rad)))
-        dx, dy = target - (east_m, north_m)
+        dx, dy = np.array(target_at(time_s)) - (east_m, north_m)
         yaw_rad, pitch_rad = math.atan2(dx, dy), -math.atan2(80.0, math.hypot(dx, dy))
         cy, sy, cp, sp = (f(a / 2) for a in (yaw_rad, pitch_rad) for f in (math.cos, math.sin))
-        payload = health.payload
         payload.attitude(AttitudeReading(time_s, 0.4, 0.0, course_rad))
         payload.position(PositionReading(time_s, east_m, north_m, 80.0, *speed, 0.0))
         payload.range(RangeReading(time_s, math.sqrt(dx * dx + dy * dy + 6400.0), laser))
         payload.gimbal(GimbalReading(time_s, (cy * cp, -sy * sp, cy * sp, sy * cp), "earth", source))
+        yield time_s, payload
+
+
+def test_target_that_turns_does_not_look_like_a_wrong_frame():
+    """A car that drives a U-turn while the aircraft circles keeps the verdict clear."""
+
+    def turning(time_s):
+        turn_rad = min(max(time_s - 25.0, 0.0) * 0.5, math.pi)
+        return 250.0 + 10.0 * math.sin(turn_rad), 8.0 * min(time_s, 25.0) + 10.0 * math.cos(turn_rad)
+
+    for time_s, payload in circled(turning):
         assert not any(payload.faults().values()), time_s
+
+
+@pytest.mark.parametrize("seed", [11, 35, 93])
+def test_laser_that_often_meets_something_else_ends_no_flight(seed):
+    """Leaves and walls, half a second each: the samples that were outliers are dropped while the fit looks at them."""
+    rng, until_s, off_m = np.random.default_rng(seed), 15.0, 0.0
+
+    def scattered(time_s):
+        nonlocal until_s, off_m
+        if time_s >= until_s:
+            off_m = rng.normal(0.0, 60.0) if rng.random() < 0.3 else 0.0
+            until_s = time_s + rng.exponential(0.5)
+        return 250.0 + off_m, 0.0
+
+    for time_s, payload in circled(scattered):
+        assert not payload.laser_fault, time_s
 
 
 def turned(degrees):
