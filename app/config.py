@@ -444,6 +444,15 @@ class Config(Section):
         """The radius as configured."""
         return "auto" if self._radius_fits else self.aircraft.radius_m
 
+    def wind_problem(self, airspeed_m_s: float) -> str:
+        """Return which configured wind an aircraft of this airspeed cannot fly in, '' where there is none."""
+        winds_m_s = {
+            "simulation.wind_speed_m_s": self.simulation.wind_speed_m_s,
+            "planner.winds_m_s": max(self.planner.winds_m_s, default=0.0),
+        }
+        too_strong = [f"{name}: {wind_m_s:g}" for name, wind_m_s in winds_m_s.items() if wind_m_s >= airspeed_m_s]
+        return f"{too_strong[0]} m/s is not below aircraft.airspeed_m_s = {airspeed_m_s:g}" if too_strong else ""
+
     @model_validator(mode="wrap")
     @classmethod
     def _radius_fitted(cls, values: Any, validated: ModelWrapValidatorHandler[Config]) -> Config:
@@ -459,7 +468,10 @@ class Config(Section):
         return validated(values)
 
     @model_validator(mode="after")
-    def _ground_known(self) -> Config:
+    def _sections_agree(self) -> Config:
+        problem = self.wind_problem(self.aircraft.airspeed_m_s)
+        if problem:
+            raise ValueError(problem)
         if self.aircraft.height_above == "ground" and self.terrain.folder is None:
             raise ValueError(
                 'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'

@@ -81,10 +81,13 @@ class PayloadPreset:
     url: str
     source: str
     pan_limit_deg: float | None = None
+    has_laser: bool = True
 
     def values(self) -> dict[str, dict[str, str | float]]:
-        """Return the keys that it sets, by section."""
+        """Return the keys that it sets, by section; without a laser, the range comes from flat ground."""
         found: dict[str, dict[str, str | float]] = {"payload": {"kind": self.kind, "url": self.url}}
+        if not self.has_laser:
+            found["terrain"] = {"flat": True}
         if self.pan_limit_deg is not None:
             found["aircraft"] = {"pan_limit_deg": self.pan_limit_deg}
         return found
@@ -95,10 +98,19 @@ PAYLOAD_PRESETS = {
         "SIYI ZT30, four sensors with laser", "siyi", "udp://192.168.144.25:37260", "SIYI's manuals"
     ),
     "siyi-zt6": PayloadPreset(
-        "SIYI ZT6, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "SIYI's manuals"
+        "SIYI ZT6, no laser: range from flat ground, or from elevation data (terrain.folder)",
+        "siyi",
+        "udp://192.168.144.25:37260",
+        "SIYI's manuals",
+        has_laser=False,
     ),
     "siyi-a8-mini": PayloadPreset(
-        "SIYI A8 mini, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "A8 mini manual v1.5", 135.0
+        "SIYI A8 mini, no laser: range from flat ground, or from elevation data (terrain.folder)",
+        "siyi",
+        "udp://192.168.144.25:37260",
+        "A8 mini manual v1.5",
+        135.0,
+        has_laser=False,
     ),
     "viewpro-tcp": PayloadPreset(
         "Viewpro with a laser, by Ethernet", "viewpro", "tcp://192.168.2.119:2000", "Viewpro's TCP control document"

@@ -30,8 +30,9 @@ from sidelong.app.link.queries import home_of, mode_of, pan_limits_rad
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.url import checked_url
 from sidelong.app.payload.address import read_payload
-from sidelong.app.payload.pan_limits import pan_words
+from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.app.payload.registry import KIND_NAMES
+from sidelong.app.payload.session import PayloadStatus
 from sidelong.app.records.sensing import Sensing
 
 
@@ -110,6 +111,12 @@ def _links(settings: Config) -> list[str]:
     return list(settings.link.connections)
 
 
+def _payload_check(status: PayloadStatus) -> Check:
+    """No range is asked for: on the ground, the laser may well meet nothing."""
+    ready = status.angles_hz > 0.0
+    return Check("payload", ready, "its angles arrive" if ready else status.missing[0])
+
+
 async def _report(config: Config, listen_s: float) -> dict[str, Any]:
     urls = _links(config)
     console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
@@ -146,6 +153,7 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             one,
             *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters),
             *inputs.checks(),
+            *(() if payload is None else (_payload_check(payload.status()),)),
         )
         firmware = f"{autopilot.name} {session.release or ''}".strip()
         console.print(f"{firmware}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
@@ -168,8 +176,9 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
         status = None if payload is None else payload.status()
         for line in () if status is None else payload_lines(config.payload.kind, status):
             console.print(line, soft_wrap=True)
-        for words in pan_words(pan_rad):
-            console.print(words, soft_wrap=True)
+        for words in (*pan_words(pan_rad), contradiction(config.aircraft.pan_limit_deg, pan_rad)):
+            if words:
+                console.print(words, soft_wrap=True)
         delays, taken = tracker.delays, "gimbal {:g} s, laser {:g} s as configured".format(*tracker.latencies_s)
         unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
         console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from sidelong.app.config import Config
-from sidelong.app.errors import FlightError, Interrupted
+from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.event_loop import run
 from sidelong.app.flight.life import Life
 from sidelong.app.shutdown import interrupt_dropped
@@ -68,7 +68,11 @@ def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
     if not is_cached(advance) or config.aircraft.aircraft().has_pan_limit:
         note("how well this requirement can be kept has not been computed yet: sidelong check does it")
         return
-    prediction = predict(config)
+    try:
+        prediction = predict(config)
+    except InputError as error:  # of the study alone: the flight has been checked
+        note(f"how well this requirement can be kept cannot be computed: {error}")
+        return
     shortcoming = prediction.shortcoming(config)
     if shortcoming:
         note(f"warning: sidelong check refuses this configuration: {shortcoming}")

@@ -300,11 +300,6 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
     check_files(fleet, fleet.target)
     for member in fleet.members:
         _check_input(member.config, point_gimbal)
-        if member.config.payload.kind != MAVLINK:
-            raise InputError(
-                "a fleet reads its payloads by MAVLink; run one `sidelong payload` for each aircraft, "
-                'and leave payload.kind = "mavlink".'
-            )
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

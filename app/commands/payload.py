@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.payload_status import payload_lines, payload_values
 from sidelong.app.config import Config, load_config
-from sidelong.app.errors import InputError
+from sidelong.app.errors import FlightError, InputError
 from sidelong.app.event_loop import run
 from sidelong.app.flight.payload_input import PayloadRunner, driver_of
 from sidelong.app.link.transport import Transport, opened
@@ -67,6 +67,8 @@ def payload(
     with contextlib.suppress(KeyboardInterrupt):
         run(_serve(settings, target, system_id, duration, status))
     write_json(json, status)
+    if duration is not None and status and not status["angles_hz"]:
+        raise FlightError(f"{settings.payload.kind}: {status['missing'][0]}.")
 
 
 def _opened(to: str) -> Transport:

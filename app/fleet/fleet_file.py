@@ -23,6 +23,7 @@ from sidelong.app.config import (
     check_flyable,
 )
 from sidelong.app.errors import InputError
+from sidelong.app.payload.registry import MAVLINK
 from sidelong.app.section import Section, validated
 from sidelong.app.sharing.cot import PLAIN_CALLSIGN
 from sidelong.app.text_file import read_toml
@@ -106,13 +107,20 @@ class FleetFile(Config):
         return {**values, "aircraft": layered}
 
     @model_validator(mode="after")
-    def _ground_known(self) -> Self:
+    def _sections_agree(self) -> Self:
         """Check what the sections say together, in place of the check of a single aircraft's configuration."""
         for problem in chain(self._problems_of_aircraft(), self._problems_of_targets()):
             raise ValueError(problem)
         return self
 
     def _problems_of_aircraft(self) -> Iterator[str]:
+        if self.payload.kind != MAVLINK:
+            yield (
+                f"payload.kind = {self.payload.kind!r}: a fleet reads its payloads by MAVLink; "
+                "run one `sidelong payload` for each aircraft, and leave payload.kind out"
+            )
+        if problem := self.wind_problem(min(one.airspeed_m_s for one in self.aircraft)):
+            yield problem
         above = {one.height_above for one in self.aircraft}
         if len(above) > 1:
             yield 'aircraft.height_above is "home" for one and "ground" for another; give all the same'
@@ -226,6 +234,7 @@ class FleetFile(Config):
                     requirement=self._requirement_of(target),
                     planner=self.planner,
                     sensors=self.sensors.model_copy(update=one.sensors.model_dump(exclude_unset=True)),
+                    payload=self.payload,
                     link=self.link.model_copy(update={**own, "system_id": one.system_id}),
                     fences=self.fences,
                     terrain=self.terrain,

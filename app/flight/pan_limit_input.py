@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable
 
 from sidelong.app.flight.changes import MissionChanges
-from sidelong.app.payload.pan_limits import usable_pan_limit_deg
+from sidelong.app.payload.pan_limits import contradiction, usable_pan_limit_deg
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import MissionChange
 
 GIMBAL = "gimbal"
-_EQUAL_DEG = 2.0
 
 
 class PanLimitInput:
@@ -49,8 +48,5 @@ class PanLimitInput:
         if self._configured_deg is None:
             self._note(f"the gimbal pans {limit_deg:g} degrees to each side: a plan for that is being prepared")
             self._changes.take(MissionChange(snapshot.time_s, who=GIMBAL, pan_limit_deg=limit_deg))
-        elif self._configured_deg > limit_deg + _EQUAL_DEG:
-            self._note(
-                f"aircraft.pan_limit_deg = {self._configured_deg:g}, but the gimbal pans {limit_deg:g} degrees only; "
-                "remove it to plan for that"
-            )
+        elif words := contradiction(self._configured_deg, reported_rad):
+            self._note(words)

@@ -39,6 +39,8 @@ def read_payload(option: str, text: str) -> tuple[str, str | None]:
     if text in (MAVLINK, f"{MAVLINK}://"):
         return MAVLINK, None
     match = _SHORT.fullmatch(text)
+    if match is not None and match[1] == MAVLINK:
+        raise InputError(f"{option} {text!r:.80}: MAVLink comes by the vehicle's links; give {MAVLINK} alone.")
     if match is None or match[1] not in KIND_NAMES:
         raise InputError(
             f"{option} {text!r:.80}: give KIND://HOST[:PORT] or KIND:///dev/NAME[:BAUD]; "

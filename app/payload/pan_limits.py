@@ -7,6 +7,7 @@ import math
 from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG
 
 _CLOSED_RAD = math.radians(1.0)
+_EQUAL_DEG = 2.0
 
 
 def usable_pan_limit_deg(limits_rad: tuple[float, float] | None) -> float | None:
@@ -38,6 +39,17 @@ def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:
     lost = f"on a circle it cannot look at the target for {share:.0f} % of each lap"
     instead = "" if usable_pan_limit_deg(limits_rad) is None else "; one aircraft flies figures of eight instead"
     return [f"{reach}: {lost}{instead}"]
+
+
+def contradiction(configured_deg: float | None, limits_rad: tuple[float, float] | None) -> str:
+    """Return that the configured pan limit is wider than the gimbal's, and what to do; empty: it is not."""
+    limit_deg = usable_pan_limit_deg(limits_rad)
+    if configured_deg is None or limit_deg is None or configured_deg <= limit_deg + _EQUAL_DEG:
+        return ""
+    return (
+        f"aircraft.pan_limit_deg = {configured_deg:g}, but the gimbal pans {limit_deg:g} degrees only; "
+        "remove it to plan for that"
+    )
 
 
 def _looks_all_around(limits_rad: tuple[float, float]) -> bool:

@@ -121,7 +121,10 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
     config = with_values(base.config, of_config, name)
     airspeed_m_s, wind_m_s = config.aircraft.airspeed_m_s, config.simulation.wind_speed_m_s
     if wind_m_s > 0.7 * airspeed_m_s:
-        raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
+        raise InputError(
+            f"a wind of {wind_m_s:g} m/s is above 0.7 of the airspeed, {0.7 * airspeed_m_s:g} m/s, which is the most "
+            "that is studied; lower simulation.wind_speed_m_s (--wind), or raise aircraft.airspeed_m_s."
+        )
     fitted: Overrides = {}
     if "radius_m" not in given.get("aircraft", {}):
         # In wind the circle grows, so that its bank at the greatest ground speed stays.

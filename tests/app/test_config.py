@@ -45,6 +45,8 @@ def test_the_command_line_wins_over_the_file_and_none_reports_nothing(tmp_path):
         ("[sensors]\nlever_arm_m = [nan, 0, 0]\n", ["sensors.lever_arm_m.0", "nan", "finite"]),
         ("[sensors]\nmount_deg = [0, inf, 0]\n", ["sensors.mount_deg.1", "inf", "finite"]),
         ("[fences]\nfloor_m = 200\nceiling_m = 100\n", ["fences", "floor_m", "ceiling_m", "change"]),
+        ("[simulation]\nwind_speed_m_s = 20\n", ["simulation.wind_speed_m_s", "20", "aircraft.airspeed_m_s = 15"]),
+        ("[planner]\nwinds_m_s = [5, 15]\n", ["planner.winds_m_s", "15", "aircraft.airspeed_m_s"]),
         ("[requirement]\nrange_min_m = 300\nrange_max_m = 300\n", ["requirement", "range_min_m", "range_max_m"]),
         ("[fences]\nkeep_in = [[47.39, 8.5], [47.4, 8.5], [47.4, 8.6]]\n", ["fences.keep_in", "brackets", "[[[47.4"]),
         (f"[fences]\nkeep_in = [{'[[1, 2], [3, 4]], ' * 9000}]\n", ["fences.keep_in", "at most 100"]),

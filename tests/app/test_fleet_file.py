@@ -59,6 +59,11 @@ def test_a_fleet_plans_for_no_pan_limits(written):
         load_fleet(written(TWO.replace('name = "north"', 'name = "north"\npan_limit_deg = 120')))
 
 
+def test_a_fleet_has_no_payload_with_a_driver(written):
+    with pytest.raises(InputError, match=r"payload\.kind = 'siyi': a fleet reads its payloads by MAVLink"):
+        load_fleet(written(TWO), {"payload": {"kind": "siyi"}})
+
+
 def test_others_are_shown_of_one_target_and_of_every_aircraft_by_its_name(written):
     north, south = load_fleet(
         written(TWO + '[sharing]\ncot = "udp://127.0.0.1:8087"\nnmea = "udp://127.0.0.1:8088"\n')

@@ -94,6 +94,7 @@ def test_a_payload_preset_loads_back_alone_and_with_an_airframe(name, tmp_path):
         config, preset = load_config(file), PAYLOAD_PRESETS[name]
         assert (config.payload.kind, config.payload.url) == (preset.kind, preset.url)
         assert (config.aircraft.airspeed_m_s == PRESETS["skywalker-x8"].airspeed_m_s) == (number == 1)
+        assert config.terrain.flat is not preset.has_laser  # a range has to come from somewhere
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,13 @@ def test_with_figures_of_eight_a_launch_leaves_the_prediction_to_check():
     assert notes == ["how well this requirement can be kept has not been computed yet: sidelong check does it"]
 
 
+def test_a_wind_that_is_not_studied_ends_no_launch(monkeypatch):
+    monkeypatch.setattr(flying, "is_cached", lambda _compiled: True)
+    notes = []
+    flying.warn_of_prediction(Config.model_validate({"simulation": {"wind_speed_m_s": 14.0}}), notes.append)
+    assert "a wind of 14 m/s is above 0.7 of the airspeed" in notes[0]
+
+
 def test_a_prediction_repeats_itself():
     config = Config.model_validate({"planner": {"name": "paper"}})
     assert predict(config) == predict(config)

@@ -13,7 +13,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
 from sidelong.app.link.queries import pan_limits_rad
-from sidelong.app.payload.pan_limits import pan_words
+from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest
 
@@ -146,3 +146,9 @@ def test_pan_limits_are_reported_with_the_share_of_a_lap_that_they_cost(fields, 
     for line in pan_words(limits_rad):
         assert words in line
         assert "for 33 % of each lap; one aircraft flies figures of eight instead" in line
+
+
+@pytest.mark.parametrize(("configured_deg", "is_wider"), [(None, False), (120.0, False), (170.0, True)])
+def test_a_configured_pan_limit_wider_than_the_gimbal_s_is_reported(configured_deg, is_wider):
+    words = contradiction(configured_deg, (math.radians(-120.0), math.radians(120.0)))
+    assert ("but the gimbal pans 120 degrees only" in words) is is_wider

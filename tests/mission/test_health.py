@@ -290,7 +290,7 @@ def test_target_that_turns_does_not_look_like_a_wrong_frame():
 
 @pytest.mark.parametrize("seed", [11, 35, 93])
 def test_laser_that_often_meets_something_else_ends_no_flight(seed):
-    """Leaves and walls, half a second each: the samples that were outliers are dropped while the fit looks at them."""
+    """Leaves and walls, half a second each: the fit drops its samples that were outliers while it looks at them."""
     rng, until_s, off_m = np.random.default_rng(seed), 15.0, 0.0
 
     def scattered(time_s):

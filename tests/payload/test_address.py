@@ -28,6 +28,11 @@ def test_wrong_payload_is_refused_with_the_form_it_should_have(text):
         read_payload("--payload", text)
 
 
+def test_mavlink_has_no_address_of_its_own():
+    with pytest.raises(InputError, match="by the vehicle's links; give mavlink alone"):
+        read_payload("--payload", "mavlink://127.0.0.1")
+
+
 def test_wrong_url_in_the_file_is_refused_by_its_field():
     with pytest.raises(InputError, match=r"payload\.url.*udp://HOST:PORT"):
         load_config(None, {"payload": {"kind": "siyi", "url": "192.168.144.25"}})

@@ -56,6 +56,13 @@ def test_driver_alone_publishes_mavlink_of_component_154(kind, free_port, tmp_pa
     assert status["missing"] == []
 
 
+@pytest.mark.udp
+def test_payload_that_does_not_answer_fails(free_port):
+    done = sidelong("payload", f"siyi://127.0.0.1:{free_port()}", "--duration", 0.5)
+    assert done.returncode == 1
+    assert "siyi: it does not answer: check power, address and wiring" in done.stderr
+
+
 def test_payload_without_a_driver_is_refused():
     done = sidelong("payload", "mavlink")
     assert done.returncode == 2
