@@ -274,6 +274,8 @@ def _with_simulated_payload(settings: Config, speed: float | None, url: str | No
     if url is not None:
         raise InputError(f"--payload {url}: a simulated vehicle has a simulated payload; give {kind}:// alone.")
     if speed is not None:
+        if speed > _DRIVER_SPEED_MAX:
+            warn(f"--speed {speed:g}: above {_DRIVER_SPEED_MAX:g}, readings by {kind} come with wrong times.")
         return settings
     slower = {"speed": min(settings.simulation.speed, _DRIVER_SPEED_MAX)}
     return with_values(settings, {"simulation": slower}, "command line")
