@@ -451,7 +451,9 @@ class Config(Section):
             "planner.winds_m_s": max(self.planner.winds_m_s, default=0.0),
         }
         too_strong = [f"{name}: {wind_m_s:g}" for name, wind_m_s in winds_m_s.items() if wind_m_s >= airspeed_m_s]
-        return f"{too_strong[0]} m/s is not below aircraft.airspeed_m_s = {airspeed_m_s:g}" if too_strong else ""
+        if not too_strong:
+            return ""
+        return f"{too_strong[0]} m/s is not below aircraft.airspeed_m_s = {airspeed_m_s:g}; lower it, or raise that"
 
     @model_validator(mode="wrap")
     @classmethod
