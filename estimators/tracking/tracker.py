@@ -317,8 +317,13 @@ class Tracker:
 
     @property
     def unexpected_yaw_rad(self) -> float:
-        """The gimbal's yaw error, if it is far beyond what the settings expect; else 0."""
-        known = self.calibration
+        """The gimbal's yaw error, if it is far beyond what the settings expect; else 0.
+
+        Unknown, hence 0, while the delays are: until the circle changes, one looks like the other.
+        """
+        known, delays = self.calibration, self._delays
+        if delays is not None and max(delays.gimbal_sigma_s, delays.range_sigma_s) >= _SURE_S:
+            return 0.0
         limit_rad = max(
             _YAW_UNEXPECTED_RAD, _YAW_SIGMAS * max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad)
         )

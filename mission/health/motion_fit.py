@@ -3,7 +3,8 @@
 The aircraft circles, so a wrong frame of the gimbal or a wrong unit of the laser makes the apparent target circle as
 well. Each hypothesis (a frame of the line of sight, a factor of the range) gives a series of apparent target
 positions. A target that moves at constant velocity for some seconds leaves small residuals about a straight line; a
-wrong hypothesis leaves residuals of the size of the aircraft's own circle.
+wrong hypothesis leaves residuals of the size of the aircraft's own circle. One more hypothesis is the constant yaw
+error that fits best.
 
 If the apparent target jumps, the hypotheses are compared with its motion until then: by the right one it goes on.
 
@@ -57,6 +58,9 @@ _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
 _LEVEL_SHARE, OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
 _HEIGHT_MIN_M = 25.0
+_TURN_MIN_RAD = math.radians(35.0)  # the track's own estimate finds less by itself
+_TURNED_SHARE = 0.25  # as _BETTER_SHARE: this hypothesis is fitted, so it fits a target that turns, too
+_SCALES = 0.8, 1.25  # of a yaw error's fit, which leaves the length of the line of sight free
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
 _DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
 
@@ -71,13 +75,16 @@ class Verdict:
     Attributes:
         frame: the gimbal's true frame where its flags are wrong, else None.
         factor: what the range has to be multiplied with, 1 where its unit is right.
+        is_turned: whether the gimbal's yaw has a large constant error.
     """
 
     frame: str | None
     factor: float
+    is_turned: bool = False
 
 
 SOUND = Verdict(None, 1.0)
+TURNED = Verdict(None, 1.0, is_turned=True)
 
 
 class _Sample(NamedTuple):
@@ -109,12 +116,14 @@ class MotionFit:
         changed_s: When the apparent target jumped, last.
         jumped_s: When it jumped farther than a target can drive, last.
         off_level: How far the target is off the ground, as a share of the aircraft's height over it; NaN: unknown.
+        yaw_error_rad: The constant yaw error that fits best; once established, it stays.
     """
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
         self.ground: GroundHeight | None = None
         self.changed_s = self.jumped_s = -math.inf
         self.off_level = math.nan
+        self.yaw_error_rad = 0.0
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._jumped: _Sample | None = None
@@ -220,8 +229,10 @@ class MotionFit:
             return SOUND
         times_s = np.array([one.time_s for one in samples])
         sighted_m = np.array([one.sighted_m for one in samples])
-        residual_m, own_residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m)
+        residual_m, own_residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m, established)
         as_reported_m = float(_residuals_m(times_s, sighted_m[:, None, :])[0])  # fitted as the others are
+        if not established.is_turned and residual_m[TURNED] > _TURNED_SHARE * as_reported_m:
+            residual_m[TURNED] = math.inf
         if established != SOUND:
             if established.factor != 1.0 and not math.isnan(off_level):
                 return SOUND if unit_is_right else established
@@ -318,19 +329,25 @@ class MotionFit:
         return math.inf if any(map(math.isnan, off_level)) else statistics.median(off_level)
 
     def _residuals_of_hypotheses_m(
-        self, times_s: FloatArray, sighted_m: FloatArray
+        self, times_s: FloatArray, sighted_m: FloatArray, established: Verdict
     ) -> tuple[dict[Verdict, float], float]:
         """Return the residual of every other reading of the payload, and that of the aircraft's own motion."""
         own_m = np.array([one.own_m for one in self._samples])
         verdicts, positions_m = self._hypotheses(sighted_m)
-        *residuals_m, straight_m = _residuals_m(
-            times_s, np.concatenate((positions_m, own_m[:, None, :]), axis=1)
+        scale = 1.0
+        if not established.is_turned:
+            self.yaw_error_rad, scale = _yaw_error_rad(times_s, own_m, sighted_m - own_m)
+        turned_m = own_m + _turned(sighted_m - own_m, -self.yaw_error_rad)
+        *residuals_m, turned_residual_m, straight_m = _residuals_m(
+            times_s, np.concatenate((positions_m, turned_m[:, None, :], own_m[:, None, :]), axis=1)
         ).tolist()
         # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
         residual_m = {
             verdict: math.inf if verdict.factor < 1.0 and one_m > _OWN_SHARE * straight_m else one_m
             for verdict, one_m in zip(verdicts, residuals_m, strict=True)
         }
+        is_turn = abs(self.yaw_error_rad) >= _TURN_MIN_RAD and _SCALES[0] <= scale <= _SCALES[1]
+        residual_m[TURNED] = turned_residual_m if is_turn else math.inf
         return residual_m, straight_m
 
     def _hypotheses(self, sighted_m: FloatArray) -> tuple[list[Verdict], FloatArray]:
@@ -381,6 +398,32 @@ def _motion(samples: Sequence[_Sample]) -> _Motion:
     )
     (first_s, *first_m), (last_s, *last_m) = np.median(first, axis=0), np.median(last, axis=0)
     return _Motion(last_s, np.array(last_m), (np.array(last_m) - np.array(first_m)) / max(last_s - first_s, 1.0))
+
+
+def _yaw_error_rad(times_s: FloatArray, own_m: FloatArray, way_m: FloatArray) -> tuple[float, float]:
+    """Return the constant yaw error without which the target moves straightest, and by what the ways then stretch.
+
+    Least squares: own + c * way + s * (way, turned right by 90 degrees) = place + velocity * time.
+
+    Args:
+        times_s: of the samples, (n,).
+        own_m: the aircraft, (n, 3).
+        way_m: from there to the apparent target, (n, 3).
+    """
+    since_s, none = times_s - times_s.mean(), np.zeros(len(times_s))
+    one = none + 1.0
+    east = np.stack([way_m[:, 0], way_m[:, 1], -one, none, -since_s, none], axis=1)
+    north = np.stack([way_m[:, 1], -way_m[:, 0], none, -one, none, -since_s], axis=1)
+    known_m = -own_m[:, :2].T.ravel()
+    (cosine, sine, *_), *_ = np.linalg.lstsq(np.concatenate([east, north]), known_m, rcond=None)
+    return -math.atan2(sine, cosine), math.hypot(cosine, sine)
+
+
+def _turned(way_m: FloatArray, angle_rad: float) -> FloatArray:
+    """Return ways (n, 3), each turned right by an angle about the vertical."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    east_m, north_m, up_m = way_m.T
+    return np.stack([cosine * east_m + sine * north_m, cosine * north_m - sine * east_m, up_m], axis=1)
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:

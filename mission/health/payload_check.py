@@ -295,7 +295,7 @@ class PayloadCheck:
         # Just after a change half of the samples are older: several judgements have to agree.
         self._agreeing = self._agreeing + 1 if verdict == self._verdict else 1
         self._verdict = verdict
-        if self._agreeing < (_CLEARED_AFTER if verdict == SOUND else _FOUND_AFTER):
+        if verdict == self._established or self._agreeing < (_CLEARED_AFTER if verdict == SOUND else _FOUND_AFTER):
             return
         self._established = verdict
         self._frame_fault = self._unit_fault = ""
@@ -303,6 +303,12 @@ class PayloadCheck:
             self._frame_fault = (
                 f"its frame flags are wrong: they mean {_FRAME_WORDS[flagged]}, but the angles are "
                 f'{_FRAME_WORDS[verdict.frame]}; correct the flags, or set sensors.gimbal_frame = "{verdict.frame}"'
+            )
+        elif verdict.is_turned:
+            yaw_deg = math.degrees(self._fit.yaw_error_rad)
+            self._frame_fault = (
+                f"its yaw is off by about {yaw_deg:+.0f} degrees: check its mounting and its heading, "
+                "or correct sensors.mount_deg"
             )
         elif verdict != SOUND:
             self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"

@@ -29,6 +29,18 @@ from tests.faults.flight_faults import (
 BEGIN_S, DURATION_S = 60.0, 150.0
 
 
+def turned(degrees):
+    """Turn the gimbal's orientation about the vertical."""
+    cos, sin = math.cos(math.radians(degrees) / 2.0), math.sin(math.radians(degrees) / 2.0)
+
+    def by(message, _since_s, _rng):
+        w, x, y, z = message.fields["q"]
+        q = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
+        return message._replace(fields=message.fields | {"q": q})
+
+    return only(GIMBAL, by)
+
+
 PAYLOAD_FAULTS = {
     "stuck laser": (repeated(LASER, "current_distance"), Input.LASER, "repeats the same range"),
     "stuck laser with 1 cm of noise": (repeated(LASER, "current_distance", 1), Input.LASER, "repeats the same range"),
@@ -37,6 +49,8 @@ PAYLOAD_FAULTS = {
     "flags of the vehicle frame": (flagged(44), Input.GIMBAL, 'sensors.gimbal_frame = "earth"'),
     "flags of the body frame": (flagged(32), Input.GIMBAL, 'sensors.gimbal_frame = "earth"'),
     "frozen gimbal": (repeated(GIMBAL, "q"), Input.GIMBAL, "frozen"),
+    "yaw of the gimbal off by 90 degrees": (turned(90.0), Input.GIMBAL, "its yaw is off by about +"),
+    "yaw of the gimbal off by a half turn": (turned(180.0), Input.GIMBAL, "check its mounting and its heading"),
 }
 
 
@@ -302,18 +316,6 @@ def test_laser_that_often_meets_something_else_ends_no_flight(seed):
 
     for time_s, payload in circled(scattered):
         assert not payload.laser_fault, time_s
-
-
-def turned(degrees):
-    """Turn the gimbal's orientation about the vertical."""
-    cos, sin = math.cos(math.radians(degrees) / 2.0), math.sin(math.radians(degrees) / 2.0)
-
-    def by(message, _since_s, _rng):
-        w, x, y, z = message.fields["q"]
-        q = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
-        return message._replace(fields=message.fields | {"q": q})
-
-    return only(GIMBAL, by)
 
 
 def test_wrong_mounting_of_the_gimbal_is_reported():
