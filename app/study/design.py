@@ -50,7 +50,7 @@ def parsed_sweep(words: str) -> tuple[str, tuple[Value, ...]]:
     if field not in SWEPT.get(section, ()):
         known = ", ".join(f"{section}.{field}" for section, fields in SWEPT.items() for field in fields)
         raise InputError(f"--sweep: {key} is no parameter that shapes a study; these are: {known}.")
-    if text.count(":") == 2:
+    if ":" in text:
         return key, _stepped(words, text)
     return key, tuple(dict.fromkeys(_value(one.strip()) for one in text.split(",")))
 
