@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.assembly import controller_of
-from sidelong.app.config import Config, check_flyable, config_from, load_config, with_values
+from sidelong.app.config import Config, check_alone, check_flyable, config_from, load_config, with_values
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.display import Wish
@@ -190,6 +190,7 @@ def _settings(config: Config | Path | Mapping[str, Any] | None, url: str | None)
             settings = config_from(config, "config")
     if url is not None:
         settings = with_values(settings, {"link": {"url": url}}, "url")
+    check_alone(settings)
     check_flyable(settings)
     check_files(settings)
     return settings

@@ -42,6 +42,7 @@ _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 # _BANK_RESERVE is the margin to the bank limit.
 _AUTO_RADIUS_S, _BANK_RESERVE = 3.5, 1.1
 _DISTANCE_SENSOR_MAX_M = DISTANCE_SENSOR_MAX_CM / 100
+_RADIUS_MIN_M, _HEIGHT_MIN_M = 10.0, 20.0
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
 Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
@@ -77,7 +78,7 @@ class AircraftSection(Section):
 
     airspeed_m_s: float = Field(15.0, gt=3, le=80)
     """Airspeed while circling, m/s."""
-    radius_m: float = Field(50.0, ge=10, le=2000)
+    radius_m: float = Field(50.0, ge=_RADIUS_MIN_M, le=2000)
     """Radius of the circle next to the target, m; "auto": 3.5 s of flight, with room in the range band."""
     bank_max_deg: float = Field(45.0, ge=10, le=70)
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
@@ -85,7 +86,7 @@ class AircraftSection(Section):
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
     pan_limit_deg: float | None = Field(None, ge=PAN_LIMIT_MIN_DEG, le=180)
     """Pan limit of the gimbal to each side of the nose; below 180, figures of eight are flown; none: as reported."""
-    height_m: float = Field(100.0, ge=20, le=3000)
+    height_m: float = Field(100.0, ge=_HEIGHT_MIN_M, le=3000)
     """Height of the circle above the reference in height_above, m."""
     height_above: Literal["home", "ground"] = "home"
     """home: above home; ground: above the ground under the target, which requires [terrain]."""
@@ -486,45 +487,116 @@ def _fitting_radius_m(aircraft: AircraftSection, requirement: RequirementSection
     best_m = _AUTO_RADIUS_S * aircraft.airspeed_m_s
     widest_m = widest_radius_m(requirement.range_min_m, requirement.range_max_m)
     tightest_m = _BANK_RESERVE * aircraft.aircraft().min_radius_m
-    return float(min(max(math.floor(min(best_m, widest_m)), math.ceil(tightest_m), 10), 2000))
+    return float(min(max(math.floor(min(best_m, widest_m)), math.ceil(tightest_m), _RADIUS_MIN_M), 2000))
 
 
 def room_warning(config: Config) -> str | None:
-    """Return in a sentence that the circle leaves too little room in the band, None where it does not."""
+    """Return in a sentence that the circle leaves too little room in the band, None where it does not.
+
+    None too where the configuration cannot be flown: that error names what to change.
+    """
     radius_m, near_m, far_m = config.aircraft.radius_m, config.requirement.range_min_m, config.requirement.range_max_m
     widest_m = widest_radius_m(near_m, far_m)
-    if radius_m <= 1.05 * widest_m:
+    if radius_m <= 1.05 * widest_m or unflyable(config):
         return None
+    wider = f"requirement.range_max_m {near_m + (far_m - near_m) * radius_m / widest_m:.0f} m at least"
+    if round(widest_m) >= max(config.aircraft.aircraft().min_radius_m, _RADIUS_MIN_M):
+        advice = f"make it {widest_m:.0f} m at most, or {wider}"
+    else:
+        advice = f"make {wider}; a smaller circle needs a lower aircraft.airspeed_m_s or a higher bank_max_deg"
     return (
         f"aircraft.radius_m = {radius_m:g} leaves little room to move the circle between {near_m:g} and {far_m:g} m, "
-        f"and the side is kept for less of the time; make it {widest_m:.0f} m at most, or requirement.range_max_m "
-        f"{near_m + (far_m - near_m) * radius_m / widest_m:.0f} m at least"
+        f"and the side is kept for less of the time; {advice}"
     )
 
 
 def reach_warning(config: Config) -> str | None:
     """Return in a sentence that the band reaches beyond what DISTANCE_SENSOR can report, None where it does not."""
-    far_m, height_m = config.requirement.range_max_m, config.aircraft.height_m
+    near_m, far_m, height_m = config.requirement.range_min_m, config.requirement.range_max_m, config.aircraft.height_m
     if config.payload.kind != MAVLINK or math.hypot(far_m, height_m) <= _DISTANCE_SENSOR_MAX_M:
         return None
-    reached_m = math.sqrt(max(_DISTANCE_SENSOR_MAX_M**2 - height_m**2, 0.0))
+    if _reached_m(height_m) > near_m + 2.0 * config.aircraft.radius_m:
+        advice = f"make requirement.range_max_m {_reached_m(height_m):.0f} m at most"
+    elif _reached_m(far_m) >= _HEIGHT_MIN_M:
+        advice = f"make aircraft.height_m {_reached_m(far_m):.0f} m at most"
+    else:
+        advice = "lower both"
     return (
-        f"requirement.range_max_m = {far_m:g} is farther than a laser behind DISTANCE_SENSOR can report "
-        f"({_DISTANCE_SENSOR_MAX_M:.0f} m along the line of sight), so the target may be lost; make it "
-        f"{reached_m:.0f} m at most, unless the laser sends RANGEFINDER or the payload has a driver"
+        f"requirement.range_max_m = {far_m:g} at aircraft.height_m = {height_m:g} is farther than a laser behind "
+        f"DISTANCE_SENSOR can report ({_DISTANCE_SENSOR_MAX_M:.0f} m along the line of sight), so the target may be "
+        f"lost; {advice}, unless the laser sends RANGEFINDER or the payload has a driver"
     )
 
 
+def _reached_m(other_m: float) -> int:
+    """Return how far DISTANCE_SENSOR reaches over the ground from a height, or upwards at a horizontal range, m."""
+    return math.floor(math.sqrt(max(_DISTANCE_SENSOR_MAX_M**2 - other_m**2, 0.0)))
+
+
+def setting_notes(config: Config) -> tuple[str, ...]:
+    """Return a sentence for each key that has no effect, or that contradicts another one."""
+    payload, route, planner = config.payload, config.route, config.planner
+    speed_m_s, speed_max_m_s = route.speed_m_s or 0.0, config.requirement.target_speed_max_m_s
+    notes = (
+        *(
+            (payload.kind == MAVLINK, f'payload.{key} has no effect while payload.kind is "mavlink"')
+            for key in _changed_keys(payload)
+        ),
+        *(
+            (not route.is_known, f"route.{key} has no effect without route.file or route.system_id")
+            for key in _changed_keys(route)
+        ),
+        (
+            route.is_known and speed_m_s > speed_max_m_s,
+            f"route.speed_m_s = {speed_m_s:g} is above requirement.target_speed_max_m_s = {speed_max_m_s:g}; "
+            "change one",
+        ),
+        (
+            planner.lost_after_s > planner.give_up_after_s,
+            f"planner.lost_after_s = {planner.lost_after_s:g} has no effect above planner.give_up_after_s = "
+            f"{planner.give_up_after_s:g}, when the mission ends",
+        ),
+    )
+    return tuple(sentence for applies, sentence in notes if applies)
+
+
+def _changed_keys(section: Section) -> list[str]:
+    """Return the keys of a section whose values are not the defaults."""
+    return [key for key, value in section if value != type(section).model_fields[key].default]
+
+
+def height_outside(aircraft: AircraftSection, fences: FencesSection) -> str:
+    """Return which fence a height above home lies outside of, '' if it lies outside of none."""
+    height_m, floor_m, ceiling_m = aircraft.height_m, fences.floor_m, fences.ceiling_m
+    if aircraft.height_above != "home":
+        return ""
+    if floor_m is not None and height_m < floor_m:
+        return f"aircraft.height_m = {height_m:g} is below fences.floor_m = {floor_m:g}; change one"
+    if ceiling_m is not None and height_m > ceiling_m:
+        return f"aircraft.height_m = {height_m:g} is above fences.ceiling_m = {ceiling_m:g}; change one"
+    return ""
+
+
 def unflyable(config: Config) -> str:
-    """Return why the configured planner cannot keep the requirement and which number to change, '' if it can."""
+    """Return why the mission cannot be flown and which number to change, '' if it can."""
     aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
-    return in_words(planner_by_name(config.planner.name).unflyable(aircraft, requirement))
+    reasons = in_words(planner_by_name(config.planner.name).unflyable(aircraft, requirement))
+    return "; ".join(filter(None, (reasons, height_outside(config.aircraft, config.fences))))
 
 
 def check_flyable(config: Config) -> None:
-    """Raise InputError, naming the field and the way out, when the configured planner cannot keep the requirement."""
+    """Raise InputError, naming the field and the way out, when the mission cannot be flown."""
     if reasons := unflyable(config):
         raise InputError(f"infeasible: {reasons}.")
+
+
+def check_alone(config: Config) -> None:
+    """Raise InputError when the configuration of a single aircraft asks for several."""
+    if config.requirement.fleet_size > 1:
+        raise InputError(
+            f"requirement.fleet_size = {config.requirement.fleet_size} with one aircraft; leave it out, "
+            "or give a fleet file with several [[aircraft]]."
+        )
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:

@@ -12,8 +12,8 @@ from rich.table import Table
 from sidelong.app.commands.options import AIRCRAFT, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import table_progress
-from sidelong.app.commands.radius import RadiusOption, warn_of_band
-from sidelong.app.config import Config, load_config, unflyable
+from sidelong.app.commands.radius import RadiusOption, warn_of_band, warn_of_settings
+from sidelong.app.config import Config, check_alone, load_config, unflyable
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
@@ -90,7 +90,9 @@ def check(
     airspeeds_m_s = (slowest, fastest) if optimise else None
     if not names_a_fleet(config):
         settings = load_config(config, overrides)
+        check_alone(settings)
         check_files(settings)
+        warn_of_settings(settings)
         values, reasons = _checked(settings, airspeeds_m_s)
         write_json(json, values)
         if reasons:
@@ -99,6 +101,7 @@ def check(
         return
     fleet = load_fleet(config, overrides)
     check_files(fleet, fleet.target)
+    warn_of_settings(fleet)
     all_values, refused = [], []
     for member in fleet.members:
         console.print(f"{member.name}, at {member.config.aircraft.height_m:g} m:")

@@ -21,12 +21,13 @@ from sidelong.app.commands.output import (
     warn,
     write_json,
 )
-from sidelong.app.commands.radius import warn_of_band
+from sidelong.app.commands.radius import warn_of_band, warn_of_settings
 from sidelong.app.commands.report import write_report
 from sidelong.app.config import (
     DEMONSTRATION,
     MAX_AIRCRAFT,
     Config,
+    check_alone,
     check_flyable,
     load_config,
     with_values,
@@ -243,16 +244,13 @@ def launch(
 
 def _checked(settings: Config, speed: float | None, payload_url: str | None, point_gimbal: bool) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
-    if settings.requirement.fleet_size > 1:
-        raise InputError(
-            f"requirement.fleet_size = {settings.requirement.fleet_size} with one aircraft; leave it out, "
-            "or give a fleet file with several [[aircraft]]."
-        )
+    check_alone(settings)
     settings = _with_simulated_payload(settings, speed, payload_url)
     check_flyable(settings)
     check_files(settings)
     _check_input(settings, point_gimbal)
     warn_of_band(settings)
+    warn_of_settings(settings)
     return settings
 
 
@@ -304,6 +302,7 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
         _check_input(member.config, point_gimbal)
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
+    warn_of_settings(fleet)
 
 
 def _write_mcap(run: Path) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import table_progress
-from sidelong.app.config import check_flyable, load_config
+from sidelong.app.config import check_alone, check_flyable, load_config
 
 
 def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None) -> None:
@@ -24,6 +24,7 @@ def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (T
       XDG_CACHE_HOME=/var/cache/sidelong sidelong prepare mission.toml
     """
     settings = load_config(config, {})
+    check_alone(settings)
     check_flyable(settings)
     begun_s = time.monotonic()
     from sidelong.app.assembly import controller_of  # noqa: PLC0415  # a wrong configuration is reported first

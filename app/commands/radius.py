@@ -1,4 +1,4 @@
-"""The radius as an option of commands, and the warnings of a band that does not suit radius or laser."""
+"""The radius as an option of commands, and the notes on a configuration."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from sidelong.app.commands.options import AIRCRAFT
 from sidelong.app.commands.output import console
-from sidelong.app.config import Config, reach_warning, room_warning
+from sidelong.app.config import Config, reach_warning, room_warning, setting_notes
 
 
 def _parsed(words: str) -> float | str:
@@ -32,3 +32,9 @@ def warn_of_band(config: Config) -> None:
     for warning in (room_warning(config), reach_warning(config)):
         if warning is not None:
             console.print(f"note: {warning}", soft_wrap=True)
+
+
+def warn_of_settings(config: Config) -> None:
+    """Print a note for each key that has no effect, or that contradicts another one."""
+    for note in setting_notes(config):
+        console.print(f"note: {note}", soft_wrap=True)

@@ -14,7 +14,7 @@ import typer
 
 from sidelong.app.commands.options import MAP
 from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
-from sidelong.app.config import check_flyable, load_config
+from sidelong.app.config import check_alone, check_flyable, load_config
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.plain_text import plain
@@ -50,6 +50,7 @@ def serve(
         raise InputError("sidelong serve needs a vehicle; give --connect URL, or link.url in the configuration.")
     for url in settings.link.connections:
         checked_url(url)
+    check_alone(settings)
     check_flyable(settings)
     check_files(settings)
     address = page_address(view, view_host, view_port, None, None, None, None)

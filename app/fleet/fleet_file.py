@@ -21,6 +21,7 @@ from sidelong.app.config import (
     RouteSection,
     SensorsSection,
     check_flyable,
+    height_outside,
 )
 from sidelong.app.errors import InputError
 from sidelong.app.payload.registry import MAVLINK
@@ -153,12 +154,9 @@ class FleetFile(Config):
                     f"aircraft.height_m of {lower.name!r} and {upper.name!r} are {apart_m:g} m apart; "
                     f"make that {MIN_LAYER_M:g} m or more"
                 )
-        floor_m, ceiling_m = self.fences.floor_m, self.fences.ceiling_m
-        for one in ordered if ordered[0].height_above == "home" else ():
-            if floor_m is not None and one.height_m < floor_m:
-                yield f"aircraft {one.name!r} at {one.height_m:g} m is below fences.floor_m = {floor_m:g}"
-            if ceiling_m is not None and one.height_m > ceiling_m:
-                yield f"aircraft {one.name!r} at {one.height_m:g} m is above fences.ceiling_m = {ceiling_m:g}"
+        for one in ordered:
+            if outside := height_outside(one, self.fences):
+                yield f"aircraft {one.name!r}: {outside}"
 
     def _problems_of_targets(self) -> Iterator[str]:
         names = [one.name for one in self.target]

@@ -49,7 +49,7 @@ def changes_of(config):
         (MissionChange(0.0, range_min_m=600.0), "range_min_m = 600 is not below range_max_m = 500; change one"),
         (MissionChange(0.0, radius_m=5.0), "change: aircraft.radius_m = 5.0: input should be greater"),
         (MissionChange(0.0, side="up"), "'up' is none of left, right, either, or a sector in degrees"),
-        (MissionChange(0.0, height_m=150.0), "the height of 150 m is above the ceiling of 120 m"),
+        (MissionChange(0.0, height_m=150.0), "aircraft.height_m = 150 is above fences.ceiling_m = 120; change one"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_in_one_sentence(change, sentence):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sidelong.app.config import check_flyable, load_config, reach_warning, room_warning
+from sidelong.app.config import check_flyable, load_config, reach_warning, room_warning, setting_notes
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import journalled_config
 from sidelong.mission.core.requirement import Side
@@ -126,8 +126,69 @@ def test_a_radius_that_fits_is_found(tmp_path, aircraft, requirement, radius_m):
 def test_a_band_beyond_the_laser_s_message_is_warned_of():
     far = {"requirement": {"range_max_m": 750.0}}
     assert reach_warning(load_config(None)) is None
-    assert "make it 648 m at most" in reach_warning(load_config(None, far))
+    assert "make requirement.range_max_m 647 m at most" in reach_warning(load_config(None, far))
     assert reach_warning(load_config(None, {**far, "payload": {"kind": "siyi"}})) is None
+
+
+@pytest.mark.parametrize(
+    ("height_m", "far_m", "advice"),
+    [
+        (450.0, 500.0, "make requirement.range_max_m 476 m at most"),
+        (640.0, 500.0, "make aircraft.height_m 423 m at most"),  # the circle does not fit into the reach of 141 m
+        (1000.0, 500.0, "make aircraft.height_m 423 m at most"),
+        (1000.0, 700.0, "lower both"),
+    ],
+)
+def test_a_height_beyond_the_reach_of_the_laser_is_named_with_one_that_works(height_m, far_m, advice):
+    values = {"aircraft": {"height_m": height_m}, "requirement": {"range_max_m": far_m}}
+    assert f"; {advice}, unless the laser sends RANGEFINDER" in reach_warning(load_config(None, values))
+
+
+def test_the_advised_height_and_range_are_not_warned_of():
+    assert reach_warning(load_config(None, {"aircraft": {"height_m": 423.0}})) is None
+    assert reach_warning(load_config(None, {"requirement": {"range_max_m": 647.0}})) is None
+
+
+@pytest.mark.parametrize(
+    ("height_m", "sentence"),
+    [
+        (100.0, r"aircraft\.height_m = 100 is above fences\.ceiling_m = 50; change one\.$"),
+        (20.0, r"aircraft\.height_m = 20 is below fences\.floor_m = 30; change one\.$"),
+    ],
+)
+def test_a_height_outside_its_own_fences_is_refused(height_m, sentence):
+    values = {"aircraft": {"height_m": height_m}, "fences": {"floor_m": 30.0, "ceiling_m": 50.0}}
+    with pytest.raises(InputError, match=sentence):
+        check_flyable(load_config(None, values))
+    above_ground = {"aircraft": {"height_m": height_m, "height_above": "ground"}, "terrain": {"folder": "dem"}}
+    check_flyable(load_config(None, values | above_ground))
+
+
+@pytest.mark.parametrize(
+    ("values", "notes"),
+    [
+        ({}, []),
+        ({"payload": {"kind": "siyi", "flip_yaw": True}}, []),
+        (
+            {"payload": {"url": "udp://127.0.0.1:1", "range_unit_m": 0.1}},
+            [f'payload.{key} has no effect while payload.kind is "mavlink"' for key in ("url", "range_unit_m")],
+        ),
+        (
+            {"route": {"lap": True, "speed_m_s": 2.0}},
+            [f"route.{key} has no effect without route.file or route.system_id" for key in ("lap", "speed_m_s")],
+        ),
+        (
+            {"route": {"system_id": 3, "speed_m_s": 5.0}},
+            ["route.speed_m_s = 5 is above requirement.target_speed_max_m_s = 3; change one"],
+        ),
+        (
+            {"planner": {"lost_after_s": 400.0}},
+            ["planner.lost_after_s = 400 has no effect above planner.give_up_after_s = 300, when the mission ends"],
+        ),
+    ],
+)
+def test_a_key_without_effect_is_noted(values, notes):
+    assert list(setting_notes(load_config(None, values))) == notes
 
 
 def test_a_circle_without_room_is_warned_of():
@@ -135,3 +196,22 @@ def test_a_circle_without_room_is_warned_of():
     warning = room_warning(load_config(None, {"aircraft": {"radius_m": 180.0}}))
     assert warning.startswith("aircraft.radius_m = 180 leaves little room to move the circle between 100 and 500 m")
     assert warning.endswith("make it 105 m at most, or requirement.range_max_m 784 m at least")
+
+
+def test_a_radius_that_the_bank_forbids_is_not_advised():
+    warning = room_warning(load_config(None, {"aircraft": {"radius_m": 180.0, "bank_max_deg": 10.0}}))
+    assert warning.endswith(
+        "make requirement.range_max_m 784 m at least; "
+        "a smaller circle needs a lower aircraft.airspeed_m_s or a higher bank_max_deg"
+    )
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"requirement": {"range_max_m": 150.0}},
+        {"aircraft": {"radius_m": "auto", "bank_max_deg": 10.0, "airspeed_m_s": 40.0}},
+    ],
+)
+def test_room_is_not_warned_of_where_the_circle_cannot_be_flown(values):
+    assert room_warning(load_config(None, values)) is None

@@ -36,6 +36,8 @@ from sidelong.app.errors import InputError
         (["check", "--slowest", "20", "--fastest", "10"], "--slowest 20 is not below --fastest 10"),
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--truth", "pyproject.toml"], "is no truth file"),
         (["export", "tests/data/arduplane-follow-bike.tlog", "--out", "none/x.kml"], "there is no folder none"),
+        (["replay", "tests", "--planner", "foo"], "--planner: planner.name = 'foo': input should be"),
+        (["replay", "tests/data/arduplane-follow-bike.tlog", "--set", "aircraft.radius_m=15"], "at least 22.95"),
         (["study", "--scheduler", "here"], "--scheduler: 'here' is no address"),
         (["study", "--store", "tests"], "tests is a folder; give a file to --store"),
     ],
@@ -98,6 +100,20 @@ def test_a_named_file_is_opened_before_the_vehicle_is_waited_for(tmp_path, words
     ended = CliRunner().invoke(app, [*words, str(tmp_path / "mission.toml")])
     assert isinstance(ended.exception, InputError)
     assert "route.file: none.gpx: cannot be read" in str(ended.exception)
+
+
+@pytest.mark.parametrize("command", ["check", "launch", "prepare", "connect"])
+def test_a_height_above_the_ceiling_is_refused_by_each_command(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mission.toml").write_text('[fences]\nceiling_m = 50\n[link]\nurl = "udpin://127.0.0.1:1"')
+    ended = CliRunner().invoke(app, [command, *(["--config"] if command == "connect" else []), "mission.toml"])
+    assert "aircraft.height_m = 100 is above fences.ceiling_m = 50" in str(ended.exception)
+
+
+def test_keys_without_effect_are_noted(tmp_path):
+    (tmp_path / "mission.toml").write_text("[route]\nlap = true\n[fences]\nceiling_m = 50\n")
+    ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
+    assert "note: route.lap has no effect without route.file or route.system_id" in ended.output
 
 
 @pytest.mark.parametrize(
