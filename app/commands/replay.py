@@ -27,7 +27,7 @@ from sidelong.app.autopilots.registry import autopilot_by_name
 from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import progress_bar, table_progress
-from sidelong.app.config import Config, load_config, with_values
+from sidelong.app.config import Config, check_flyable, load_config, with_values
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.planners.planner_kind import PlannerKind
@@ -108,6 +108,7 @@ def replay(
     frames = None if address is None else Frames()
     if folder is None:
         settings = load_config(config, changes)  # a wrong --set is reported before any computation
+        check_flyable(settings)
         settings = settings if frames is None else load_config(config)
         result = _replay_log(log, judged_by, settings, quiet, frames)
     else:
@@ -134,7 +135,7 @@ def _show(
         raise InputError(f"{name}: there is nothing to show, it contains no position of the vehicle.")
     journal = None if run is None else JournalReader(run.journal, JOURNAL_TYPES)
     flown = load_config(config) if config is not None or journal is None else journalled_config(journal)
-    changed = with_values(flown, changes, "--set")
+    changed = _changed(flown, config, changes)
     what_if = None if changed == flown else Frames()
     if what_if is not None and journal is None:
         _replay_log(log, None, changed, True, what_if)
@@ -152,6 +153,7 @@ def _show(
 
 def _changes(given: list[str], planner: str | None) -> _Changes:
     changes: _Changes = {"planner": {"name": planner}}
+    with_values(Config(), changes, "--planner")  # a wrong name is reported as of this option
     for one in given:
         key, equals, value = one.partition("=")
         section, dot, name = key.partition(".")
@@ -159,6 +161,18 @@ def _changes(given: list[str], planner: str | None) -> _Changes:
             raise InputError(f"--set {one}: write it as SECTION.KEY=VALUE, for example requirement.side=right.")
         changes.setdefault(section, {})[name] = value
     return changes
+
+
+def _changed(flown: Config, config: Path | None, changes: _Changes) -> Config:
+    """Return the configuration with other values.
+
+    Raises:
+        InputError: It cannot be flown; that of a flight is accepted unchanged.
+    """
+    settings = with_values(flown, changes, "--set")
+    if config is not None or settings != flown:
+        check_flyable(settings)
+    return settings
 
 
 def _replay_log(
@@ -204,7 +218,7 @@ def _replay_run(
     with progress:
         journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
         flown = load_config(config) if config is not None else journalled_config(journal)
-        settings = with_values(flown, changes, "--set")
+        settings = _changed(flown, config, changes)
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
         controller = controller_of(settings, table_progress(console.print), console.print, _planner_of(settings))

@@ -12,13 +12,14 @@ from typer.testing import CliRunner
 from sidelong.app import cli
 from sidelong.app.cli import app
 from sidelong.app.commands.progress import share_progress
-from sidelong.app.config import load_config
+from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.raw_links import opened_links
 from sidelong.app.link.url import checked_url
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.sitl.world.track import TrackError, read_track
+from tests.app.conftest import recorded
 
 MISSION = "[requirement]\nrange_max_m = 480.0\n"
 
@@ -104,6 +105,19 @@ def test_an_optional_package_is_installed_where_this_program_runs():
     text = str(missing_package("KLV", "stanag4609", "write a .csv"))
     assert text.endswith("-m pip install stanag4609, or write a .csv.")
     assert "sidelong[" not in text
+
+
+def test_a_replay_with_values_that_cannot_be_flown_is_refused(run_folder):
+    assert "radius_m must be at least" in refused("replay", run_folder, "--set", "aircraft.radius_m=15")
+
+
+def test_a_run_that_would_be_refused_today_is_still_replayed(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    recorded(RunFolder(run), Config.model_validate({"fences": {"ceiling_m": 50.0}}), 60.0, {})
+    ended = CliRunner().invoke(app, ["replay", str(run), "--quiet"])
+    assert ended.exception is None, ended.exception
+    assert "above fences.ceiling_m" in refused("replay", run, "--set", "requirement.side=right")
 
 
 @pytest.mark.parametrize("lost", [None, "the disk was full"])
