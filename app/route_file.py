@@ -23,6 +23,7 @@ _FILE_MAX_BYTES = 8 << 20
 _REMEDY = "give a route as .gpx, .geojson, .kml, .cot, or .csv with east_m,north_m or lat,lon"
 _CSV_COLUMNS = ((("east_m",), ("north_m",)), (("lat", "latitude", "lat_deg"), ("lon", "longitude", "lon_deg")))
 _Points = list[tuple[float, float]]
+_Read = tuple[list[_Points], bool]  # the lines of a file, and whether they are in degrees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +34,13 @@ class RoutePoints:
         first: Latitude in degrees, or east in metres (n,).
         second: Longitude in degrees, or north in metres (n,).
         geodetic: Whether they are degrees.
+        unused_lines: Number of further lines in the file, which are not used.
     """
 
     first: FloatArray
     second: FloatArray
     geodetic: bool
+    unused_lines: int
 
     def in_plane(self, plane: LocalPlane) -> tuple[FloatArray, FloatArray]:
         """Return east and north (n,) in metres; points that are in metres already are relative to the origin."""
@@ -59,9 +62,10 @@ def read_route(path: Path) -> RoutePoints:
         raise InputError(f"{path}: is not a route file; {_REMEDY}.")
     text = read_text(path, _FILE_MAX_BYTES, _REMEDY)
     try:
-        points, geodetic = reader(text)
+        lines, geodetic = reader(text)
     except (ElementTree.ParseError, ValueError, LookupError, TypeError, RecursionError, csv.Error) as error:
         raise InputError(f"{path}: is not a readable route: {error!s:.160}; {_REMEDY}.") from error
+    points, *unused = [line for line in lines if line] or [[]]
     different = len(set(points))
     if different < 2:
         raise InputError(f"{path}: contains {different} points of a route; it needs at least two different points.")
@@ -72,11 +76,11 @@ def read_route(path: Path) -> RoutePoints:
         bad = int(np.argmin(within))
         ranges = ", ".join(f"-{limit:g} to {limit:g}" for limit in limits)
         raise InputError(f"{path}: point {bad + 1}, {first[bad]:g}, {second[bad]:g}, is out of range ({ranges}).")
-    return RoutePoints(np.ascontiguousarray(first), np.ascontiguousarray(second), geodetic)
+    return RoutePoints(np.ascontiguousarray(first), np.ascontiguousarray(second), geodetic, len(unused))
 
 
-def _gpx(text: str) -> tuple[_Points, bool]:
-    """Return the points of the first route; without one, of the first track; else the way points."""
+def _gpx(text: str) -> _Read:
+    """Return the routes, then the tracks; without either, the way points."""
     from gpxpy import parse  # noqa: PLC0415  # only needed here
     from gpxpy.gpx import GPXException  # noqa: PLC0415
 
@@ -84,14 +88,14 @@ def _gpx(text: str) -> tuple[_Points, bool]:
         gpx = parse(text)
     except GPXException as error:
         raise ValueError(str(error)) from error
-    found: list[Any] = list(gpx.routes[0].points) if gpx.routes else []
-    if not found and gpx.tracks:
-        found = [point for segment in gpx.tracks[0].segments for point in segment.points]
-    return [(point.latitude, point.longitude) for point in found or gpx.waypoints], True
+    lines: list[list[Any]] = [route.points for route in gpx.routes]
+    lines += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
+    lines = lines if any(lines) else [gpx.waypoints]
+    return [[(point.latitude, point.longitude) for point in line] for line in lines], True
 
 
-def _geojson(text: str) -> tuple[_Points, bool]:
-    """Return the points of the lines in a document, joined in their order; without a line, its points."""
+def _geojson(text: str) -> _Read:
+    """Return the lines of a document, joined in their order to one; without a line, its points."""
     lines: _Points = []
     points: _Points = []
     for geometry in _geometries(json.loads(text)):
@@ -107,50 +111,52 @@ def _geojson(text: str) -> tuple[_Points, bool]:
                 points.append((float(coordinates[1]), float(coordinates[0])))
             case "MultiPoint":
                 points += [(float(c[1]), float(c[0])) for c in coordinates]
-    return lines or points, True
+    return [lines or points], True
 
 
-def _geometries(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    match document["type"]:
-        case "FeatureCollection":
-            for feature in document["features"]:
-                yield from _geometries(feature)
-        case "Feature":
+def _geometries(document: Any) -> Iterator[dict[str, Any]]:
+    match document:
+        case {"type": "FeatureCollection", "features": [*parts]} | {
+            "type": "GeometryCollection",
+            "geometries": [*parts],
+        }:
+            for part in parts:
+                yield from _geometries(part)
+        case {"type": "Feature"}:
             if document.get("geometry"):
                 yield from _geometries(document["geometry"])
-        case "GeometryCollection":
-            for geometry in document["geometries"]:
-                yield from _geometries(geometry)
-        case _:
+        case {"type": str(), "coordinates": [*_]}:
             yield document
+        case _:
+            raise ValueError("it is not a GeoJSON object")
 
 
-def _kml(text: str) -> tuple[_Points, bool]:
-    """Return the points of the first line or recorded track; without one, of all placemarks."""
+def _kml(text: str) -> _Read:
+    """Return the recorded tracks, joined to one, then the lines; without either, the placemarks."""
     root = ElementTree.fromstring(text)
     placemarks: _Points = []
     track = [element.text or "" for element in root.iter() if _name(element) == "coord"]
-    if track:
-        return [_longitude_latitude(words.split()) for words in track], True
+    lines = [[_longitude_latitude(words.split()) for words in track]]
     for element in root.iter():
         if _name(element) not in ("LineString", "LinearRing", "Point"):
             continue
         words = next((child.text or "" for child in element if _name(child) == "coordinates"), "")
         points = [_longitude_latitude(one.split(",")) for one in words.split()]
-        if _name(element) != "Point":
-            return points, True
-        placemarks += points
-    return placemarks, True
+        if _name(element) == "Point":
+            placemarks += points
+        else:
+            lines.append(points)
+    return lines if any(lines) else [placemarks], True
 
 
-def _cot(text: str) -> tuple[_Points, bool]:
+def _cot(text: str) -> _Read:
     """Return the points of a route or drawn line: the links in the details of a cursor-on-target event."""
     links = [
         link.attrib["point"].split(",")
         for link in ElementTree.fromstring(text).iter("link")
         if "point" in link.attrib
     ]
-    return [(float(words[0]), float(words[1])) for words in links], True
+    return [[(float(words[0]), float(words[1])) for words in links]], True
 
 
 def _name(element: ElementTree.Element) -> str:
@@ -161,7 +167,7 @@ def _longitude_latitude(words: list[str]) -> tuple[float, float]:
     return float(words[1]), float(words[0])
 
 
-def _csv(text: str) -> tuple[_Points, bool]:
+def _csv(text: str) -> _Read:
     rows = csv.reader(text.splitlines(), delimiter=max(",;\t", key=text.lstrip().partition("\n")[0].count))
     filled = ((rows.line_num, row) for row in rows if any(map(str.strip, row)))
     header = [name.strip().lower() for name in next(filled, (0, []))[1]]
@@ -169,7 +175,7 @@ def _csv(text: str) -> tuple[_Points, bool]:
         columns = [next((header.index(name) for name in alike if name in header), None) for alike in names]
         first, second = columns
         if first is not None and second is not None:
-            return [_cells(line, row, first, second) for line, row in filled], bool(geodetic)
+            return [[_cells(line, row, first, second) for line, row in filled]], bool(geodetic)
     raise ValueError("the header names neither east_m, north_m nor lat, lon")
 
 
@@ -184,7 +190,7 @@ def _number(word: str) -> float:
     return float(word) if word.strip() else math.nan
 
 
-_READERS: dict[str, Callable[[str], tuple[_Points, bool]]] = {
+_READERS: dict[str, Callable[[str], _Read]] = {
     ".gpx": _gpx,
     ".geojson": _geojson,
     ".json": _geojson,

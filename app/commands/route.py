@@ -16,7 +16,7 @@ from sidelong.app.commands.output import JsonOption, checked_file, checked_outpu
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.report.sources import read_flight
-from sidelong.app.route_file import read_route
+from sidelong.app.route_file import RoutePoints, read_route
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.route.route import Route, route_of
 
@@ -24,6 +24,7 @@ _SIMPLIFIED_M = 3.0  # a route made of a flight keeps the estimated path to this
 _POINTS_MAX = 2000  # compared with one another to find parts that lie close together
 _APART_M = 100.0  # along the route: nearer parts are the same leg or its turn
 _LAP_M = 50.0
+_LONG_LEG_M = 20_000.0  # longer legs are probably wrong coordinates
 _NEAR_SHARE = 0.02  # turns at the ends of rows are always near one another
 
 
@@ -41,8 +42,9 @@ def route(
 ) -> None:
     """Check a route of the target before a flight, or make one of a recorded flight.
 
-    Prints length, legs and warnings: parts of the route that lie too close together to distinguish, a lap that is not
-    configured as one, way points far apart. --from writes the estimated path of the target, simplified to 3 m.
+    Prints first point, length, legs and warnings: parts of the route that lie too close together to distinguish, a
+    lap that is not configured as one, way points far apart, lines that are not used. --from writes the estimated path
+    of the target, simplified to 3 m.
 
     For example:
       sidelong route ferry.gpx --png ferry.png
@@ -51,7 +53,7 @@ def route(
     checked_output(json)
     checked_file("--png", png)
     if source is not None:
-        checked_file("--from", file)
+        checked_file("route", file)
         _write_from(source, file)
     points = read_route(file)
     plane = LocalPlane(float(points.first[0]), float(points.second[0])) if points.geodetic else LocalPlane(0.0, 0.0)
@@ -60,9 +62,11 @@ def route(
         found = route_of(east_m, north_m, lap=lap, tolerance_m=tolerance)
     except ValueError as error:
         raise InputError(f"{file}: {error}; correct it.") from error
-    values = _values(found, east_m, north_m, points.geodetic)
+    values = _values(found, east_m, north_m, points)
     table = Table("", "", box=None, show_header=False, pad_edge=False)
     table.add_row("way points", f"{values['way_points']}")
+    unit = "degrees" if points.geodetic else "m"
+    table.add_row("first point", f"{points.first[0]:.10g}, {points.second[0]:.10g} {unit}")
     table.add_row("length", f"{found.length_m:.0f} m")
     table.add_row("longest leg", f"{values['longest_leg_m']:.0f} m")
     table.add_row("extent", "{:.0f} m by {:.0f} m".format(*values["extent_m"]))
@@ -75,14 +79,19 @@ def route(
     write_json(json, values)
 
 
-def _values(found: Route, east_m: np.ndarray, north_m: np.ndarray, geodetic: bool) -> dict[str, Any]:
+def _values(found: Route, east_m: np.ndarray, north_m: np.ndarray, points: RoutePoints) -> dict[str, Any]:
     """Return the numbers of a route, with warnings in words."""
     leg_m = np.hypot(np.diff(east_m), np.diff(north_m))
     gap_m = float(np.hypot(east_m[-1] - east_m[0], north_m[-1] - north_m[0]))
     near_m, share = _near_parts(found)
     warnings = []
-    if not geodetic:
+    if not points.geodetic:
         warnings.append("is in metres: studies use it, a flight needs degrees (lat,lon).")
+    if points.unused_lines:
+        lines = "line of the file is" if points.unused_lines == 1 else "lines of the file are"
+        warnings.append(f"{points.unused_lines} further {lines} not used; keep only the route in it.")
+    if leg_m.max() > _LONG_LEG_M:
+        warnings.append(f"has a leg of {leg_m.max() / 1000.0:.0f} km; check its way points.")
     if not found.lap and gap_m < _LAP_M < 0.2 * found.length_m:
         warnings.append(f"ends {gap_m:.0f} m from its start; if the target repeats it, set route.lap = true.")
     if share > _NEAR_SHARE:

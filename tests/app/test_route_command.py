@@ -58,6 +58,19 @@ def test_lap_and_metres_are_pointed_out(tmp_path) -> None:
     assert "route.lap" not in run(square, "--lap")
 
 
+def test_first_point_long_legs_and_unused_lines_are_printed(tmp_path) -> None:
+    far = write(tmp_path / "far.csv", [(47.4, 8.5), (47.4, 8.6), (8.6, 47.4)], "lat,lon")
+    words = run(far)
+    assert "first point 47.4, 8.5 degrees" in words
+    assert "far.csv: has a leg of " in words
+    assert "not used" not in words
+    line = "<LineString><coordinates>8.5,47.4 8.5,47.5</coordinates></LineString>"
+    (tmp_path / "three.kml").write_text(f"<kml>{line * 3}</kml>")
+    words = run(tmp_path / "three.kml")
+    assert "three.kml: 2 further lines of the file are not used" in words
+    assert "has a leg" not in words
+
+
 @pytest.mark.parametrize("suffix", ["csv", "gpx", "geojson"])
 def test_recorded_flight_becomes_a_route_that_follows_the_target(tmp_path, suffix) -> None:
     file, picture, out = tmp_path / f"route.{suffix}", tmp_path / "route.png", tmp_path / "route.json"
@@ -78,5 +91,7 @@ def test_recorded_flight_becomes_a_route_that_follows_the_target(tmp_path, suffi
 def test_what_cannot_become_a_route_is_reported(tmp_path) -> None:
     with pytest.raises(InputError, match=r"--from writes \.csv, \.geojson, \.gpx"):
         run(tmp_path / "route.kml", "--from", LOG)
+    with pytest.raises(InputError, match=r"there is no folder .*; create it or give another file to route\.$"):
+        run(tmp_path / "none" / "route.csv", "--from", LOG)
     with pytest.raises(InputError, match="two different points"):
         run(write(tmp_path / "one.csv", [(1.0, 1.0), (1.0, 1.0)]))
