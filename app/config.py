@@ -312,10 +312,16 @@ def _beacon(text: str) -> str:
     return text
 
 
+def _not_empty(file: Any) -> Any:
+    if file == "":
+        raise ValueError("is empty; give a route file, or leave it out")
+    return file
+
+
 class RouteSection(Section):
     """The route that the target is expected to follow. Off the route, sidelong plans as without one."""
 
-    file: Path | None = None
+    file: Annotated[Path, BeforeValidator(_not_empty)] | None = None
     """Route file: .gpx, .geojson, .kml, .cot, or .csv with lat,lon."""
     system_id: int | None = Field(None, ge=1, le=255)
     """MAVLink system id of the target: its mission, once read, takes the place of the file; left out: none."""

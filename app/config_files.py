@@ -10,7 +10,7 @@ from typing import Protocol
 
 from sidelong.app.config import Config, RouteSection
 from sidelong.app.errors import InputError
-from sidelong.app.route_file import read_route
+from sidelong.app.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 
@@ -56,7 +56,7 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
         yield "terrain.folder", partial(elevation_data, Path(config.terrain.folder))
     for field, route in (("route", config.route), *((f"target {one.name!r}: route", one.route) for one in targets)):
         if route is not None and route.file is not None:
-            yield f"{field}.file", partial(read_route, route.file)
+            yield f"{field}.file", partial(read_flight_route, route.file)
     if config.is_simulated:
         yield "simulation.target", partial(_check_motion, config.simulation.target)
         for one in targets:

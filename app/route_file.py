@@ -79,6 +79,18 @@ def read_route(path: Path) -> RoutePoints:
     return RoutePoints(np.ascontiguousarray(first), np.ascontiguousarray(second), geodetic, len(unused))
 
 
+def read_flight_route(path: Path) -> RoutePoints:
+    """Read a route file for a flight.
+
+    Raises:
+        InputError: As :func:`read_route`, or the points are in metres.
+    """
+    points = read_route(path)
+    if not points.geodetic:
+        raise InputError(f"{path}: is in metres: studies use it, a flight needs degrees (lat,lon).")
+    return points
+
+
 def _gpx(text: str) -> _Read:
     """Return the routes, then the tracks; without either, the way points."""
     from gpxpy import parse  # noqa: PLC0415  # only needed here

@@ -35,7 +35,7 @@ from sidelong.app.flight.flight import Flight, Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.link_log import link_log
 from sidelong.app.flight.recording import beginning
-from sidelong.app.flight.route_input import give_route
+from sidelong.app.flight.route_input import check_route, give_route
 from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.discovery import SETTLING_S
@@ -223,6 +223,9 @@ class FleetFlight:
 
     async def _prepare(self) -> None:
         """Check all, and let all fly in one plane."""
+        own_ids = {one.session.vehicle.system_id for one in self._aircraft}
+        for route in self._fleet.routes.values():
+            check_route(route, own_ids)
         done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
         self._go_on_with(done)
         for one in self._aircraft[1:]:

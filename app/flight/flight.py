@@ -36,7 +36,7 @@ from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.round_trip import RoundTripWatch
-from sidelong.app.flight.route_input import give_route
+from sidelong.app.flight.route_input import check_route, give_route
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.stopped_clock import StoppedClock
@@ -132,6 +132,7 @@ class Flight:
 
     async def prepare(self) -> None:
         """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
+        check_route(self._config.route, (self._vehicle.system_id,))
         self._vehicle.listen(self._telemetry.event, "GLOBAL_POSITION_INT")  # the clock and the plane, from the start
         self._display.connected(self._status)
         if self._config.terrain.folder is not None:  # the autopilot may want heights before it takes off

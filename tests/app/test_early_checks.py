@@ -66,7 +66,12 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
     [
         ('[route]\nfile = "none.gpx"', "route.file: none.gpx: cannot be read"),
         ('[route]\nfile = "."', "route.file: .: is not a route file"),
+        ('[route]\nfile = ""', "route.file: is empty"),
         ('[route]\nfile = "one.csv"', "route.file: one.csv: contains 1 points"),
+        (
+            '[route]\nfile = "metres.csv"',
+            "route.file: metres.csv: is in metres: studies use it, a flight needs degrees",
+        ),
         (_AIRCRAFT + '[[target]]\nname = "bike"\nroute = {file = "none.kml"}', "target 'bike': route.file: none.kml"),
         (_AIRCRAFT + '[route]\nfile = "none.gpx"', "route.file: none.gpx: cannot be read"),
         ('[terrain]\nfolder = "none"', "terrain.folder: none: there is no such folder"),
@@ -87,11 +92,12 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
 def test_a_file_or_fence_that_cannot_be_used_is_reported_by_each_command(tmp_path, monkeypatch, command, text, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.csv").write_text("lat,lon\n47.4,8.5\n47.4,8.5\n")
+    (tmp_path / "metres.csv").write_text("east_m,north_m\n0,0\n0,500\n")
     (tmp_path / "mission.toml").write_text(text)
     ended = CliRunner().invoke(app, [command, "mission.toml"])
     assert isinstance(ended.exception, InputError)
     assert words in str(ended.exception)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mission.toml", "one.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["metres.csv", "mission.toml", "one.csv"]
 
 
 @pytest.mark.parametrize("words", [("serve", "--connect", "udpin://127.0.0.1:1"), ("connect", "--config")])

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sidelong.sitl.settings import STARTS_M
+from sidelong.estimators.frames import LocalPlane
+from sidelong.sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour
 from tests.bench.size import SMOKE, size
 from tests.terrain.conftest import HOME_DEG, write_hills
 
@@ -86,7 +87,10 @@ def test_no_callback_blocks_the_loop_in_flight(flown, tmp_path):
     }[flown]
     write_hills(tmp_path)
     way_m = np.loadtxt(TRACK, delimiter=",", skiprows=1, usecols=(1, 2)) + STARTS_M[0]
-    np.savetxt(tmp_path / "route.csv", way_m, delimiter=",", header="east_m,north_m", comments="")
+    home = DEFAULT_HOMES[Flavour.ARDUPLANE]
+    plane = LocalPlane(home.latitude_deg, home.longitude_deg)
+    way_deg = [plane.latitude_longitude_deg(*point) for point in way_m.tolist()]
+    np.savetxt(tmp_path / "route.csv", way_deg, "%.8f", delimiter=",", header="lat,lon", comments="")
     cache = {} if SMOKE else {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     command = ["launch", *arguments, "--duration", str(DURATION_S), "--no-view", "--quiet", "--out", str(tmp_path)]
     done = subprocess.run(
