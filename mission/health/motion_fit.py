@@ -58,7 +58,7 @@ _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
 _LEVEL_SHARE, OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
 _HEIGHT_MIN_M = 25.0
-_TURN_MIN_RAD = math.radians(35.0)  # the track's own estimate finds less by itself
+_TURN_MIN_RAD = math.radians(35.0)  # the track estimates less than that
 _TURNED_SHARE = 0.25  # as _BETTER_SHARE: this hypothesis is fitted, so it fits a target that turns, too
 _SCALES = 0.8, 1.25  # of a yaw error's fit, which leaves the length of the line of sight free
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
@@ -229,10 +229,7 @@ class MotionFit:
             return SOUND
         times_s = np.array([one.time_s for one in samples])
         sighted_m = np.array([one.sighted_m for one in samples])
-        residual_m, own_residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m, established)
-        as_reported_m = float(_residuals_m(times_s, sighted_m[:, None, :])[0])  # fitted as the others are
-        if not established.is_turned and residual_m[TURNED] > _TURNED_SHARE * as_reported_m:
-            residual_m[TURNED] = math.inf
+        residual_m, own_residual_m, as_reported_m = self._residuals_of_hypotheses_m(times_s, sighted_m, established)
         if established != SOUND:
             if established.factor != 1.0 and not math.isnan(off_level):
                 return SOUND if unit_is_right else established
@@ -330,25 +327,30 @@ class MotionFit:
 
     def _residuals_of_hypotheses_m(
         self, times_s: FloatArray, sighted_m: FloatArray, established: Verdict
-    ) -> tuple[dict[Verdict, float], float]:
-        """Return the residual of every other reading of the payload, and that of the aircraft's own motion."""
+    ) -> tuple[dict[Verdict, float], float, float]:
+        """Return the residual of every other reading of the payload, of the aircraft's motion, and as reported."""
         own_m = np.array([one.own_m for one in self._samples])
         verdicts, positions_m = self._hypotheses(sighted_m)
         scale = 1.0
         if not established.is_turned:
             self.yaw_error_rad, scale = _yaw_error_rad(times_s, own_m, sighted_m - own_m)
         turned_m = own_m + _turned(sighted_m - own_m, -self.yaw_error_rad)
-        *residuals_m, turned_residual_m, straight_m = _residuals_m(
-            times_s, np.concatenate((positions_m, turned_m[:, None, :], own_m[:, None, :]), axis=1)
+        others_m = np.stack((turned_m, own_m, sighted_m), axis=1)
+        *residuals_m, turned_residual_m, straight_m, as_reported_m = _residuals_m(
+            times_s, np.concatenate((positions_m, others_m), axis=1)
         ).tolist()
         # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
         residual_m = {
             verdict: math.inf if verdict.factor < 1.0 and one_m > _OWN_SHARE * straight_m else one_m
             for verdict, one_m in zip(verdicts, residuals_m, strict=True)
         }
-        is_turn = abs(self.yaw_error_rad) >= _TURN_MIN_RAD and _SCALES[0] <= scale <= _SCALES[1]
+        is_turn = established.is_turned or (
+            abs(self.yaw_error_rad) >= _TURN_MIN_RAD
+            and _SCALES[0] <= scale <= _SCALES[1]
+            and turned_residual_m <= _TURNED_SHARE * as_reported_m
+        )
         residual_m[TURNED] = turned_residual_m if is_turn else math.inf
-        return residual_m, straight_m
+        return residual_m, straight_m, as_reported_m
 
     def _hypotheses(self, sighted_m: FloatArray) -> tuple[list[Verdict], FloatArray]:
         """Return every other reading of the payload, and the targets (n, k, 3) that the samples then show."""
