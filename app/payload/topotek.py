@@ -89,7 +89,7 @@ class TopotekDriver(FramedDriver):
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured | None:
         try:
             yaw, pitch, roll = struct.unpack(">hhh", bytes.fromhex(data.decode("ascii")))
-        except ValueError:
+        except (ValueError, struct.error):  # the latter of white space among the digits
             return None
         roll_rad, pitch_rad, yaw_rad = (
             wrap_rad(sign * count * _ANGLE_UNIT_RAD)

@@ -101,7 +101,14 @@ class ExternalController:
         self._process.stdout.close()
 
     def _send(self, words: str) -> None:
+        """Write a row. Raises InputError where the process does not read, or has answered before it."""
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        early, free, _ = select.select([self._process.stdout], [self._process.stdin], [], _ANSWER_S)
+        if self._answers or (early and os.read(self._process.stdout.fileno(), 1)):
+            raise self._error("answered before it got a row", "print one turn rate for each row, none for the header")
+        if not free:
+            raise self._error("did not read in time", "read each row before it answers")
         try:
             self._process.stdin.write(words.encode())
         except OSError as error:

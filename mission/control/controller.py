@@ -33,6 +33,7 @@ Source: docs/decisions/0002-pure-step-and-replay.md; docs/watch-endings.md.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -93,6 +94,7 @@ from sidelong.mission.health.health import Health
 
 # Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
 _WIND_MAX_SHARE = 0.9
+_OFTEN, _OFTEN_S = 3, 120.0  # that the aircraft leaves its line: it may not follow at all
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
@@ -149,6 +151,7 @@ class StandoffController:
         self._next_decision_s = -math.inf
         self._changed_s: float | None = None  # when a person last changed the mission; None: that is flown
         self._height_asked_m: float | None = None
+        self._off_track_s: deque[float] = deque(maxlen=_OFTEN)  # when the aircraft had left its line
         self._crossed = 0  # decisions in a row at which another aircraft was too near below the circle
         self._height_m: float | None = None  # the aircraft's, above home
         self._over = ""  # why the mission was yielded or has ended
@@ -360,6 +363,9 @@ class StandoffController:
             return escape
         if self.changes.is_off_track(aircraft):
             reason = "the aircraft has left its line: going to the circle directly"
+            self._off_track_s.append(self.time_s)
+            if len(self._off_track_s) == _OFTEN and self.time_s - self._off_track_s[0] < _OFTEN_S:
+                reason = f"the aircraft has left its line {_OFTEN} times in {_OFTEN_S:.0f} s: be ready to take over"
             return self.changes.upload(self.time_s, self._again(present), self._wind, reason, kind="plan")
         unseen_s = self.time_s - target.last_sighting_s
         if min(unseen_s, self.time_s - self._acquired_s) > self.settings.give_up_after_s:

@@ -53,6 +53,8 @@ _WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.5, 0.7
 _OWN_SHARE = 0.3
 _JUMP_M, _DRIVES_M_S = 40.0, 15.0
 _STEPS_MIN, _APPARENT_M_S = 3, 30.0
+OFTEN = 3
+"""So many jumps in a row are remembered."""
 _LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
 _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
@@ -115,6 +117,7 @@ class MotionFit:
         ground: The elevation data; None: the ground is flat at the height of home.
         changed_s: When the apparent target jumped, last.
         jumped_s: When it jumped farther than a target can drive, last.
+        jumps_s: When it did so, the last times.
         off_level: How far the target is off the ground, as a share of the aircraft's height over it; NaN: unknown.
         yaw_error_rad: The constant yaw error that fits best; once established, it stays.
     """
@@ -122,6 +125,7 @@ class MotionFit:
     def __init__(self, parent_from_mount: Quaternion) -> None:
         self.ground: GroundHeight | None = None
         self.changed_s = self.jumped_s = -math.inf
+        self.jumps_s: deque[float] = deque(maxlen=OFTEN)
         self.off_level = math.nan
         self.yaw_error_rad = 0.0
         self._parent_from_mount = parent_from_mount
@@ -188,6 +192,7 @@ class MotionFit:
         self.changed_s = now_s
         if jump_m > _JUMP_M + _DRIVES_M_S * since_s:
             self.jumped_s = now_s
+            self.jumps_s.append(now_s)
         lately = [one for one in self._samples if now_s - one.time_s < _LATELY_S]
         if len(lately) < _LATELY_MIN:  # after dropouts: fewer but older ones
             lately = [one for one in self._samples if now_s - one.time_s < WINDOW_S][-_LATELY_MIN:]

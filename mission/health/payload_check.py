@@ -28,7 +28,15 @@ from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.inputs import Input
-from sidelong.mission.health.motion_fit import FACTORS, OFF_LEVEL_SHARE, SOUND, WINDOW_S, GroundHeight, MotionFit
+from sidelong.mission.health.motion_fit import (
+    FACTORS,
+    OFF_LEVEL_SHARE,
+    OFTEN,
+    SOUND,
+    WINDOW_S,
+    GroundHeight,
+    MotionFit,
+)
 
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
@@ -41,6 +49,11 @@ _FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
 _CORRECTED_AFTER = 5  # readings in a row
 _FLYING_M_S = 5.0
 SUSPECT_S, _CHANGED_S = 15.0, 30.0
+_JUMPS_S = 60.0
+_JUMPS = (
+    f"the target's position jumped {OFTEN} times in {_JUMPS_S:.0f} s: check what the laser meets instead of it, "
+    "and what the gimbal points at"
+)
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
 
 
@@ -266,12 +279,16 @@ class PayloadCheck:
         total = sum(count for _, count, _ in self._rejected)
         share = sum(count for _, _, count in self._rejected) / total if total >= _SIGHTINGS_MIN else 0.0
         covered = second - self._rejected[0][0] >= 0.8 * _WINDOW_S
-        if share > _REJECTED_SHARE and covered and not self.sightings_fault:
+        jumps_s = self._fit.jumps_s
+        jumps = len(jumps_s) == OFTEN and 0.0 <= time_s - jumps_s[0] < _JUMPS_S
+        if jumps and not self.sightings_fault:
+            self.sightings_fault = _JUMPS
+        elif share > _REJECTED_SHARE and covered and not self.sightings_fault:
             self.sightings_fault = (
                 f"{100.0 * share:.0f} % of the sightings of {_WINDOW_S:.0f} s were rejected: laser and line of sight "
                 "do not agree; check the gimbal's frame flags and mounting and the laser's unit"
             )
-        elif share < _ACCEPTED_AGAIN:
+        elif share < _ACCEPTED_AGAIN and not jumps:
             self.sightings_fault = ""
 
     @property

@@ -67,6 +67,14 @@ def test_controller_that_fails_is_reported_with_its_command(script: str, message
     assert "it has to" in str(error.value)
 
 
+def test_controller_that_answers_the_header_is_reported() -> None:
+    """Each answer would be that of the row before."""
+    script = "import sys\nfor _ in sys.stdin: print(0.1, flush=True)"
+    with pytest.raises(InputError, match="answered before it got a row"), controller(script) as steered:
+        for _ in range(500):
+            steered(*states())
+
+
 def test_controller_that_is_no_program_is_reported() -> None:
     with pytest.raises(InputError, match="cannot be started"):
         ExternalController("/no/such/program", 0.02, (100.0, 500.0), "left")

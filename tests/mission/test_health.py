@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from sidelong.app.simulation.kinematic import KinematicVehicle
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice, Role
@@ -24,6 +25,7 @@ from tests.faults.flight_faults import (
     repeated,
     scaled,
     silent,
+    with_fields,
 )
 
 BEGIN_S, DURATION_S = 60.0, 150.0
@@ -91,6 +93,33 @@ def test_aircraft_keeps_away_from_a_target_that_walks_towards_it_unseen(name, se
     flown = FaultedFlight(Scenario(seed, "arduplane", 240.0), [Fault(name, begin_s, math.inf, change)]).fly()
     assert min(flown.range_m) > 80.0
     assert any(text.startswith("moving away: the target is not seen") for _, text in flown.announced)
+
+
+def test_laser_that_meets_the_background_again_and_again_is_reported():
+    """50 m too far, half of the time, for 5 s each."""
+
+    def beyond(message, since_s, _rng):
+        far_cm = 5000 if int(since_s / 5.0) % 2 else 0
+        return with_fields(message, current_distance=message.fields["current_distance"] + far_cm)
+
+    fault = Fault("background", BEGIN_S, math.inf, only(LASER, beyond))
+    flown = FaultedFlight(Scenario(3, "arduplane", 300.0), [fault]).fly()
+    assert any(
+        one.input is Input.SIGHTINGS and one.state is InputState.INCONSISTENT and "jumped 3 times" in one.text
+        for _, one in flown.health
+    )
+
+
+def test_aircraft_that_does_not_follow_its_plans_is_reported(monkeypatch):
+    begin_leg = KinematicVehicle._begin_leg
+
+    def begun(self, index, *, from_here):
+        if self.time_s < BEGIN_S:  # later, it acknowledges everything, and flies on as it does
+            begin_leg(self, index, from_here=from_here)
+
+    monkeypatch.setattr(KinematicVehicle, "_begin_leg", begun)
+    flown = FaultedFlight(Scenario(3, "arduplane", 400.0)).fly()
+    assert any("be ready to take over" in text for _, text in flown.announced)
 
 
 @pytest.mark.parametrize("name", ["range in a tenth", "flags of the vehicle frame", "flags of the body frame"])

@@ -37,6 +37,7 @@ def test_range_is_text_in_metres(data, ranges_m):
     assert [one.slant_range_m for one in measured] == ranges_m
 
 
-def test_angles_that_are_not_hexadecimal_are_refused():
-    body = b"#tpGUCrGIA" + b"EC7X" + b"07D0" + b"0000"
+@pytest.mark.parametrize("yaw", [b"EC7X", b"EC7 ", b"\t73\t"])
+def test_angles_that_are_not_hexadecimal_are_refused(yaw):
+    body = b"#tpGUCrGIA" + yaw + b"07D0" + b"0000"
     assert driver().receive(body + b"%02X" % (sum(body) & 0xFF), 1.0) == []
