@@ -54,7 +54,7 @@ _OWN_SHARE = 0.3
 _JUMP_M, _DRIVES_M_S = 40.0, 15.0
 _STEPS_MIN, _APPARENT_M_S = 3, 30.0
 OFTEN = 3
-"""So many jumps in a row are remembered."""
+"""How many of the last jumps are remembered."""
 _LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
 _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
