@@ -63,6 +63,7 @@ _HEIGHT_MIN_M = 25.0
 _TURN_MIN_RAD = math.radians(35.0)  # the track estimates less than that
 _TURNED_SHARE = 0.25  # as _BETTER_SHARE: this hypothesis is fitted, so it fits a target that turns, too
 _SCALES = 0.8, 1.25  # of a yaw error's fit, which leaves the length of the line of sight free
+_DELAYS_S = -1.5, 3.5  # of the stamps, which the track corrects
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
 _DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
 
@@ -353,9 +354,18 @@ class MotionFit:
             abs(self.yaw_error_rad) >= _TURN_MIN_RAD
             and _SCALES[0] <= scale <= _SCALES[1]
             and turned_residual_m <= _TURNED_SHARE * as_reported_m
+            and not self._may_be_late()
         )
         residual_m[TURNED] = turned_residual_m if is_turn else math.inf
         return residual_m, straight_m, as_reported_m
+
+    def _may_be_late(self) -> bool:
+        """Return whether a delay of the gimbal looks like the yaw error: angles against north lag on a circle."""
+        samples = self._samples
+        turned_rad = np.unwrap([one.attitude.yaw_rad for one in samples])
+        lag_rad = -self.yaw_error_rad * (samples[-1].time_s - samples[0].time_s)
+        least_rad, most_rad = sorted(delay_s * float(turned_rad[-1] - turned_rad[0]) for delay_s in _DELAYS_S)
+        return self._flagged == "earth" and least_rad <= lag_rad <= most_rad
 
     def _hypotheses(self, sighted_m: FloatArray) -> tuple[list[Verdict], FloatArray]:
         """Return every other reading of the payload, and the targets (n, k, 3) that the samples then show."""

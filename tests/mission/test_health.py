@@ -301,7 +301,7 @@ def test_rate_of_each_input_is_known():
     assert report.rate_hz == pytest.approx(10.0, rel=0.05)
 
 
-def circled(target_at):
+def circled(target_at, late_s=0.0):
     """Yield time and payload check after each moment of a minute in which the aircraft circles next to a target."""
     payload, source = Health().payload, Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     laser = Source("DISTANCE_SENSOR", 154)
@@ -310,7 +310,8 @@ def circled(target_at):
         course_rad = 0.25 * time_s
         east_m, north_m = 60.0 * math.sin(course_rad - math.pi / 2), 60.0 * math.cos(course_rad - math.pi / 2)
         speed = (15.0 * math.sin(course_rad), 15.0 * math.cos(course_rad))
-        dx, dy = np.array(target_at(time_s)) - (east_m, north_m)
+        then_rad = course_rad - 0.25 * late_s - math.pi / 2
+        dx, dy = np.array(target_at(time_s)) - (60.0 * math.sin(then_rad), 60.0 * math.cos(then_rad))
         yaw_rad, pitch_rad = math.atan2(dx, dy), -math.atan2(80.0, math.hypot(dx, dy))
         cy, sy, cp, sp = (f(a / 2) for a in (yaw_rad, pitch_rad) for f in (math.cos, math.sin))
         payload.attitude(AttitudeReading(time_s, 0.4, 0.0, course_rad))
@@ -318,6 +319,13 @@ def circled(target_at):
         payload.range(RangeReading(time_s, math.sqrt(dx * dx + dy * dy + 6400.0), laser))
         payload.gimbal(GimbalReading(time_s, (cy * cp, -sy * sp, cy * sp, sy * cp), "earth", source))
         yield time_s, payload
+
+
+@pytest.mark.parametrize("late_s", [-1.0, 1.0, 2.0, 3.0])
+def test_late_payload_does_not_look_like_a_yaw_error(late_s):
+    """By 3 s, the line of sight lags by 43 degrees of the circle."""
+    for time_s, payload in circled(lambda time_s: (250.0, time_s), late_s):
+        assert not any(payload.faults().values()), time_s
 
 
 def test_target_that_turns_does_not_look_like_a_wrong_frame():
