@@ -150,12 +150,13 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
         required_parameters = parameters.as_on_board(
             autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
         )
+        status = None if payload is None else payload.status()
         one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
         found = (
             one,
             *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters),
             *inputs.checks(),
-            *(() if payload is None else (_payload_check(payload.status()),)),
+            *(() if status is None else (_payload_check(status),)),
         )
         firmware = f"{autopilot.name} {session.release or ''}".strip()
         console.print(f"{firmware}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
@@ -175,12 +176,10 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             for rate in of_kind:
                 uses[str(rate)] = described[rate.source]
                 console.print(f"{kind}: {rate}: {described[rate.source]}", soft_wrap=True)
-        status = None if payload is None else payload.status()
         for line in () if status is None else payload_lines(config.payload.kind, status):
             console.print(line, soft_wrap=True)
-        for words in (*pan_words(pan_rad), contradiction(config.aircraft.pan_limit_deg, pan_rad)):
-            if words:
-                console.print(words, soft_wrap=True)
+        for words in filter(None, (*pan_words(pan_rad), contradiction(config.aircraft.pan_limit_deg, pan_rad))):
+            console.print(words, soft_wrap=True)
         delays, taken = tracker.delays, "gimbal {:g} s, laser {:g} s as configured".format(*tracker.latencies_s)
         unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
         console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)
