@@ -232,7 +232,6 @@ class FleetFile(Config):
                     requirement=self._requirement_of(target),
                     planner=self.planner,
                     sensors=self.sensors.model_copy(update=one.sensors.model_dump(exclude_unset=True)),
-                    payload=self.payload,
                     link=self.link.model_copy(update={**own, "system_id": one.system_id}),
                     fences=self.fences,
                     terrain=self.terrain,
