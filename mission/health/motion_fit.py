@@ -63,7 +63,7 @@ _HEIGHT_MIN_M = 25.0
 _TURN_MIN_RAD = math.radians(35.0)  # the track estimates less than that
 _TURNED_SHARE = 0.25  # as _BETTER_SHARE: this hypothesis is fitted, so it fits a target that turns, too
 _SCALES = 0.8, 1.25  # of a yaw error's fit, which leaves the length of the line of sight free
-_DELAYS_S = -1.5, 3.5  # of the stamps, which the track corrects
+_DELAYS_S = -1.5, 3.5  # half a second more than those that the track finds and corrects
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
 _DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
 
