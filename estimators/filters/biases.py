@@ -41,6 +41,9 @@ class Delays:
         range_sigma_s: of the second.
         yaw_bias_rad: yaw bias of the gimbal that was found with them.
         yaw_sigma_rad: its standard deviation.
+        range_bias_m: bias of the laser that was found with them, after the factor.
+        range_bias_sigma_m: its standard deviation.
+        range_factor: by what the ranges have to be multiplied.
     """
 
     gimbal_s: float
@@ -49,6 +52,9 @@ class Delays:
     range_sigma_s: float
     yaw_bias_rad: float
     yaw_sigma_rad: float
+    range_bias_m: float
+    range_bias_sigma_m: float
+    range_factor: float = 1.0
 
     def __str__(self) -> str:
         return (

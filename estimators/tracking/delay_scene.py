@@ -37,11 +37,13 @@ class Fit(NamedTuple):
 
     Attributes:
         shared: gimbal delay s, laser delay s, yaw bias rad, range bias m, (4,).
+        scale_m: size of the target's turns.
         information: inverse of their covariance by the readings alone, without the priors, (4, 4).
         cost: negative logarithm of the likelihood, less a constant.
     """
 
     shared: FloatArray
+    scale_m: float
     information: FloatArray
     cost: float
 
@@ -49,12 +51,17 @@ class Fit(NamedTuple):
 class _Normal:
     """Normal equations of the path's knots (banded) and the shared numbers (a border)."""
 
-    def __init__(self, knots: int, shared: FloatArray, sigmas: FloatArray) -> None:
+    def __init__(self, knots: int, shared: FloatArray, sigmas: FloatArray, *, erring: bool) -> None:
         size = 2 * knots
         self.band, self.border = np.zeros((5, size)), np.zeros((size, 4))
-        self.corner, self.right_shared = np.diag(sigmas**-2), -shared / sigmas**2
+        self.prior, costs = sigmas**-2, (shared / sigmas) ** 2
+        if erring:
+            biases = costs[2:] / _FREEDOM
+            self.prior[2:] /= 1.0 + biases
+            costs[2:] = _FREEDOM * np.log1p(biases)
+        self.corner, self.right_shared = np.diag(self.prior), -shared * self.prior
         self.right = np.zeros(size)
-        self.cost = 0.5 * float(((shared / sigmas) ** 2).sum())
+        self.cost = 0.5 * float(costs.sum())
 
     def add(
         self,
@@ -130,8 +137,10 @@ class Scene:
         end_s = max(self._sight_s[-1], self._range_s[-1]) - MIN_DELAY_S
         self._knots = math.ceil((end_s - self._begin_s) / _KNOT_S) + 2
 
-    def solve(self, sigmas: FloatArray, start: FloatArray, scale_m: float, settled: bool) -> tuple[Fit, float]:
-        """Return the best fit near a start, and the size of the target's turns.
+    def solve(
+        self, sigmas: FloatArray, start: FloatArray, scale_m: float = STIFF_M, *, settled: bool, erring: bool = False
+    ) -> Fit:
+        """Return the best fit near a start.
 
         Args:
             sigmas: of the priors, (4,).
@@ -139,6 +148,7 @@ class Scene:
             scale_m: size of the target's turns to start from.
             settled: whether that is known. If not, the path is held nearly straight at first: a path free to bend
                 would circle with the aircraft and leave the delays nothing to explain.
+            erring: whether the biases may be far beyond their priors, which then follow Student's distribution.
         """
         shared, scale_m2 = start.copy(), scale_m**2
         path = self._first_path(shared)
@@ -147,7 +157,7 @@ class Scene:
             free = settled or iteration >= _STIFF_ITERATIONS
             if free:
                 scale_m2 = _scale_m2(path, scale_m2)
-            normal = _Normal(self._knots, shared, sigmas)
+            normal = _Normal(self._knots, shared, sigmas, erring=erring)
             self._add_sights(normal, shared, path)
             self._add_ranges(normal, shared, path)
             normal.hold_straight(path, scale_m2, free)
@@ -155,10 +165,11 @@ class Scene:
             if free and iteration and abs(step[:2]).max() < _SETTLED_S:
                 break
             moved, step, information = normal.solved()
+            information -= np.diag(normal.prior)
             path = path + moved
             shared = shared + step
             shared[:2] = np.clip(shared[:2], MIN_DELAY_S, MAX_DELAY_S)
-        return Fit(shared, information - np.diag(sigmas**-2), cost), math.sqrt(scale_m2)
+        return Fit(shared, math.sqrt(scale_m2), information, cost)
 
     def _add_sights(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
         time_s = self._sight_s - shared[0]

@@ -1,4 +1,4 @@
-"""Delays of laser and gimbal stamps, fitted to the readings of the last minutes.
+"""Delays and large errors of laser and gimbal, fitted to the readings of the last minutes.
 
 A payload that stamps its readings late shows the target displaced by the distance that the aircraft has flown in that
 time. While the aircraft circles, the displacement circles with it. A real target does not do so for minutes.
@@ -7,12 +7,17 @@ On a steady circle about a standing target, a payload whose angles are relative 
 is late and if the target is elsewhere, turned about the circle's centre. A change of circle shows the difference, and
 until then the standard deviations of the delays are large.
 
+Errors of the gimbal's yaw and of the ranges are as small as their priors say, or far beyond: the mounting or the
+laser is wrong. The second fit has to explain the readings far better than the first. It also tries a factor of the
+ranges.
+
 Source: docs/explanation/filter.md#delays.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +26,7 @@ from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import Quaternion, normalized, rotate, sight_direction
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.tracking.delay_scene import MAX_DELAY_S, MIN_DELAY_S, STIFF_M, Scene
+from sidelong.estimators.tracking.delay_scene import MAX_DELAY_S, MIN_DELAY_S, STIFF_M, Fit, Scene
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -42,6 +47,18 @@ _STARTS_S = (
     (0.0, 2.0),
     (2.0, 0.0),
 )  # from the last fit, a lesser minimum may hold
+# A fit with large errors is tried where the other one is strained: it needs large delays or errors, or a target that
+# turns with the aircraft. It has to be far better (evidence: difference of -ln likelihood), and its errors have to be
+# larger than those that a target's own motion looks like.
+_STRAINED, _TURNS_M, _ERRING_SPAN_S = 1.5, 0.15, 20.0
+_EVIDENCE = 50.0
+_CALM_M, _CALMER = 0.3, 0.5  # the target then turns hardly at all, or far less
+# A delay at the end of its range fits nothing.
+_DELAYS_MIDDLE_S, _DELAYS_REACH_S = (MIN_DELAY_S + MAX_DELAY_S) / 2.0, 0.45 * (MAX_DELAY_S - MIN_DELAY_S)
+_YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08
+_RANGE_SHARE_MAX = 0.5  # ranges that shrink to nothing would put the target at the aircraft
+_FACTOR_FROM_M, _FACTOR_BETTER, _FACTOR_STEPS, _FACTORS = 10.0, 10.0, 3, (0.25, 4.0)
+_FACTOR_STARTS = 1.4, 0.7  # from 1, a lesser minimum may hold
 
 
 class DelayFit:
@@ -59,6 +76,7 @@ class DelayFit:
         self._latencies_s = settings.latencies_s
         delay_s, yaw_rad = settings.latency_sigma_s, settings.yaw_bias_sigma_rad
         self._sigmas = np.array([delay_s, delay_s, max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M])
+        self._may_err = yaw_rad > 0.0  # or the biases are not estimated
         self._noise = settings.yaw_sigma_rad, settings.range_sigma_m
         self._parent_from_mount = parent_from_mount
         self._positions, self._attitudes = _Log(5), _Log(4)
@@ -67,12 +85,19 @@ class DelayFit:
         self._begin()
 
     def _begin(self) -> None:
-        self._shared, self._scale_m, self._fits = np.zeros(4), STIFF_M, 0
+        self._fits = 0
+        self._sound: Fit | None = None
+        self._erring: Fit | None = None  # while that explains the readings far better
+        self._factor = 1.0  # of the ranges, in that
 
     def clear(self) -> None:
-        """Forget the readings of laser and gimbal: another device is used now."""
+        """Forget the readings of laser and gimbal: another target is seen now."""
         self._gimbals.clear()
         self._ranges.clear()
+
+    def clear_device(self) -> None:
+        """Forget the readings and the errors that were found: another device is used now."""
+        self.clear()
         self._begin()
 
     def position(self, p: PositionReading) -> None:
@@ -157,18 +182,85 @@ class DelayFit:
         gimbals, ranges = _between(gimbals, first_s, last_s, gaps_s), _between(ranges, first_s, last_s, gaps_s)
         if last_s - first_s < _SPAN_MIN_S or min(len(gimbals), len(ranges)) < _READINGS_MIN:
             return None
-        scene = Scene(positions, attitudes, gimbals, ranges, self.frame, self._noise)
-        best, scale_m = scene.solve(self._sigmas, self._shared, self._scale_m, self._fits > 0)
-        other = np.array([*_STARTS_S[self._fits % len(_STARTS_S)], 0.0, 0.0])
-        another, another_scale_m = scene.solve(self._sigmas, other, STIFF_M, settled=False)
-        if another.cost < best.cost:
-            best, scale_m = another, another_scale_m
-        self._shared, self._scale_m, self._fits = best.shared, scale_m, self._fits + 1
+
+        def scene(factor: float) -> Scene:
+            return Scene(positions, attitudes, gimbals, ranges * (1.0, factor), self.frame, self._noise)
+
+        best = self._fit_sound(scene(1.0))
+        strained = best.scale_m > _TURNS_M or (abs(best.shared) > _STRAINED * self._sigmas).any()
+        if self._erring is not None or (strained and self._may_err and last_s - first_s > _ERRING_SPAN_S):
+            best = self._fit_erring(scene, best, float(np.median(ranges[:, 1])))
         gimbal_s, range_s = (best.shared[:2] + self._latencies_s).tolist()
-        yaw_rad = float(best.shared[2])
-        information = best.information / _READINGS_SIGMAS**2 + np.diag((_PRIORS_SIGMAS * self._sigmas) ** -2)
-        gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, _ = np.sqrt(np.diag(np.linalg.inv(information))).tolist()
-        return Delays(gimbal_s, range_s, gimbal_sigma_s, range_sigma_s, yaw_rad, yaw_sigma_rad)
+        tan_yaw, range_m = best.shared[2:].tolist()  # the scene is linear in it
+        priors = self._sigmas
+        if self._erring is not None:  # of an error that is there, nothing is known before
+            priors = np.maximum(priors, abs(best.shared))
+        information = best.information / _READINGS_SIGMAS**2 + np.diag((_PRIORS_SIGMAS * priors) ** -2)
+        gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, range_sigma_m = np.sqrt(np.diag(np.linalg.inv(information)))
+        return Delays(
+            gimbal_s,
+            range_s,
+            float(gimbal_sigma_s),
+            float(range_sigma_s),
+            math.atan(tan_yaw),
+            float(yaw_sigma_rad),
+            range_m,
+            float(range_sigma_m),
+            self._factor,
+        )
+
+    def _fit_sound(self, scene: Scene) -> Fit:
+        """Return the best fit with errors as small as the priors say."""
+        before, sigmas = self._sound, self._sigmas
+        start = np.array([*_STARTS_S[self._fits % len(_STARTS_S)], 0.0, 0.0])
+        fits = (
+            scene.solve(sigmas, np.zeros(4), settled=False)
+            if before is None
+            else scene.solve(sigmas, before.shared, before.scale_m, settled=True),
+            scene.solve(sigmas, start, settled=False),
+        )
+        self._sound = min(fits, key=lambda one: one.cost)
+        self._fits += 1
+        return self._sound
+
+    def _fit_erring(self, scene: Callable[[float], Scene], sound: Fit, range_m: float) -> Fit:
+        """Return the best fit with large errors; the one without them if that explains the readings as well.
+
+        Args:
+            scene: Returns the readings with ranges multiplied by a factor.
+            sound: The fit without large errors.
+            range_m: Usual slant range as reported, m.
+        """
+        before = self._erring
+
+        def fit(factor: float, start: FloatArray, scale_m: float = STIFF_M, *, settled: bool = False) -> Fit:
+            return scene(factor).solve(self._sigmas, start, scale_m, settled=settled, erring=True)
+
+        tried = [(self._factor, fit(self._factor, sound.shared))]
+        if before is None:
+            other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
+            tried.append((other, fit(other, sound.shared)))
+        else:
+            tried.append((self._factor, fit(self._factor, before.shared, before.scale_m, settled=True)))
+        factor, best = min(tried, key=lambda one: one[1].cost)
+        for _ in range(_FACTOR_STEPS):
+            other = factor - float(best.shared[3]) / range_m
+            if abs(best.shared[3]) < _FACTOR_FROM_M or not _FACTORS[0] < other < _FACTORS[1]:
+                break
+            another = fit(other, best.shared * (1.0, 1.0, 1.0, 0.0))
+            if another.cost > best.cost - _FACTOR_BETTER:
+                break
+            best, factor = another, other
+        (tan_yaw, bias_m), off_s = abs(best.shared[2:]), abs(best.shared[:2] - _DELAYS_MIDDLE_S)
+        is_large = tan_yaw > _YAW_MIN_RAD or bias_m > _RANGE_MIN_M or abs(factor - 1.0) > _FACTOR_MIN
+        is_possible = off_s.max() < _DELAYS_REACH_S and bias_m < _RANGE_SHARE_MAX * factor * range_m
+        is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
+        better = sound.cost - best.cost
+        if is_large and is_possible and is_calmer and better > (_EVIDENCE if before is None else -_EVIDENCE):
+            self._erring, self._factor = best, factor
+            return best
+        self._erring, self._factor = None, 1.0
+        return sound
 
 
 class _Log:

@@ -43,6 +43,7 @@ class Pairing:
         self._settings = settings
         self._poses = poses
         self.gimbal_delay_s, self.range_delay_s = settings.latencies_s
+        self.range_factor = 1.0
         self._gimbals: History[GimbalReading] = History(_SPAN_S)
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
@@ -115,9 +116,10 @@ class Pairing:
         Args:
             delays: Delays of laser and gimbal; None: the configured ones.
         """
-        used_s = self._settings.latencies_s
+        used_s, self.range_factor = self._settings.latencies_s, 1.0
         if delays is not None:
             used_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
+            self.range_factor = round(delays.range_factor, 3)
         self.gimbal_delay_s, self.range_delay_s = used_s
 
     def repeated(self, since_s: float) -> list[Sighting]:
@@ -158,7 +160,8 @@ class Pairing:
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
         if reading is not None:
-            range_m, range_sigma_m = reading.slant_range_m, reading.sigma_m or settings.range_sigma_m
+            range_m = self.range_factor * reading.slant_range_m
+            range_sigma_m = reading.sigma_m or settings.range_sigma_m
         elif self.ground is not None:
             level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
             if level_m is None:

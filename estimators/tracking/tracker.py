@@ -43,9 +43,12 @@ _FOLLOWS_RAD = math.radians(5.0)
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD = math.radians(0.1)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
+# Of a laser; smaller errors are the filter's alone. Fitted together with a target that turns, they are less sure.
+_RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
 # configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
 _SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 3.0, 0.015
+_RANGE_SIGMA_SHARE = 0.1  # an error may grow with the range, or be the pitch's
 
 
 class Tracker:
@@ -116,7 +119,7 @@ class Tracker:
         devices = self._gimbals.chosen, self._ranges.chosen
         if devices != self._devices:
             if None not in self._devices:
-                fit.clear()
+                fit.clear_device()
                 self._delays = self._delays_of.get(devices)
                 self._pairing.set_delays(self._delays)
             self._devices = devices
@@ -128,7 +131,9 @@ class Tracker:
         sigmas_s = found.gimbal_sigma_s, found.range_sigma_s
         sure = max(sigmas_s) < _SURE_S
         least = 1.0 if sure and used_s != self.latencies_s else _EVIDENT
-        if any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in zip(apart_s, sigmas_s, strict=True)):
+        steps = zip(apart_s, sigmas_s, strict=True)
+        late = any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in steps)
+        if late or self._errs_otherwise(found):
             self._pairing.set_delays(found)
             # The payload's errors were estimated with the previous delays and would change only slowly.
             self._track.restart(self._biases_with(found), self._pairing.repeated(reading.time_s - _REPEATED_S))
@@ -137,6 +142,17 @@ class Tracker:
         else:
             return  # nothing is known better than before
         self._delays = self._delays_of[devices] = found
+
+    def _errs_otherwise(self, found: Delays) -> bool:
+        """Return whether the payload's errors that were found with the delays differ clearly from those in use."""
+        known = self.calibration
+        yaw_sigma_rad = math.hypot(found.yaw_sigma_rad, known.yaw_sigma_rad)
+        range_sigma_m = math.hypot(found.range_bias_sigma_m, known.range_sigma_m)
+        return (
+            abs(found.yaw_bias_rad - known.yaw_bias_rad) > max(_YAW_UNEXPECTED_RAD, _YAW_SIGMAS * yaw_sigma_rad)
+            or abs(found.range_bias_m - known.range_bias_m) > max(_RANGE_UNEXPECTED_M, _RANGE_SIGMAS * range_sigma_m)
+            or abs(found.range_factor - self._pairing.range_factor) > _FACTOR_STEP
+        )
 
     def _biases_with(self, found: Delays) -> Biases:
         """Return the payload's errors with other delays; those before were found with wrong delays."""
@@ -147,6 +163,9 @@ class Tracker:
         sigma_rad = math.hypot(found.yaw_sigma_rad, _YAW_SIGMA_MIN_RAD)
         mean, covariance = prior.mean.copy(), prior.covariance.copy()
         mean[0], covariance[0, 0] = found.yaw_bias_rad, min(variance, sigma_rad**2)
+        if abs(found.range_bias_m) > _RANGE_UNEXPECTED_M:
+            mean[2] = found.range_bias_m
+            covariance[2, 2] += (_RANGE_SIGMA_SHARE * found.range_bias_m) ** 2
         return Biases(mean, covariance)
 
     @property
@@ -203,7 +222,8 @@ class Tracker:
         """Return whether a range is that of the tracked target; True where there is no track to compare."""
         expected = self._expected(reading.time_s)
         return expected is None or (
-            abs(reading.slant_range_m - expected[1]) <= _AGREES_M + _AGREES_SIGMAS * expected[2]
+            abs(self._pairing.range_factor * reading.slant_range_m - expected[1])
+            <= _AGREES_M + _AGREES_SIGMAS * expected[2]
         )
 
     def _expected(self, time_s: float) -> tuple[float, float, float] | None:
@@ -314,6 +334,12 @@ class Tracker:
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
         return self._track.calibration
+
+    @property
+    def range_error(self) -> tuple[float, float]:
+        """By what the ranges are multiplied, and their bias after that, m; 0 while it is that of a usual laser."""
+        bias_m = self.calibration.range_bias_m
+        return self._pairing.range_factor, bias_m if abs(bias_m) > _RANGE_UNEXPECTED_M else 0.0
 
     @property
     def unexpected_yaw_rad(self) -> float:

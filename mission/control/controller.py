@@ -56,7 +56,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.control.surroundings import Surroundings
-from sidelong.mission.control.target_news import DelayNews, MountNews, TargetNews
+from sidelong.mission.control.target_news import DelayNews, MountNews, RangeNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
@@ -144,7 +144,9 @@ class StandoffController:
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
-        self._news, self._delay_news, self._mount_news = TargetNews(), DelayNews(tracker.latencies_s), MountNews()
+        self._news, self._delay_news = TargetNews(), DelayNews(tracker.latencies_s)
+        self._mount_news, self._range_news = MountNews(), RangeNews()
+        self._jumped_s = -math.inf  # when the apparent target jumped, as far as the tracker knows
         self._sensor_status = SensorStatus()
         self._wind = Wind()
         self._mode = self._own_mode = ""
@@ -195,6 +197,9 @@ class StandoffController:
             tracker.refused_gimbals,
             self.door.clock_fault,
         )
+        if health.payload.jumped_s > self._jumped_s:  # the target or the payload is another one
+            self._jumped_s = health.payload.jumped_s
+            tracker.restart_delays()
         if had_fault and not health.payload_fault:
             tracker.begin_again()
         elif health.payload_fault and not had_fault:
@@ -339,6 +344,7 @@ class StandoffController:
                 announced = self._news.announce(self.time_s, self.estimate)
             announced += self._delay_news.announce(self.time_s, self.tracker.delays)
             announced += self._mount_news.announce(self.time_s, self.tracker.unexpected_yaw_rad)
+            announced += self._range_news.announce(self.time_s, *self.tracker.range_error)
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:

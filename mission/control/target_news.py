@@ -14,6 +14,7 @@ _AFTER_S = 8.0
 _DELAY_STEP_S = 0.1  # a smaller change of a delay is not announced
 _YAW_STEP_RAD = math.radians(5.0)  # nor of the gimbal's mounting
 _YAW_LASTS_S = 30.0
+_FACTOR_STEP, _RANGE_STEP_M = 0.05, 10.0
 
 
 class DelayNews:
@@ -63,8 +64,37 @@ class MountNews:
         if time_s - self._since_s < _YAW_LASTS_S:
             return ()
         self._announced_rad = yaw_rad
-        text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees: check its mounting, "
-        return (Announce(time_s, "sensor", text + "or correct sensors.mount_deg; a part of it is not corrected yet"),)
+        text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees, and corrected: check its "
+        return (Announce(time_s, "sensor", text + "mounting, or correct sensors.mount_deg"),)
+
+
+class RangeNews:
+    """Announces large errors of the laser, which are corrected: until they are found, the target is elsewhere."""
+
+    def __init__(self) -> None:
+        self._announced = 1.0, 0.0
+
+    def announce(self, time_s: float, factor: float, bias_m: float) -> tuple[Announce, ...]:
+        """Return an announcement if the errors differ clearly from those that were announced last.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            factor: By what the ranges are multiplied.
+            bias_m: Their bias after that, m.
+        """
+        then, then_m = self._announced
+        if abs(factor - then) < _FACTOR_STEP and abs(bias_m - then_m) < _RANGE_STEP_M:
+            return ()
+        self._announced = factor, bias_m
+        errors = []
+        if abs(factor - 1.0) >= _FACTOR_STEP:
+            errors.append(f"are about {1.0 / factor:.2f} times the distance")
+        if bias_m:
+            errors.append(f"are off by about {bias_m:+.0f} m")
+        text = " and ".join(errors) + ", and corrected: check its unit and its mounting, and the gimbal's pitch"
+        return (
+            Announce(time_s, "sensor", f"the laser's ranges {text if errors else 'need no correction any more'}"),
+        )
 
 
 class _Sight(StrEnum):

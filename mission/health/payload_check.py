@@ -6,7 +6,8 @@ Rules
    ``_CLOSED_M`` nearer along the line of sight, is stuck. So is one whose range stays the same to ``_EXACT_M`` while
    the line of sight turns by ``_SWEPT_RAD``: going past a target changes the distance to it.
 2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` during that turn is frozen: a line of sight to
-   a target turns relative to north as well as to the aircraft.
+   a target turns relative to north as well as to the aircraft. So is one whose yaw alone stays the same during two
+   such turns.
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
    (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.
 4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
@@ -24,7 +25,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.rotations import Quaternion
+from sidelong.estimators.rotations import Quaternion, sight_direction
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.inputs import Input
@@ -59,6 +60,7 @@ _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 
 
 _STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
 _FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
+_YAW_FROZEN = "its yaw is frozen while the aircraft turns: check its pan motor, its pan limits and its driver"
 _OFF_GROUND = (
     "by laser and gimbal the target is far above or below its ground; "
     "check the tiles, home, and where the laser looks"
@@ -125,7 +127,7 @@ class PayloadCheck:
         self.is_news = False
         self._fit = MotionFit(parent_from_mount)
         self._expect_another_laser()
-        self._sight_repeats = _Repeats(_SAME_SIGHT)
+        self._expect_another_gimbal()
         self._position: PositionReading | None = None
         self._attitude: AttitudeReading | None = None
         self._range: RangeReading | None = None
@@ -194,7 +196,12 @@ class PayloadCheck:
         Args:
             time_s: The vehicle's clock.
         """
-        return 0.0 <= time_s - self._fit.jumped_s < SUSPECT_S
+        return 0.0 <= time_s - self.jumped_s < SUSPECT_S
+
+    @property
+    def jumped_s(self) -> float:
+        """When the apparent target jumped farther than a target can drive, last; -inf: never."""
+        return self._fit.jumped_s
 
     def expect_another_target(self) -> None:
         """Begin again with another target: the payload is being turned to it."""
@@ -223,15 +230,17 @@ class PayloadCheck:
         """
         if reading.source != self._gimbal_source:
             self._gimbal_source = reading.source
-            self._sight_repeats = _Repeats(_SAME_SIGHT)
+            self._expect_another_gimbal()
             self._begin_fit()
         if self._frame_fault:
             self._corrected = self._corrected + 1 if reading.frame == self._established.frame else 0
             if self._corrected >= _CORRECTED_AFTER:  # at once: on a straight leg no motion could show it
                 self._begin_fit()
                 self._settle()
-        travelled = self._turned_rad / _TURNED_RAD, self._passed
-        if self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, travelled):
+        turns, passed = self._turned_rad / _TURNED_RAD, self._passed
+        news = self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, (turns, passed))
+        forward, right, _ = sight_direction(reading.quaternion_wxyz)
+        if self._yaw_repeats.note((math.atan2(right, forward),), reading.time_s, (turns / 2.0, passed / 2.0)) or news:
             self._settle()
         position, attitude, slant = self._position, self._attitude, self._range
         if (
@@ -247,7 +256,7 @@ class PayloadCheck:
         if max(abs(now_s - position.time_s), abs(now_s - attitude.time_s), abs(now_s - slant.time_s)) > _FRESH_S:
             return
         self._sampled_s = now_s
-        if self._is_stuck or self._sight_repeats.found:
+        if self._is_stuck or self._is_frozen:
             self._fit.clear()
         else:
             self._fit.add(position, attitude, reading, slant.slant_range_m, self._turned_rad)
@@ -295,8 +304,15 @@ class PayloadCheck:
     def _is_stuck(self) -> bool:
         return self._range_repeats.found or self._range_stays.found
 
+    @property
+    def _is_frozen(self) -> bool:
+        return self._sight_repeats.found or self._yaw_repeats.found
+
     def _expect_another_laser(self) -> None:
         self._range_repeats, self._range_stays = _Repeats(_SAME_RANGE_M), _Repeats(_EXACT_M)
+
+    def _expect_another_gimbal(self) -> None:
+        self._sight_repeats, self._yaw_repeats = _Repeats(_SAME_SIGHT), _Repeats(_SAME_SIGHT)
 
     def _begin_fit(self) -> None:
         """Judge another device afresh."""
@@ -343,10 +359,11 @@ class PayloadCheck:
     def _settle(self) -> None:
         before = self.laser_fault, self.gimbal_fault
         self.laser_fault = _STUCK if self._is_stuck else self._unit_fault
-        self.gimbal_fault = _FROZEN if self._sight_repeats.found else self._frame_fault
+        frozen = _FROZEN if self._sight_repeats.found else _YAW_FROZEN if self._yaw_repeats.found else ""
+        self.gimbal_fault = frozen or self._frame_fault
         self.is_news |= before != (self.laser_fault, self.gimbal_fault)
         if not any(before) and (self.laser_fault or self.gimbal_fault):
-            repeats = self._range_repeats, self._range_stays, self._sight_repeats
+            repeats = self._range_repeats, self._range_stays, self._sight_repeats, self._yaw_repeats
             since_s = [one.since_s for one in repeats if one.found]
             if self._frame_fault or self._unit_fault:
                 since_s.append(self._judged_s - WINDOW_S)

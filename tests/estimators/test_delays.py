@@ -38,7 +38,9 @@ def aircraft(moves: bool):
     return STEP_S * np.arange(len(places)), np.array(places), np.array(headings)
 
 
-def readings(gimbal_s, range_s, frame="earth", moves=True, latency_s=0.0, seed=1):
+def readings(
+    gimbal_s, range_s, frame="earth", moves=True, latency_s=0.0, seed=1, yaw_rad=YAW_BIAS_RAD, factor=1.0, off_m=0.0
+):
     """Yield what the vehicle reports, the payload's readings with the stamps of their arrival."""
     rng = np.random.default_rng(seed)
     time_s, place_m, heading_rad = aircraft(moves)
@@ -53,7 +55,7 @@ def readings(gimbal_s, range_s, frame="earth", moves=True, latency_s=0.0, seed=1
         yield PositionReading(now_s, *place_m[k].tolist(), HEIGHT_M, *velocity[k].tolist(), 0.0)
         yield AttitudeReading(now_s, 0.3, 0.0, math.remainder(heading_rad[k], math.tau))
         (east, north), heading = line(now_s - gimbal_s)
-        yaw, pitch = math.atan2(east, north) + YAW_BIAS_RAD, -math.atan2(HEIGHT_M, math.hypot(east, north))
+        yaw, pitch = math.atan2(east, north) + yaw_rad, -math.atan2(HEIGHT_M, math.hypot(east, north))
         yaw += ANGLE_SIGMA_RAD * rng.standard_normal() - (heading if frame == "vehicle" else 0.0)
         pitch += ANGLE_SIGMA_RAD * rng.standard_normal()
         cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
@@ -62,7 +64,7 @@ def readings(gimbal_s, range_s, frame="earth", moves=True, latency_s=0.0, seed=1
         slant_m = math.hypot(east, north, HEIGHT_M) + RANGE_SIGMA_M * rng.standard_normal()
         if rng.random() < 0.03:
             slant_m += rng.uniform(-90.0, 90.0)
-        yield RangeReading(now_s - latency_s, slant_m, LASER)
+        yield RangeReading(now_s - latency_s, factor * slant_m + off_m, LASER)
 
 
 def fitted(*args, until_s=280.0, **kwargs):
@@ -92,6 +94,26 @@ def test_delays_are_found_together_with_the_yaw_bias(delays_s, frame):
     assert found.range_s == pytest.approx(delays_s[1], abs=0.05)
     assert abs(found.gimbal_s - delays_s[0]) < 3.0 * found.gimbal_sigma_s
     assert found.yaw_bias_rad == pytest.approx(YAW_BIAS_RAD, abs=math.radians(0.4))
+    assert found.range_factor == 1.0
+    assert abs(found.range_bias_m) < 3.0
+
+
+@pytest.mark.parametrize("frame", ["earth", "vehicle"])
+@pytest.mark.parametrize(
+    ("yaw_deg", "factor", "off_m"),
+    [(20.0, 1.0, 0.0), (-30.0, 1.0, 0.0), (0.5, 1.5, 0.0), (0.5, 0.7, 0.0), (0.5, 1.0, 100.0), (0.5, 1.0, -50.0)],
+)
+def test_large_errors_of_yaw_and_range_are_found_together_with_the_delays(yaw_deg, factor, off_m, frame):
+    found = fitted(0.5, 0.0, frame, yaw_rad=math.radians(yaw_deg), factor=factor, off_m=off_m)
+    assert found.yaw_bias_rad == pytest.approx(math.radians(yaw_deg), abs=math.radians(2.0))
+    assert found.range_factor == pytest.approx(1.0 / factor, rel=0.04)
+    assert found.range_bias_m == pytest.approx(0.87 * off_m, abs=10.0)  # of the level range
+    assert found.gimbal_s == pytest.approx(0.5, abs=0.15)
+
+
+def test_no_large_errors_are_sought_where_the_biases_are_not_estimated():
+    fit_of = TrackerSettings(yaw_bias_sigma_rad=0.0)
+    assert fed(fit_of, 0.0, 0.0, factor=1.5).range_error == (1.0, 0.0)
 
 
 def test_angles_relative_to_the_aircraft_need_a_change_of_circle():
@@ -133,7 +155,7 @@ def test_gimbal_is_found_late_on_a_steady_circle_where_no_likely_yaw_error_expla
 @pytest.mark.parametrize(("found_s", "used_s"), [((0.05,), 0.0), ((0.1,), 0.1), ((0.1, 0.07), 0.07)])
 def test_configured_delays_stay_until_they_are_evidently_wrong(found_s, used_s, monkeypatch):
     """A fit that differs by 2.5 sigmas changes nothing; after a first correction, a difference of 1.5 is enough."""
-    fits = [Delays(gimbal_s, 0.0, 0.02, 0.02, YAW_BIAS_RAD, 0.01) for gimbal_s in found_s]
+    fits = [Delays(gimbal_s, 0.0, 0.02, 0.02, YAW_BIAS_RAD, 0.01, 0.0, 1.0) for gimbal_s in found_s]
     monkeypatch.setattr(DelayFit, "updated", lambda *_: fits.pop(0) if len(fits) > 1 else fits[0])
     assert fed(TrackerSettings(), 0.0, 0.0).delays.gimbal_s == used_s
 

@@ -281,11 +281,25 @@ def repeated(names: tuple[str, ...], field: str, noise: int = 0) -> Change:
     return only(names, change)
 
 
-def scaled(factor: float) -> Change:
-    """Multiply the laser's range."""
-    return only(
-        LASER, lambda m, _s, _r: with_fields(m, current_distance=round(m.fields["current_distance"] * factor))
-    )
+def scaled(factor: float, more_m: float = 0.0) -> Change:
+    """Multiply the laser's range, and add to it."""
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        distance_cm = message.fields["current_distance"] * factor + 100.0 * more_m
+        return with_fields(message, current_distance=max(round(distance_cm), 0))
+
+    return only(LASER, change)
+
+
+def turned(degrees: float) -> Change:
+    """Turn the gimbal's orientation about the vertical, to the right."""
+    cos, sin = math.cos(math.radians(degrees) / 2.0), math.sin(math.radians(degrees) / 2.0)
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        w, x, y, z = message.fields["q"]
+        return with_fields(message, q=[cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
+
+    return only(GIMBAL, change)
 
 
 def flagged(flags: int) -> Change:

@@ -1,6 +1,7 @@
 """Inputs that are silent, stuck or contradict each other are reported, and the flight does not follow them."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -25,22 +26,19 @@ from tests.faults.flight_faults import (
     repeated,
     scaled,
     silent,
+    turned,
     with_fields,
 )
 
 BEGIN_S, DURATION_S = 60.0, 150.0
 
 
-def turned(degrees):
-    """Turn the gimbal's orientation about the vertical."""
-    cos, sin = math.cos(math.radians(degrees) / 2.0), math.sin(math.radians(degrees) / 2.0)
-
-    def by(message, _since_s, _rng):
-        w, x, y, z = message.fields["q"]
-        q = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
-        return message._replace(fields=message.fields | {"q": q})
-
-    return only(GIMBAL, by)
+def with_frozen_yaw(message, _since_s, _rng):
+    """Let the gimbal look east, at the depression at which it looks."""
+    w, x, y, z = message.fields["q"]
+    half_rad = math.asin(2.0 * (w * y - z * x)) / 2.0
+    east, cos, sin = math.sqrt(0.5), math.cos(half_rad), math.sin(half_rad)
+    return with_fields(message, q=[east * cos, -east * sin, east * sin, east * cos])
 
 
 PAYLOAD_FAULTS = {
@@ -51,6 +49,7 @@ PAYLOAD_FAULTS = {
     "flags of the vehicle frame": (flagged(44), Input.GIMBAL, 'sensors.gimbal_frame = "earth"'),
     "flags of the body frame": (flagged(32), Input.GIMBAL, 'sensors.gimbal_frame = "earth"'),
     "frozen gimbal": (repeated(GIMBAL, "q"), Input.GIMBAL, "frozen"),
+    "yaw of the gimbal frozen": (only(GIMBAL, with_frozen_yaw), Input.GIMBAL, "its yaw is frozen"),
     "yaw of the gimbal off by 90 degrees": (turned(90.0), Input.GIMBAL, "its yaw is off by about +"),
     "yaw of the gimbal off by a half turn": (turned(180.0), Input.GIMBAL, "check its mounting and its heading"),
 }
@@ -359,7 +358,26 @@ def test_wrong_mounting_of_the_gimbal_is_reported():
     """On a steady circle it looks like late stamps; the first change of circle shows the difference."""
     flown = FaultedFlight(Scenario(1, "px4", 260.0), [Fault("mount", 0.0, math.inf, turned(20.0))]).fly()
     (text,) = [text for _, text in flown.announced if text.startswith("the gimbal's yaw is off by about")]
-    assert "+20 degrees: check its mounting, or correct sensors.mount_deg" in text
+    assert "+20 degrees, and corrected: check its mounting, or correct sensors.mount_deg" in text
+
+
+LARGE_ERRORS = {
+    "ranges 1.5 times the distance": (scaled(1.5), "the laser's ranges are about (.*) times", 1.5),
+    "ranges 0.7 times the distance": (scaled(0.7), "the laser's ranges are about (.*) times", 0.7),
+    "ranges 50 m too short": (scaled(1.0, -50.0), "the laser's ranges are off by about (.*) m,", -50.0),
+    "yaw off by 20 degrees to the left": (turned(-20.0), "the gimbal's yaw is off by about (.*) degrees", -20.0),
+}
+
+
+@pytest.mark.parametrize("name", LARGE_ERRORS)
+def test_large_error_of_the_payload_is_reported_and_corrected(name):
+    change, words, error = LARGE_ERRORS[name]
+    flown = FaultedFlight(Scenario(3, "arduplane", 300.0), [Fault(name, BEGIN_S, math.inf, change)]).fly()
+    found = [float(match[1]) for _, text in flown.announced if (match := re.match(words, text))]
+    assert found[-1] == pytest.approx(error, rel=0.2)
+    assert min(flown.range_m) > 80.0
+    later_m = [one.target_error_m for one in flown.decided if one.time_s > BEGIN_S + 120.0]
+    assert np.median(later_m) < 10.0  # without the correction 30 to 100 m
 
 
 def test_a_position_that_serves_two_samples_is_no_motion():
