@@ -1,7 +1,8 @@
-"""Each fault of the payload by itself, begun in flight: python -m pytest tests/bench/test_payload_faults.py -s
+"""Each fault of the payload alone, begun in flight: python -m pytest tests/bench/test_payload_faults.py -s
 
-Reports how soon the fault is reported, the least true range, and the time that was claimed wrongly. About 5 s of CPU
-a flight. SIDELONG_PAYLOAD_FAULTS=COUNT,FIRST: flights per fault, and the first target.
+Reports how soon the fault is reported, the least true range, and the time that was claimed wrongly. For large errors,
+which are corrected: the time on side. About 5 s of CPU a flight. SIDELONG_PAYLOAD_FAULTS=COUNT,FIRST: flights per
+fault, and the first target.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import statistics
 from concurrent.futures import ProcessPoolExecutor
 
 from tests.bench.size import size
-from tests.faults.flight import FLAVOURS, FaultedFlight, Scenario
+from tests.faults.flight import FLAVOURS, STEP_S, FaultedFlight, Scenario
 from tests.faults.flight_campaign import (
     MISLED_RANGE_MIN_M,
     REPORTED_WITHIN_S,
@@ -22,7 +23,7 @@ from tests.faults.flight_campaign import (
     clean,
     misled_by,
 )
-from tests.faults.flight_faults import GIMBAL, LASER, Change, Fault, flagged, other_device, repeated, scaled
+from tests.faults.flight_faults import GIMBAL, LASER, Change, Fault, flagged, other_device, repeated, scaled, turned
 
 DURATION_S = 240.0
 _NORTH, _WEST = [1.0, 0.0, 0.0, 0.0], [math.sqrt(0.5), 0.0, 0.0, -math.sqrt(0.5)]
@@ -38,6 +39,30 @@ FAULTS = {  # made again for each flight: some remember what they repeat
     "second gimbal, to the west": lambda: other_device(GIMBAL, q=_WEST),
 }
 
+ERRORS = {
+    "none": (scaled(1.0), ""),
+    "ranges 1.2 times the distance": (scaled(1.2), "the laser's ranges are"),
+    "ranges 1.5 times": (scaled(1.5), "the laser's ranges are"),
+    "ranges 0.7 times": (scaled(0.7), "the laser's ranges are"),
+    "ranges 50 m too short": (scaled(1.0, -50.0), "the laser's ranges are"),
+    "ranges 100 m too long": (scaled(1.0, 100.0), "the laser's ranges are"),
+    "yaw 15 degrees to the left": (turned(-15.0), "the gimbal's yaw is"),
+    "yaw 20 degrees to the right": (turned(20.0), "the gimbal's yaw is"),
+}
+ERRORS_DURATION_S, CORRECTED_AFTER_S = 540.0, 60.0
+SIDE_LOST_MAX = 5.0  # points, on average
+LEAST_RANGE_MIN_M = 80.0
+
+
+def _orders(names) -> list[tuple[str, int]]:
+    count, first = map(int, os.environ.get("SIDELONG_PAYLOAD_FAULTS", f"{size(30, 1)},0").split(","))
+    return [(name, seed) for seed in range(first, first + count) for name in names]
+
+
+def _flown(flight, names) -> list:
+    with ProcessPoolExecutor(os.cpu_count() or 2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(flight, _orders(names), chunksize=len(names)))
+
 
 def _flight(order: tuple[str, int]) -> tuple[str, int, Misled, float]:
     name, seed = order
@@ -50,10 +75,7 @@ def _flight(order: tuple[str, int]) -> tuple[str, int, Misled, float]:
 
 
 def test_each_fault_of_the_payload_is_reported_and_not_followed():
-    count, first = map(int, os.environ.get("SIDELONG_PAYLOAD_FAULTS", f"{size(30, 1)},0").split(","))
-    orders = [(name, seed) for seed in range(first, first + count) for name in FAULTS]
-    with ProcessPoolExecutor(os.cpu_count() or 2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        flown = list(pool.map(_flight, orders, chunksize=len(FAULTS)))
+    flown = _flown(_flight, FAULTS)
     print(f"\n{'fault':28}{'flights':>8}{'reported, s: median':>21}{'worst':>7}{'least range, m':>16}", end="")
     print(f"{'wrongly in band, %':>20}{'on side':>9}")
     for name in FAULTS:
@@ -73,3 +95,33 @@ def test_each_fault_of_the_payload_is_reported_and_not_followed():
     ]
     print("\n".join(missed))
     assert not missed
+
+
+def _erring_flight(order: tuple[str, int]) -> tuple[str, float, float, float]:
+    """Return the error, after how many s it was reported, the time on side afterwards, %, and the least range, m."""
+    name, seed = order
+    change, words = ERRORS[name]
+    begin_s = 60.0 + 7.0 * (seed % 5)
+    scenario = Scenario(seed, list(FLAVOURS)[seed % 2], ERRORS_DURATION_S)
+    flown = FaultedFlight(scenario, [Fault(name, begin_s, math.inf, change)]).fly()
+    reported_s = [time_s - begin_s for time_s, text in flown.announced if words and text.startswith(words)]
+    later = round((ERRORS_DURATION_S - begin_s - CORRECTED_AFTER_S) / STEP_S)
+    side = 100.0 * statistics.mean(flown.on_side[-later:])
+    return name, min(reported_s, default=math.inf), side, min(flown.range_m)
+
+
+def test_large_errors_of_the_payload_are_reported_and_corrected():
+    flown = _flown(_erring_flight, ERRORS)
+    print(
+        f"\n{'error':30}{'reported, s: median':>20}{'worst':>7}{'on side, %':>12}{'worst':>7}{'least range, m':>16}"
+    )
+    sides = {}
+    for name in ERRORS:
+        reported_s, side, least_m = zip(*(row for other, *row in flown if other == name), strict=True)
+        sides[name] = statistics.mean(side)
+        print(
+            f"{name:30}{statistics.median(reported_s):20.0f}{max(reported_s):7.0f}{sides[name]:12.1f}{min(side):7.1f}"
+            f"{min(least_m):16.0f}"
+        )
+    assert min(sides.values()) > sides["none"] - SIDE_LOST_MAX
+    assert min(least_m for *_, least_m in flown) > LEAST_RANGE_MIN_M
