@@ -52,7 +52,7 @@ _STARTS_S = (
 # larger than those that a target's own motion looks like.
 _STRAINED, _TURNS_M, _ERRING_SPAN_S = 1.5, 0.15, 20.0
 _EVIDENCE = 50.0
-_CALM_M, _CALMER = 0.3, 0.5  # the target then turns hardly at all, or far less
+_CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
 # A delay at the end of its range fits nothing.
 _DELAYS_MIDDLE_S, _DELAYS_REACH_S = (MIN_DELAY_S + MAX_DELAY_S) / 2.0, 0.45 * (MAX_DELAY_S - MIN_DELAY_S)
 _YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08
@@ -255,8 +255,9 @@ class DelayFit:
         is_large = tan_yaw > _YAW_MIN_RAD or bias_m > _RANGE_MIN_M or abs(factor - 1.0) > _FACTOR_MIN
         is_possible = off_s.max() < _DELAYS_REACH_S and bias_m < _RANGE_SHARE_MAX * factor * range_m
         is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
-        better = sound.cost - best.cost
-        if is_large and is_possible and is_calmer and better > (_EVIDENCE if before is None else -_EVIDENCE):
+        evidence = sound.cost - best.cost
+        is_better = evidence > -_EVIDENCE if before is not None else evidence > _EVIDENCE and is_calmer
+        if is_large and is_possible and is_better:
             self._erring, self._factor = best, factor
             return best
         self._erring, self._factor = None, 1.0
