@@ -253,7 +253,9 @@ class PayloadCheck:
                 self._sampled_s = self._judged_s = -math.inf
             return
         now_s = reading.time_s
-        if max(abs(now_s - position.time_s), abs(now_s - attitude.time_s), abs(now_s - slant.time_s)) > _FRESH_S:
+        # Angles relative to north need no attitude, and are used while it is silent.
+        needed = (position, slant) if reading.frame == "earth" else (position, slant, attitude)
+        if any(abs(now_s - one.time_s) > _FRESH_S for one in needed):
             return
         self._sampled_s = now_s
         if self._is_stuck or self._is_frozen:

@@ -72,6 +72,16 @@ def test_contradictory_payload_is_reported_and_not_followed(name):
     assert flown.unknown_s >= DURATION_S - found[0][0] - 1.0
 
 
+def test_payload_is_checked_while_the_attitude_is_silent():
+    """Angles relative to north need none; the sightings go on."""
+    silence = Fault("attitude", BEGIN_S, math.inf, silent(("ATTITUDE",)))
+    fault = Fault("feet", BEGIN_S + 10.0, math.inf, scaled(0.3048))
+    flown = FaultedFlight(Scenario(1, "px4", DURATION_S), [silence, fault]).fly()
+    found_s = [time_s for time_s, one in flown.health if one.input is Input.LASER and "feet" in one.text]
+    assert found_s[0] <= BEGIN_S + 25.0
+    assert flown.wrongly_in_band_s <= 0.02 * DURATION_S
+
+
 @pytest.mark.parametrize("name", PAYLOAD_FAULTS)
 def test_payload_that_is_corrected_is_used_again(name):
     change, input_, _ = PAYLOAD_FAULTS[name]
