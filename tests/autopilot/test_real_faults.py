@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import csv
 import itertools
+import math
 import os
+import re
 import signal
 import sys
 import time
@@ -362,6 +364,57 @@ def test_an_input_fault_is_reported_and_the_range_is_kept(flown, watching, fault
     print(f"{flown.flavour} {fault}: reported after {reported_s:.1f} s, least true range {nearest_m:.0f} m")
     assert summary["outcome"] == "interrupted", watching.announced
     assert reported_s <= REPORTED_WITHIN_S
+    assert nearest_m >= NEAREST_M
+
+
+def turned_left(message):
+    w, x, y, z = message.q
+    cos, sin = math.cos(math.radians(10.0)), math.sin(math.radians(10.0))
+    return {"q": [cos * w + sin * z, cos * x + sin * y, cos * y - sin * x, cos * z - sin * w]}
+
+
+LARGE_ERRORS = {
+    "ranges 1.5 times the distance": (
+        of_laser,
+        lambda message: {"current_distance": min(round(1.5 * message.current_distance), 65_535)},
+        r"the laser's ranges are about (\S+) times",
+        pytest.approx(1.5, rel=0.1),
+    ),
+    "yaw 20 degrees to the left": (
+        of_gimbal,
+        turned_left,
+        r"the gimbal's yaw is off by about (\S+) degrees",
+        pytest.approx(-20.0, abs=3.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("error", LARGE_ERRORS)
+def test_a_large_error_of_the_payload_is_reported_and_corrected(flown, watching, error):
+    changes, fields_of, words, found = LARGE_ERRORS[error]
+
+    def erring(message):
+        if changes(message):
+            yield 0.0, packed(message, **fields_of(message))
+        else:
+            yield from unchanged(message)
+
+    watching.wait_for("the target is in sight")
+    flown.wait(60.0)
+    begin_s = flown.now_s
+    flown.relay.change = erring
+    for _ in range(30):
+        flown.wait(10.0)
+        if reported := re.findall(words, watching.announced):
+            break
+    after_s = flown.now_s - begin_s
+    flown.wait(60.0)
+    nearest_m = flown.nearest_m(begin_s)
+    assert watching.end()["outcome"] == "interrupted", watching.announced
+    reported = re.findall(words, watching.announced)
+    print(f"{flown.flavour} {error}: {reported} after {after_s:.0f} s, least true range {nearest_m:.0f} m")
+    assert reported
+    assert float(reported[-1]) == found
     assert nearest_m >= NEAREST_M
 
 
