@@ -1,10 +1,14 @@
-"""Small text files of people and of earlier runs, read within bounds: what is wrong becomes one sentence."""
+"""Small text files: read within bounds, where each error is one sentence, and written whole or not at all."""
 
 from __future__ import annotations
 
 import codecs
+import contextlib
+import os
 import re
+import shutil
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +42,36 @@ def read_text(path: Path, max_bytes: int, remedy: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text in UTF-8 (byte {error.start}); {remedy}.") from error
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield the name to write to; it becomes ``path`` only once it is whole.
+
+    If the body fails, as on a full disk, a file that was there stays and a new one does not appear. Pipes and devices
+    are written directly.
+    """
+    whole = path.is_file() or not path.exists()
+    path = path.resolve() if whole else path  # a symbolic link stays one
+    partial = path.with_name(f"{path.name}.partial") if whole else path
+    try:
+        yield partial
+        if whole:
+            if path.exists():
+                shutil.copymode(path, partial)
+            partial.replace(path)
+    finally:
+        if whole:
+            partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all. Raises OSError."""
+    with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        if partial != path:  # a pipe has no disk
+            os.fsync(file.fileno())
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from sidelong.app.records.mcap_writer import McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.records.track import Flight, Mission
 from sidelong.app.report.sources import Flown, Sink, feed, read_flight
+from sidelong.app.text_file import whole_file
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
 
@@ -107,21 +108,12 @@ def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
 
 @contextlib.contextmanager
 def _whole(out: Path) -> Iterator[Path]:
-    """Yield the file to write: an interrupted export leaves the previous file unchanged. A pipe is written directly.
-
-    Raises InputError if the file cannot be written.
-    """
-    whole = out.is_file() or not out.exists()
-    partial = out.with_name(f"{out.name}.partial") if whole else out
+    """Yield the file to write: an interrupted export leaves the previous file unchanged. Raises InputError."""
     try:
-        yield partial
-        if whole:
-            partial.replace(out)
+        with whole_file(out) as partial:
+            yield partial
     except OSError as error:
         raise InputError(f"{out} cannot be written ({error.strerror}); give another file to --out.") from error
-    finally:
-        if whole:
-            partial.unlink(missing_ok=True)
 
 
 def _write_mcap(aircraft: list[_Aircraft], out: Path) -> None:

@@ -16,6 +16,7 @@ from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
 from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS, PayloadPreset, Preset
+from sidelong.app.text_file import write_text
 
 _WIDTH = 112
 _LIMITS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
@@ -94,11 +95,10 @@ def init(
     """
     _check_preset(preset, fleet)
     checked_file("init", file)
+    if file.exists() and not force:
+        raise InputError(f"{file} is there already; give another name, or --force to write over it.")
     try:
-        with file.open("w" if force else "x", encoding="utf-8") as out:
-            out.write(config_text(preset, fleet))
-    except FileExistsError as error:
-        raise InputError(f"{file} is there already; give another name, or --force to write over it.") from error
+        write_text(file, config_text(preset, fleet))
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror}); give another file.") from error
     console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)

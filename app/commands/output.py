@@ -17,6 +17,7 @@ from rich.table import Table
 from sidelong.app.commands.options import OUTPUT
 from sidelong.app.errors import InputError
 from sidelong.app.shutdown import abandon
+from sidelong.app.text_file import write_text
 
 _WIDE = 400  # characters, more than any table
 
@@ -108,7 +109,7 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
         if str(path) == "-":
             print(text, end="", flush=True)
         else:
-            path.write_text(text, encoding="utf-8")
+            write_text(path, text)
     except BrokenPipeError:
         raise
     except OSError as error:

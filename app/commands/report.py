@@ -13,6 +13,7 @@ from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, require_recording
+from sidelong.app.text_file import write_text
 
 
 def report(
@@ -90,7 +91,7 @@ def _write_fleet(folder: FleetFolder, out: Path) -> None:
 
 def _write(out: Path, page: str) -> None:
     try:
-        out.write_text(page, encoding="utf-8")
+        write_text(out, page)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another file to --out.") from error
     console.print(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

@@ -17,6 +17,7 @@ from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.report.sources import read_flight
 from sidelong.app.route_file import RoutePoints, read_route
+from sidelong.app.text_file import write_text
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.route.route import Route, route_of
 
@@ -147,7 +148,7 @@ def _write_from(source: Path, file: Path) -> None:
     line = LineString(path_m).simplify(_SIMPLIFIED_M)
     text = writer([flown.plane.latitude_longitude_deg(*point) for point in line.coords])
     try:
-        file.write_text(text, encoding="utf-8")
+        write_text(file, text)
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror}); give another file.") from error
     console.print(f"route: {file}", soft_wrap=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from sidelong.app.errors import InputError
-from sidelong.app.text_file import read_text
+from sidelong.app.text_file import read_text, write_text
 
 _SUMMARY_MAX_BYTES = 1 << 20
 _LEAST_FREE_BYTES = 20_000_000
@@ -99,13 +98,7 @@ class _Folder:
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write the summary whole or not at all."""
-        partial = self.summary.with_suffix(".partial")
-        with partial.open("w", encoding="utf-8") as file:
-            json.dump(summary, file, indent=2)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(self.summary)
+        write_text(self.summary, json.dumps(summary, indent=2) + "\n")
 
 
 class RunFolder(_Folder):

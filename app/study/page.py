@@ -16,6 +16,7 @@ from sidelong.app.study.measures import BAND, EXPLAINED, MOVES, SIDE, Measure
 from sidelong.app.study.report import measures_of, study_fidelity, study_title, sweep_rows
 from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.study import StudyResult, flown_again
+from sidelong.app.text_file import write_text
 
 _BINS, _WORST = 40, 4
 _TABLED = 200  # rows
@@ -32,7 +33,7 @@ def write_page(results: Sequence[StudyResult], command: str, file: Path) -> None
         parts = [_table(results), *map(html.figure, figures), *_worst(results, command)]
     head = f"<h1>Study</h1><p>{escape(title)}; {escape(study_fidelity(first.settings))}.</p>"
     whole = [head, f"<p><code>{escape(command)}</code></p>", *parts]
-    file.write_text(html.document("sidelong study", "\n".join(whole)), encoding="utf-8")
+    write_text(file, html.document("sidelong study", "\n".join(whole)))
 
 
 def _table(results: Sequence[StudyResult]) -> str:
