@@ -414,6 +414,8 @@ class SimulationSection(Section):
     """Simulated time over wall time."""
     seed: int = Field(1, ge=0)
     """Random seed of all noise."""
+    laser: bool = True
+    """Whether the simulated payload has a laser."""
     wind_speed_m_s: float = Field(0.0, ge=0, le=30)
     """Steady wind, m/s."""
     wind_from_deg: float = Field(270.0, ge=0, le=360)

@@ -87,7 +87,7 @@ class PayloadPreset:
         """Return the keys that it sets, by section; without a laser, the range comes from flat ground."""
         found: dict[str, dict[str, str | float]] = {"payload": {"kind": self.kind, "url": self.url}}
         if not self.has_laser:
-            found["terrain"] = {"flat": True}
+            found |= {"terrain": {"flat": True}, "simulation": {"laser": False}}
         if self.pan_limit_deg is not None:
             found["aircraft"] = {"pan_limit_deg": self.pan_limit_deg}
         return found

@@ -206,7 +206,7 @@ def run(
             "--gimbal-sigma-deg": (gimbal_sigma_deg, 0.0, 45.0, True),
             "--gimbal-yaw-bias-deg": (gimbal_yaw_bias_deg, -180.0, 180.0, True),
             "--pan-limit-deg": (pan_limit_deg, 0.0, 180.0, False),
-            "--dropouts": (dropouts, 0.0, 0.95, True),
+            "--dropouts": (dropouts, 0.0, 1.0, True),
             "--payload-latency-ms": (payload_latency_ms, 0.0, 10_000.0, True),
             "--loss": (loss, 0.0, 1.0, True),
             "--delay-ms": (delay_ms, 0.0, 60_000.0, True),

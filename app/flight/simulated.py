@@ -62,6 +62,7 @@ class SimulatedVehicles:
             *("--pan-limit-deg", f"{math.degrees(config.aircraft.aircraft().pan_limit_rad):g}"),
             *("--wind-speed", f"{simulation.wind_speed_m_s:g}"),
             *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
+            *(() if simulation.laser else ("--dropouts", "1")),
             *(option for truth in truths for option in ("--truth", str(truth))),
             *(("--require-signing", str(key)) if (key := config.link.signing_key_file) is not None else ()),
             *(("--terrain", config.terrain.folder) if config.terrain.folder is not None else ()),

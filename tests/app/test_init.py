@@ -12,6 +12,7 @@ import pytest
 from sidelong.app.commands.init import config_text, init
 from sidelong.app.config import Config, check_flyable, load_config
 from sidelong.app.errors import InputError
+from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 
@@ -124,3 +125,11 @@ def test_a_folder_in_place_of_the_file_is_reported(tmp_path):
 def test_a_folder_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(InputError, match=r"there is no folder .*no; create it or give another file to init\.$"):
         init(Path(tmp_path / "no" / "mission.toml"))
+
+
+@pytest.mark.parametrize("name", PAYLOAD_PRESETS)
+def test_the_simulated_payload_has_a_laser_as_the_preset_has(name, tmp_path):
+    file = tmp_path / "mission.toml"
+    file.write_text(config_text(name))
+    simulated = SimulatedVehicles([load_config(file)], [], pytest.fail)
+    assert ("--dropouts" in simulated._options) is not PAYLOAD_PRESETS[name].has_laser

@@ -59,6 +59,12 @@ def test_noise_outliers_and_dropouts_have_the_stated_size():
     assert error_deg.std(axis=0) == pytest.approx([0.35, 0.35], abs=0.01)
 
 
+def test_without_a_laser_there_is_no_range():
+    measured = measurements(PayloadSettings(dropout_fraction=1.0), 1000)
+    assert not of_kind(measured, "DISTANCE_SENSOR")
+    assert len(of_kind(measured, "GIMBAL_DEVICE_ATTITUDE_STATUS")) == 1000
+
+
 def test_dropouts_last_half_a_second_to_eight():
     valid = np.array([m.laser_valid for m in measurements(PayloadSettings(range_sigma_m=0.0), 20_000)])
     edges = np.flatnonzero(np.diff(np.concatenate(([True], valid, [True])).astype(int)))
