@@ -1,4 +1,4 @@
-"""The files that a configuration names and its fences, checked before any connection or computation."""
+"""The files and modes that a configuration names and its fences, checked before any connection or computation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class NamedTarget(Protocol):
 
 
 def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
-    """Raise InputError, which names the field, if a file cannot be used or a fence is no polygon.
+    """Raise InputError, which names the field, if a file or mode cannot be used or a fence is no polygon.
 
     Args:
         config: The configuration of one aircraft or of a fleet.
@@ -47,7 +47,9 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
 
 
 def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[str, Callable[[], object]]]:
-    """Yield each field that names a file, with the check of that file."""
+    """Yield each field that names a file or a flight mode, with its check."""
+    if config.link.take_over_from:
+        yield "link.take_over_from", partial(_check_modes, config.link.take_over_from)
     if config.link.signing_key_file is not None:
         from sidelong.app.link.key_file import read_key  # noqa: PLC0415  # as above
 
@@ -62,6 +64,17 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
         for one in targets:
             if one.motion is not None:
                 yield f"target {one.name!r}: motion", partial(_check_motion, one.motion)
+
+
+def _check_modes(modes: Sequence[str]) -> None:
+    from sidelong.app.link.modes import FAILSAFE, RECOVERY_MODES  # noqa: PLC0415  # as above
+
+    known = (*RECOVERY_MODES, FAILSAFE)
+    for mode in modes:
+        if mode.upper() not in map(str.upper, known):
+            raise InputError(
+                f"{mode!r:.40} needs no permission or does not exist; those that need one are {', '.join(known)}."
+            )
 
 
 def _check_motion(motion: str) -> None:

@@ -21,7 +21,7 @@ from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.mission_item import MissionItem, e7
 
 _CUSTOM_MODE_ENABLED = 1
-_AUTO, _MISSION, _RTL = 4, 4, 5
+_AUTO, _MISSION, _RTL, _PRECLAND = 4, 4, 5, 9
 _APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
 _ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
 _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
@@ -74,6 +74,8 @@ class Px4:
     min_items = 0
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
+        if (custom_mode >> 16 & 0xFF, custom_mode >> 24) == (_AUTO, _PRECLAND):  # pymavlink lacks it
+            return "PRECLAND"
         return str(_mavutil().interpret_px4_mode(base_mode, custom_mode))
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:

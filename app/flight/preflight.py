@@ -14,7 +14,7 @@ from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.source_rates import SourceRate
-from sidelong.app.link.modes import TYPE_FIXED_WING
+from sidelong.app.link.modes import FAILSAFE, RECOVERY_MODES, TYPE_FIXED_WING
 from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import has_fix
 from sidelong.app.link.vehicle import Vehicle
@@ -26,8 +26,6 @@ _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
-FAILSAFE = "failsafe"
-_RECOVERY_MODES = frozenset({"RTL", "QRTL", "LAND", "QLAND", "AUTOLAND", "DESCEND", "TERMINATION"})
 _FAILSAFE_STATES = (5, 6, 8)  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY, MAV_STATE_FLIGHT_TERMINATION
 _NAMED = (Purpose.GROUND_STATION, Purpose.MISSION_ITEMS)
 _SENSORS = {
@@ -72,7 +70,7 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
     if not is_flying(vehicle):
         return
     mode, state = mode_of(vehicle), int(vehicle.latest["HEARTBEAT"].fields["system_status"])
-    reasons = [mode] if mode in _RECOVERY_MODES else []
+    reasons = [mode] if mode in RECOVERY_MODES else []
     if state in _FAILSAFE_STATES:
         reasons.append(FAILSAFE)
     refused = [reason for reason in reasons if reason.upper() not in {one.upper() for one in allowed}]

@@ -10,6 +10,10 @@ AUTOPILOT_INVALID = int(dialect.MAV_AUTOPILOT_INVALID)
 TYPE_FIXED_WING = int(dialect.MAV_TYPE_FIXED_WING)
 ARMED_FLAG = int(dialect.MAV_MODE_FLAG_SAFETY_ARMED)
 
+FAILSAFE = "failsafe"
+RECOVERY_MODES = ("RTL", "QRTL", "LAND", "QLAND", "AUTOLAND", "PRECLAND", "DESCEND", "TERMINATION", "AVOID_ADSB")
+"""Modes out of which a flying aircraft is not taken without permission."""
+
 
 def mode_name(mav_autopilot: int, base_mode: int, custom_mode: int) -> str:
     """Return the mode as the autopilot's own documentation calls it (AUTO, RTL; MISSION, LOITER)."""

@@ -12,6 +12,7 @@ from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
+from sidelong.app.link.modes import RECOVERY_MODES
 from sidelong.app.link.queries import pan_limits_rad
 from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.estimators.sensing.readings import Source
@@ -115,6 +116,7 @@ class Flying:
         (Flying(11), ("rtl",), ""),
         (Flying(11), ("LAND",), "--take-over-from RTL"),
         (Flying(26), (), "--take-over-from AUTOLAND"),
+        (Flying(14), (), "--take-over-from AVOID_ADSB"),
         (Flying(10, state=5), (), "--take-over-from failsafe"),
         (Flying(11, state=6), ("RTL",), "--take-over-from failsafe"),
         (Flying(11, state=6), ("RTL", "failsafe"), ""),
@@ -152,3 +154,7 @@ def test_pan_limits_are_reported_with_the_share_of_a_lap_that_they_cost(fields, 
 def test_a_configured_pan_limit_wider_than_the_gimbal_s_is_reported(configured_deg, is_wider):
     words = contradiction(configured_deg, (math.radians(-120.0), math.radians(120.0)))
     assert ("but the gimbal pans 120 degrees only" in words) is is_wider
+
+
+def test_a_precision_landing_of_px4_has_a_name():
+    assert Px4().mode_name(0x80 | 1, 4 << 16 | 9 << 24) in RECOVERY_MODES
