@@ -14,7 +14,7 @@ from sidelong.app.commands.output import JsonOption, checked_output, console, wr
 from sidelong.app.commands.payload_status import degrees_of, payload_lines, payload_values
 from sidelong.app.config import Config, check_alone, check_flyable, load_config
 from sidelong.app.config_files import check_files
-from sidelong.app.errors import InputError
+from sidelong.app.errors import FlightError, InputError
 from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.flight.input_health import InputHealth
@@ -60,7 +60,8 @@ def connect(
 ) -> None:
     """List the detected components (autopilot, mode, position, sensors, parameters) and failing pre-flight checks.
 
-    This command arms and changes nothing. With a fleet file, it checks all aircraft, one after the other.
+    This command arms and changes nothing. With a fleet file, it checks all aircraft, one after the other. The exit
+    code is 0 if all is ready, 1 if a check fails, 2 if there is no vehicle.
 
     For example:
       sidelong connect udpin://0.0.0.0:14540
@@ -86,7 +87,9 @@ def connect(
         check_alone(settings)
         check_flyable(settings)
         check_files(settings)
-        write_json(json, run(_report(settings, listen_s)))
+        report = run(_report(settings, listen_s))
+        write_json(json, report)
+        _check_ready([report])
         return
     if urls or system_id is not None:
         raise InputError(f"{config} has the links of its aircraft; leave out the URL and --system-id.")
@@ -105,6 +108,14 @@ def connect(
     write_json(json, {"ready": not missing and all(one["ready"] for one in reports), "aircraft": reports})
     if missing:
         raise InputError(" ".join(missing))
+    _check_ready(reports)
+
+
+def _check_ready(reports: list[dict[str, Any]]) -> None:
+    """Raise FlightError, so that a script receives exit code 1, if a vehicle is not ready."""
+    failing = [check["name"] for report in reports for check in report["checks"] if not check["ready"]]
+    if failing:
+        raise FlightError(f"not ready: {', '.join(dict.fromkeys(failing))}; see the lines above.")
 
 
 def _links(settings: Config) -> list[str]:

@@ -213,10 +213,15 @@ def launch(
     settings = None
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
+        flown: Config = several
         if len(several.aircraft) == 1:
-            settings = several.members[0].config
+            flown = settings = several.members[0].config
     else:
-        settings = load_config(config, overrides)
+        flown = settings = load_config(config, overrides)
+    _check_simulated(
+        flown,
+        {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot, "--home": home},
+    )
     # The flight modules take a second to load; report a wrong option first.
     fly: Callable[[float, Path, bool, bool, Address | None], FlightEnded | FleetEnded]
     if settings is None:
@@ -293,6 +298,16 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
             "set sensors.angles_alone = false with it."
+        )
+
+
+def _check_simulated(settings: Config, options: dict[str, object]) -> None:
+    """Raise InputError for options of the simulation where a vehicle would fly. Its operator may expect none to."""
+    given = [name for name, value in options.items() if value is not None]
+    if given and not settings.is_simulated:
+        raise InputError(
+            f"{', '.join(given)}: for a simulated vehicle only, and this configuration has a link to a vehicle; "
+            "leave the option out to fly that vehicle, or leave --connect and the configured link out to simulate."
         )
 
 

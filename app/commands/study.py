@@ -188,6 +188,7 @@ def study(
             raise InputError(f"--benchmark: fixes targets, aircraft and noise; leave out {other}.")
         _benchmark(Benchmark(targets, planner, controller or "", runs), jobs, json)
         return
+    _check_effect(given, fleet)
     planners = _planners(fidelity, planner, given)
     _check_places(export, report, store, scheduler)
     if autopilot not in (None, *AUTOPILOTS):
@@ -410,6 +411,19 @@ def _legs(words: str) -> tuple[float, float]:
     if match is None or not 0.0 < float(match[1]) <= float(match[2]):
         raise InputError(f"--legs: {words!r} is no range of seconds such as 40-200.")
     return float(match[1]), float(match[2])
+
+
+def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
+    """Raise InputError for an option that would have no effect."""
+    useless = {
+        "home": ("terrain" not in given, "it places the study on elevation data; give --terrain with it"),
+        "legs": ("targets" in given, "recorded targets move as recorded; leave it out"),
+        "jobs": ("scheduler" in given, "the workers of --scheduler compute; leave it out"),
+        **dict.fromkeys(("export", "report", "store"), (fleet > 1, "--fleet prints a table; give --json instead")),
+    }
+    for name, (applies, words) in useless.items():
+        if applies and name in given:
+            raise InputError(f"{given[name][0]}: {words}.")
 
 
 def _check_controller(planners: list[PlannerName] | None, controller: str | None, store: Path | None) -> None:

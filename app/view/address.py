@@ -84,6 +84,8 @@ def page_address(
             raise InputError(f"--map: there is no file {map_file}.")
         if map_file is not None or map_bounds is not None:
             raise InputError("--map lies under the live map; give --view with it.")
+        if cert is not None or key is not None:
+            raise InputError("--view-cert and --view-key protect the live map; give --view with them.")
         return None
     if map_file is None and map_bounds is not None:
         raise InputError("--map-bounds is the extent of the picture of --map; give both.")

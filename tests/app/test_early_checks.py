@@ -8,8 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from sidelong.app.cli import app
-from sidelong.app.commands import launch_one, replay
+from sidelong.app.commands import connect, launch_one, replay
 from sidelong.app.errors import InputError
+from tests.command_line import sidelong
 
 
 @pytest.mark.parametrize(
@@ -40,6 +41,11 @@ from sidelong.app.errors import InputError
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--set", "aircraft.radius_m=15"], "at least 22.95"),
         (["study", "--scheduler", "here"], "--scheduler: 'here' is no address"),
         (["study", "--store", "tests"], "tests is a folder; give a file to --store"),
+        (["study", "--home", "47.4,8.5"], "--home: it places the study on elevation data; give --terrain with it"),
+        (["study", "--legs", "20-60", "--targets", "tests"], "--legs: recorded targets move as recorded"),
+        (["study", "--fleet", "2", "--export", "x.csv"], "--export: --fleet prints a table; give --json instead"),
+        (["launch", "--view-cert", "a.pem"], "--view-cert and --view-key protect the live map; give --view"),
+        (["launch", "--take-over-from", "RLT"], "link.take_over_from: 'RLT' needs no permission or does not exist"),
     ],
 )
 def test_a_wrong_option_is_reported_at_once(monkeypatch, arguments, sentence):
@@ -54,6 +60,30 @@ def test_a_wrong_option_is_reported_at_once(monkeypatch, arguments, sentence):
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)
     assert not late.called
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--target", "walk"), ("--speed", "4"), ("--seed", "2"), ("--autopilot", "px4"), ("--home", "47.4,8.5")],
+)
+@pytest.mark.parametrize(
+    "text", ["[link]\nurl = 'udpin://127.0.0.1:1'", "[[aircraft]]\nname='a'\nurl='udpin://127.0.0.1:1'"]
+)
+def test_an_option_of_the_simulation_is_refused_where_a_vehicle_would_fly(tmp_path, text, option):
+    (tmp_path / "mission.toml").write_text(text)
+    ended = CliRunner().invoke(app, ["launch", str(tmp_path / "mission.toml"), *option])
+    assert f"{option[0]}: for a simulated vehicle only" in str(ended.exception)
+
+
+@pytest.mark.parametrize(("is_ready", "code"), [(True, 0), (False, 1)])
+def test_connect_ends_with_code_1_if_a_check_fails(monkeypatch, is_ready, code):
+    async def reported(*_arguments):
+        return {"ready": is_ready, "checks": [{"name": "gimbal source", "ready": is_ready}]}
+
+    monkeypatch.setattr(connect, "_report", reported)
+    ended = sidelong("connect", "udpin://127.0.0.1:1")
+    assert ended.returncode == code
+    assert ("not ready: gimbal source" in ended.stderr) is not is_ready
 
 
 _AIRCRAFT = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
