@@ -270,7 +270,8 @@ class Flight:
         delay = asyncio.create_task(self._announce_delay(loop))
         listening = asyncio.create_task(alarms.run())
         give_route(self._config.route, self._session, plane, loop.put, self._display.note)
-        loop.put(self._takeover(loop.link_s))
+        if not stopped.is_set():
+            loop.put(self._takeover(loop.link_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:

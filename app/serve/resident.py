@@ -111,12 +111,12 @@ class Resident:
         """
         async with serving(socket_path, self._answer):
             notify("READY=1")
-            living, ending = asyncio.create_task(self._live()), asyncio.create_task(stopped.wait())
+            living, ending = asyncio.create_task(self._live(stopped)), asyncio.create_task(stopped.wait())
             others = [ending, asyncio.create_task(feed_watchdog()), asyncio.create_task(self._keep_budget())]
             try:
                 await asyncio.wait((living, ending), return_when=asyncio.FIRST_COMPLETED)
                 if living.done():
-                    living.result()  # it has no regular end
+                    living.result()
             finally:
                 notify("STOPPING=1")
                 if self._life is not None:
@@ -173,15 +173,14 @@ class Resident:
 
     # -- life ----------------------------------------------------------------------------------------------
 
-    async def _live(self) -> None:
+    async def _live(self, stopped: asyncio.Event) -> None:
         await self._prepare()
-        while True:
+        while not stopped.is_set():
             obstacle = await self._stood_by()
             if obstacle:
                 self._become(State.WAITING, obstacle)
                 await asyncio.sleep(_AGAIN_S)
                 continue
-            self._wanted.clear()
             await self._watch_once()
 
     async def _prepare(self) -> None:
@@ -238,8 +237,11 @@ class Resident:
                 await asyncio.gather(judging, wanted, return_exceptions=True)
                 self._session = None
 
-    def _stands(self, missing: str) -> None:
-        if missing:
+    def _stands(self, missing: str | None) -> None:
+        if missing is None:
+            if self._state is not State.FAULT:  # its reason is shown until something is missing or a watch begins
+                self._become(State.WAITING, "the vehicle is being checked")
+        elif missing:
             self._wanted.clear()
             self._become(State.WAITING, missing)
         elif self._state is not State.FAULT:
@@ -263,8 +265,11 @@ class Resident:
             await session.vehicle.set_rates({_RC_CHANNELS: _RC_HZ})
 
     async def _watch_once(self) -> None:
-        self._watches += 1
         await asyncio.to_thread(self._rotate)
+        if not self._wanted.is_set():  # released in the meantime
+            return
+        self._wanted.clear()
+        self._watches += 1
         display = ServiceDisplay(self._log, self._follow)
         self._display = display
         self._become(State.WATCHING, "the watch begins")

@@ -30,7 +30,8 @@ class Standby:
     """Judges one session again and again.
 
     Attributes:
-        missing: What keeps the vehicle from being watched with, in words; '' where it is ready.
+        missing: What keeps the vehicle from being watched with, in words; '' where it is ready, None before the first
+            check.
     """
 
     def __init__(self, session: Session, config: Config) -> None:
@@ -38,7 +39,7 @@ class Standby:
         self._received_s = time.monotonic()
         self._boot_ms = -1
         self._restarted = self._was_missing = False
-        self.missing = "the vehicle is being checked"
+        self.missing: str | None = None
         session.vehicle.listeners.append(self._on_message)
 
     async def run(self) -> None:
@@ -71,7 +72,7 @@ class Standby:
 
     def _judge(self, missing: str) -> None:
         """Take what is missing; a source of few messages may be silent for once."""
-        if self.missing or self._was_missing or not missing:
+        if self.missing != "" or self._was_missing or not missing:
             self.missing = missing
         self._was_missing = bool(missing)
 

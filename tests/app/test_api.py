@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 import sidelong
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.app.flight.flight import Sharing
+from sidelong.app.flight.life import Life
+from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.single import fly_single
+from sidelong.app.records.run_folder import RunFolder
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -25,6 +34,24 @@ def test_the_example_watches_and_ends(tmp_path):
     assert "outcome: ended: ended by the operator" in ran.stdout
     (run,) = (tmp_path / "runs").iterdir()
     assert {"journal.jsonl", "flight.tlog", "summary.json"} <= {file.name for file in run.iterdir()}
+
+
+@pytest.mark.udp
+def test_a_flight_that_is_stopped_while_the_vehicle_is_checked_takes_nothing_over(tmp_path):
+    config, folder = Config(), RunFolder.create(tmp_path, datetime.now(UTC))
+
+    async def fly():
+        with contextlib.closing(Recording(folder, config, print)) as recording:
+            life = Life(lambda: recording.begun, print)
+            life.stopped.set()
+            display = sidelong.Watch(folder.path, lambda _text: None)
+            return await fly_single(
+                config, None, folder, recording, display, Sharing(), life, print, lambda: controller_of(config)
+            )
+
+    ended = asyncio.run(fly())
+    assert ended.summary.outcome == "interrupted"
+    assert "TakeoverRequested" not in folder.journal.read_text()
 
 
 @pytest.mark.parametrize(

@@ -12,16 +12,21 @@ from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from shutil import which
+from types import SimpleNamespace
 
 import pytest
 
 from sidelong.app.config import Config, ControlSection, config_from, load_config
-from sidelong.app.errors import InputError
+from sidelong.app.errors import FlightError, InputError
+from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.serve import control_socket
+from sidelong.app.serve.resident import Resident
 from sidelong.app.serve.rotation import rotate
 from sidelong.app.serve.service_manager import feed_watchdog, notify
+from sidelong.app.serve.standby import Standby
+from sidelong.app.serve.state import State
 from sidelong.app.serve.triggers import Triggers
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ModeReported
@@ -218,3 +223,83 @@ def test_the_unit_is_valid_for_systemd(tmp_path):
     )
     complaints = [line for line in verified.stderr.splitlines() if "sidelong.service" in line]
     assert not [line for line in complaints if "mavlink-router" not in line], verified.stderr
+
+
+class Watched(Resident):
+    """A service whose vehicle is always ready; each watch lasts until it is stopped.
+
+    Attributes:
+        begun: How many watches have begun.
+    """
+
+    def __init__(self, out, stands_by):
+        super().__init__(config_from({"link": {"url": "udpin://127.0.0.1:1"}}, "test"), out, lambda _text: None)
+        self.begun, self._stands_by = 0, stands_by
+
+    async def _prepare(self):
+        pass
+
+    async def _stand_by(self):
+        self._become(State.READY, "")
+        await self._stands_by(self)
+
+    async def _flown(self, display):
+        self.begun += 1
+        self._life = Life(lambda: True, lambda _text: None)
+        await self._life.stopped.wait()
+        raise FlightError("the link is lost")
+
+
+@pytest.fixture
+def serving(tmp_path):
+    async def served(stands_by, until):
+        resident, stopped = Watched(tmp_path, stands_by), asyncio.Event()
+        running = asyncio.create_task(resident.run(stopped, tmp_path / "s.sock"))
+        await until(resident)
+        stopped.set()
+        await asyncio.wait_for(running, 5.0)
+        return resident
+
+    return lambda stands_by, until: asyncio.run(served(stands_by, until))
+
+
+def test_a_watch_that_is_released_before_it_begins_does_not_begin(serving):
+    async def stands_by(resident):
+        if not resident.released:
+            resident.released = [resident.request(one, "a command")[0] for one in ("watch", "release")]
+            return  # the link is being closed in the meantime
+        resident.again.set()
+        await asyncio.Event().wait()
+
+    async def until(resident):
+        resident.released, resident.again = [], asyncio.Event()
+        await asyncio.wait_for(resident.again.wait(), 5.0)
+
+    resident = serving(stands_by, until)
+    assert resident.released == [True, True]
+    assert resident.begun == resident.status.watches == 0
+
+
+def test_a_service_that_is_stopped_in_a_watch_ends_with_it(serving):
+    async def stands_by(resident):
+        resident.request("watch", "a command")
+
+    async def until(resident):
+        while not resident.begun:
+            await asyncio.sleep(0.01)
+
+    assert serving(stands_by, until).begun == 1
+
+
+def test_a_fault_is_shown_until_a_check_fails(tmp_path):
+    resident = Watched(tmp_path, None)
+    resident._become(State.FAULT, "the link is lost")
+    unchecked = Standby(SimpleNamespace(vehicle=SimpleNamespace(listeners=[])), Config()).missing
+    for missing, state in (
+        (unchecked, State.FAULT),
+        ("", State.FAULT),
+        ("home: not known", State.WAITING),
+        ("", State.READY),
+    ):
+        resident._stands(missing)
+        assert resident.status.state is state
