@@ -81,7 +81,7 @@ async def serving(path: Path, answer: Answer) -> AsyncIterator[None]:
 def _answered(line: bytes, answer: Answer) -> dict[str, Any]:
     try:
         request = json.loads(line)["request"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         request = None
     if request not in REQUESTS:
         return {"accepted": False, "text": f"a request is one of {', '.join(REQUESTS)}"}

@@ -25,12 +25,20 @@ class ServiceDisplay:
         self._log, self._changed = log, changed
         self.request: Callable[[Wish], None] | None = None
         self.snapshot: Snapshot | None = None
+        self._vehicle: Callable[[], VehicleStatus] | None = None
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the watch now, in words; '' if nothing is."""
+        alarms = () if self._vehicle is None else self._vehicle().alarms
+        unknown = "" if self.snapshot is None else self.snapshot.unknown
+        return "; ".join(one.text for one in alarms) or unknown
 
     def note(self, text: str) -> None:
         self._log(text)
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        pass
+        self._vehicle = status
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self.request = request

@@ -94,9 +94,10 @@ class Resident:
     @property
     def status(self) -> Status:
         """Where it stands."""
+        trouble = "" if self._display is None or self._state is not State.WATCHING else self._display.trouble
         return Status(
             self._state,
-            self._reason,
+            "; ".join(filter(None, (self._reason, trouble))),
             self._vehicle,
             self._run,
             self._watches,

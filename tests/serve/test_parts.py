@@ -20,8 +20,10 @@ from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
+from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.serve import control_socket
+from sidelong.app.serve.display import ServiceDisplay
 from sidelong.app.serve.resident import Resident
 from sidelong.app.serve.rotation import rotate
 from sidelong.app.serve.service_manager import feed_watchdog, notify
@@ -29,6 +31,7 @@ from sidelong.app.serve.standby import Standby
 from sidelong.app.serve.state import State
 from sidelong.app.serve.triggers import Triggers
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.core.events import ModeReported
 from tests.messages import heartbeat, message
 
@@ -143,6 +146,10 @@ def test_the_socket_answers_and_only_its_owner_reaches_it(path):
             reader, writer = await asyncio.open_unix_connection(path)
             writer.write(b"\xff{" * 10_000)  # nonsense, and no end of it
             assert await reader.read() in (b"", b"\xff")
+            writer.close()
+            reader, writer = await asyncio.open_unix_connection(path)
+            writer.write(b'{"request":' + b"[" * 3000 + b"\n")
+            assert b"a request is one of" in await reader.read()
             writer.close()
             answers.append(await asyncio.to_thread(control_socket.ask, "release"))
             return answers
@@ -303,3 +310,14 @@ def test_a_fault_is_shown_until_a_check_fails(tmp_path):
     ):
         resident._stands(missing)
         assert resident.status.state is state
+
+
+def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
+    resident = Watched(tmp_path, None)
+    resident._become(State.WATCHING, "")
+    display = resident._display = ServiceDisplay(print, lambda: None)
+    alarm = Alarm("link", "nothing received from the aircraft for 3 s", "check radio and antenna", 0.0)
+    display.connected(lambda: VehicleStatus(alarms=(alarm,)))
+    assert str(resident.status) == "watching: nothing received from the aircraft for 3 s"
+    display.connected(VehicleStatus)
+    assert str(resident.status) == "watching"
