@@ -40,7 +40,8 @@ class MissionChanges:
 
     def take(self, change: MissionChange) -> None:
         """Accept a requested change."""
-        if self.is_busy:
+        height_alone = replace(change, height_m=None) == MissionChange(change.time_s, who=change.who)
+        if self.is_busy and not height_alone:
             self._announce(
                 f"{describe_change(change)} refused: the change before is still being made ready; ask again"
             )
@@ -50,7 +51,10 @@ class MissionChanges:
         except InputError as error:
             self._announce(f"{describe_change(change)} refused: {error}")
             return
-        self._making_ready.begin(lambda: self._carry_out(change, changed))
+        if height_alone:  # needs nothing to be made ready
+            self._apply(change, changed)
+        else:
+            self._making_ready.begin(lambda: self._carry_out(change, changed))
 
     def stop(self) -> None:
         """Give up what is under way."""
@@ -85,9 +89,13 @@ class MissionChanges:
         try:
             winds = [*winds_m_s(changed), *self._controller.planning.prepared_winds_m_s]
             await kind.make_ready(aircraft, changed.requirement.requirement(), winds)
-        except OSError as error:
+            changed = self._checked(change)  # the height may have been changed in the meantime
+        except (OSError, InputError) as error:
             self._announce(f"{describe_change(change)} refused: {error}")
             return
+        self._apply(change, changed)
+
+    def _apply(self, change: MissionChange, changed: Config) -> None:
         self._config = changed
         self._put(replace(change, time_s=self._now_s()))
 

@@ -72,14 +72,17 @@ def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch):
         nonlocal turns
         changes.take(MissionChange(0.0, radius_m=80.0, who="operator"))
         changes.take(MissionChange(0.0, radius_m=90.0))
-        while not put:
+        changes.take(MissionChange(0.0, height_m=150.0))
+        while len(put) < 2:
             turns += 1
             await loop_turn()
 
     asyncio.run(changed())
     assert announced == ["radius 90 m refused: the change before is still being made ready; ask again"]
-    (change,) = put
+    height, change = put  # a height waits for no table
+    assert height.height_m == 150.0
     assert (change.radius_m, change.time_s, change.who) == (80.0, 7.0, "operator")
+    assert (changes._config.aircraft.radius_m, changes._config.aircraft.height_m) == (80.0, 150.0)
     assert turns > 20  # the loop went on turning in the meantime
     monkeypatch.setattr(value_cache, "compute", lambda *_: pytest.fail("a table was computed within a step"))
     monkeypatch.setattr(value_cache, "stored_table", lambda *_: pytest.fail("a file was read within a step"))
