@@ -238,12 +238,19 @@ def _replay_run(
     if verify:
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
+        if journal.damaged_lines:
+            raise FlightError(
+                f"{journal.path}: {journal.damaged_lines} damaged lines were passed over, so the flight cannot be "
+                "verified; use an undamaged copy, or leave out --verify."
+            )
         console.print(f"{steps.compared} decisions and commands compared: {steps.sameness()}", soft_wrap=True)
     elif steps.difference is not None and not quiet:
         console.print(Text(f"first difference from the flight {steps.difference}"))
     if truth is None and folder.truth.is_file():
         truth = read_truth(folder.truth)
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
+    if journal.damaged_lines:
+        console.print(f"{journal.damaged_lines} damaged lines of the journal were passed over", soft_wrap=True)
     truncated = folder.truncated()
     if truncated:
         at = clock(max(controller.time_s - (start_s or 0.0), 0.0))

@@ -57,6 +57,10 @@ class _File:
         return folder.path / self._name
 
 
+_END_BYTES = 1 << 20
+_LAST_EVENTS = tuple(f'"event":"{name}"'.encode() for name in ("ShutdownRequested", "End", "TakeoverFailed"))
+
+
 @dataclass(frozen=True)
 class _Folder:
     """Names of what is in a folder; which of them exist depends on the run and on how it ended."""
@@ -119,7 +123,13 @@ class RunFolder(_Folder):
         if not self.summary.is_file():
             return "the program was killed, the disk was full, or the flight still goes on"
         lost = self.read_summary().get("records_lost", "")
-        return lost if isinstance(lost, str) else ""
+        if isinstance(lost, str) and lost:
+            return lost
+        with contextlib.suppress(OSError), self.journal.open("rb") as file:
+            file.seek(max(self.journal.stat().st_size - _END_BYTES, 0))
+            end = file.read()
+            return "" if any(name in end for name in _LAST_EVENTS) else "the end of the journal is missing"
+        return ""
 
     @staticmethod
     def open(path: Path) -> RunFolder:

@@ -17,7 +17,9 @@ from sidelong.app.errors import InputError, missing_package
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.raw_links import opened_links
 from sidelong.app.link.url import checked_url
+from sidelong.app.records.journal import encode
 from sidelong.app.records.run_folder import RunFolder
+from sidelong.mission.exchange.reports import ShutdownRequested
 from sidelong.sitl.world.track import TrackError, read_track
 from tests.app.conftest import recorded
 
@@ -149,6 +151,28 @@ def test_a_long_task_reports_its_progress_without_a_terminal(capsys):
 def test_a_whole_record_is_not_called_truncated(tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps({"records_lost": ""}))
     assert RunFolder(tmp_path).truncated() == ""
+
+
+def test_a_journal_without_its_end_is_called_truncated(run_folder, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(run_folder, run)
+    RunFolder(run).write_summary({"records_lost": ""})
+    assert RunFolder(run).truncated() == "the end of the journal is missing"
+    with RunFolder(run).journal.open("ab") as journal:
+        journal.write(encode(ShutdownRequested(200.0, 100.0)))
+    assert RunFolder(run).truncated() == ""
+
+
+def test_a_damaged_journal_is_not_verified(run_folder, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(run_folder, run)
+    lines = RunFolder(run).journal.read_bytes().splitlines(keepends=True)
+    lines[50] = lines[50].replace(b"time_s", b"tame_s")
+    RunFolder(run).journal.write_bytes(b"".join(lines))
+    ended = CliRunner().invoke(app, ["replay", str(run), "--verify"])
+    assert "1 damaged lines were passed over, so the flight cannot be verified" in str(ended.exception)
+    ended = CliRunner().invoke(app, ["replay", str(run), "--quiet"])
+    assert "1 damaged lines of the journal were passed over" in ended.output
 
 
 def test_a_link_that_takes_no_message_ends_in_one_sentence(monkeypatch, capsys):
