@@ -240,14 +240,13 @@ def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], li
     return outlines(config.fences.keep_in), outlines(config.fences.keep_out)
 
 
-def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | None]:
-    """Return the check of plans against the fences. Raises InputError if a fence is not a valid polygon."""
+def fences_of(config: Config, plane: LocalPlane) -> Fences:
+    """Return the configured fences in the plane. Raises InputError if one is not a valid polygon."""
     fences = config.fences
     try:
-        built = Fences(*fence_outlines(config, plane), fences.floor_m, fences.ceiling_m, fences.margin_m)
+        return Fences(*fence_outlines(config, plane), fences.floor_m, fences.ceiling_m, fences.margin_m)
     except FenceError as error:
         raise InputError(f"fences: {error}; correct its corners.") from error
-    return built.check(config.aircraft.height_m)
 
 
 def settle(
@@ -259,7 +258,7 @@ def settle(
     or if the elevation data is unusable.
     """
     surroundings, aircraft = controller.surroundings, config.aircraft
-    surroundings.check = fence_check(config, plane)
+    surroundings.check = fences_of(config, plane).check(aircraft.height_m)
     surroundings.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
     ground = ground_of(config, plane, home_deg)
     if ground is None:

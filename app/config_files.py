@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 from sidelong.app.config import Config, RouteSection
 from sidelong.app.errors import InputError
@@ -37,9 +37,15 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
             raise InputError(f"{field}: {error}") from error
     corners = [*itertools.chain(*config.fences.keep_in, *config.fences.keep_out)]
     if corners:
-        from sidelong.app.assembly import fence_check  # noqa: PLC0415  # it loads the filter
+        from sidelong.app.assembly import fences_of  # noqa: PLC0415  # it loads the filter
 
-        fence_check(config, LocalPlane(*corners[0]))
+        fences, aircraft = fences_of(config, LocalPlane(*corners[0])), cast(Any, config.aircraft)
+        for one in aircraft if isinstance(aircraft, list) else (aircraft,):
+            if not fences.has_room(one.radius_m):
+                raise InputError(
+                    f"fences: no circle of aircraft.radius_m = {one.radius_m:g} fits into keep_in with "
+                    f"margin_m = {config.fences.margin_m:g}; change one of them."
+                )
     if config.sharing.cot is not None:
         from sidelong.app.flight.outputs import check_certificates  # noqa: PLC0415  # it loads MAVLink
 

@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from shapely import LineString, Point, Polygon, union_all
+from shapely import LineString, Point, Polygon, get_parts, union_all
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
 
 Outline = Sequence[tuple[float, float]]
 
+_AREA_MIN_M2 = 1.0
 _QUARTER_CIRCLE_SEGMENTS = 32  # keeps the polygon within 0.06 % of the radius
 
 
@@ -43,6 +44,17 @@ class Fences:
             for number, outline in enumerate(keep_out, 1)
         ]
         self._floor_m, self._ceiling_m, self._margin_m = floor_m, ceiling_m, margin_m
+
+    def has_room(self, radius_m: float) -> bool:
+        """Return whether a circle of this radius fits anywhere into the keep-in polygons.
+
+        Args:
+            radius_m: Radius of the circle, m.
+        """
+        if self._keep_in is None:
+            return True
+        without_holes = [Polygon(part.exterior) for part in get_parts(self._keep_in)]  # a circle may surround a hole
+        return not union_all(without_holes).buffer(-radius_m - self._margin_m).is_empty
 
     def rejection(self, plan: Plan, height_m: float) -> str | None:
         """Return which part of a plan breaks which fence.
@@ -107,6 +119,8 @@ def _polygon(outline: Outline, name: str) -> Any:
     if len(outline) < 3:
         raise FenceError(f"{name} has {len(outline)} corners; it needs at least three")
     polygon = Polygon(outline)
+    if polygon.convex_hull.area < _AREA_MIN_M2:
+        raise FenceError(f"{name} has no area")
     if not polygon.is_valid:
         raise FenceError(f"{name} has sides that cross")
     return polygon

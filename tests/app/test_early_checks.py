@@ -87,6 +87,7 @@ def test_connect_ends_with_code_1_if_a_check_fails(monkeypatch, is_ready, code):
 
 
 _AIRCRAFT = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
+_SMALL = "[[4.0, 8.0], [4.001, 8.0], [4.001, 8.001], [4.0, 8.001]]"  # 110 m
 _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
 
 
@@ -116,6 +117,12 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
             "[fences]\nkeep_out = [[[4.0, 8.0], [4.1, 8.1], [4.1, 8.0], [4.0, 8.1]]]",
             "keep_out polygon 1 has sides that",
         ),
+        ("[fences]\nkeep_out = [[[4.0, 8.0], [4.0, 8.001], [4.0, 8.002]]]", "keep_out polygon 1 has no area"),
+        (
+            f"[fences]\nkeep_in = [{_SMALL}]",
+            "no circle of aircraft.radius_m = 50 fits into keep_in with margin_m = 20",
+        ),
+        (_AIRCRAFT + f"[fences]\nkeep_in = [{_SMALL}]", "no circle of aircraft.radius_m = 50 fits into keep_in"),
         (_AIRCRAFT + '[[target]]\nname = "bike"\nmotion = "none.csv"', "target 'bike': motion: none.csv cannot be"),
     ],
 )
