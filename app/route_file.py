@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import math
@@ -114,15 +115,15 @@ def _geojson(text: str) -> _Read:
         kind, coordinates = geometry["type"], geometry["coordinates"]
         match kind:
             case "LineString":
-                lines += [(float(c[1]), float(c[0])) for c in coordinates]
+                lines += map(_latitude_longitude, coordinates)
             case "MultiLineString":
-                lines += [(float(c[1]), float(c[0])) for line in coordinates for c in line]
+                lines += [_latitude_longitude(position) for line in coordinates for position in line]
             case "Polygon":
-                lines += [(float(c[1]), float(c[0])) for c in coordinates[0]]
+                lines += [_latitude_longitude(position) for line in coordinates[:1] for position in line]
             case "Point":
-                points.append((float(coordinates[1]), float(coordinates[0])))
+                points.append(_latitude_longitude(coordinates))
             case "MultiPoint":
-                points += [(float(c[1]), float(c[0])) for c in coordinates]
+                points += map(_latitude_longitude, coordinates)
     return [lines or points], True
 
 
@@ -148,12 +149,12 @@ def _kml(text: str) -> _Read:
     root = ElementTree.fromstring(text)
     placemarks: _Points = []
     track = [element.text or "" for element in root.iter() if _name(element) == "coord"]
-    lines = [[_longitude_latitude(words.split()) for words in track]]
+    lines = [[_latitude_longitude(words.split()) for words in track]]
     for element in root.iter():
         if _name(element) not in ("LineString", "LinearRing", "Point"):
             continue
         words = next((child.text or "" for child in element if _name(child) == "coordinates"), "")
-        points = [_longitude_latitude(one.split(",")) for one in words.split()]
+        points = [_latitude_longitude(one.split(",")) for one in words.split()]
         if _name(element) == "Point":
             placemarks += points
         else:
@@ -168,15 +169,20 @@ def _cot(text: str) -> _Read:
         for link in ElementTree.fromstring(text).iter("link")
         if "point" in link.attrib
     ]
-    return [[(float(words[0]), float(words[1])) for words in links]], True
+    return [[_latitude_longitude(words[1::-1]) for words in links]], True
 
 
 def _name(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
-def _longitude_latitude(words: list[str]) -> tuple[float, float]:
-    return float(words[1]), float(words[0])
+def _latitude_longitude(position: Any) -> tuple[float, float]:
+    """Return latitude and longitude of a position that names the longitude first. Raises ValueError."""
+    match position:
+        case [longitude, latitude, *_]:
+            with contextlib.suppress(ValueError, TypeError):
+                return float(latitude), float(longitude)
+    raise ValueError(f"{position!r:.60} is not a position in degrees (longitude, latitude)")
 
 
 def _csv(text: str) -> _Read:
