@@ -5,22 +5,26 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sidelong.app.commands.options import MAP
 from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
-from sidelong.app.config import check_alone, check_flyable, load_config
+from sidelong.app.config import Config, check_alone, check_flyable, load_config
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.url import checked_url
 from sidelong.app.serve.control_socket import ask, own_path
-from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
+from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
+
+if TYPE_CHECKING:
+    from sidelong.app.flight.display import FlightDisplay
+    from sidelong.app.serve.display import ServiceDisplay
 
 
 def serve(
@@ -56,37 +60,42 @@ def serve(
     address = page_address(view, view_host, view_port, None, None, None, None)
     # The flight modules take a second to load; report a wrong option first.
     from sidelong.app.event_loop import run  # noqa: PLC0415
-    from sidelong.app.flight.display import FlightDisplay  # noqa: PLC0415
     from sidelong.app.flight.flight import Sharing  # noqa: PLC0415
-    from sidelong.app.serve.display import ServiceDisplay  # noqa: PLC0415
     from sidelong.app.serve.memory import share_one_heap  # noqa: PLC0415
-    from sidelong.app.serve.resident import Resident  # noqa: PLC0415
+    from sidelong.app.serve.resident import Resident, undecorated  # noqa: PLC0415
 
     share_one_heap()
 
     def log(text: str) -> None:
         console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
-    @contextlib.asynccontextmanager
-    async def decorated(display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
-        if address is None:
-            yield display
-            return
-        from sidelong.app.view.display import ViewDisplay, served  # noqa: PLC0415
-
-        async with served(ViewDisplay(display, settings, address), log) as page:
-            yield page
-
     async def live() -> None:
         loop, stopped = asyncio.get_running_loop(), asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, stopped.set)
-        resident = Resident(settings, out, partial(_from_any_thread, loop, log), Sharing(point_gimbal), decorated)
+        shown = undecorated if address is None else partial(_on_map, settings, address, log)
+        resident = Resident(settings, out, partial(_from_any_thread, loop, log), Sharing(point_gimbal), shown)
         await resident.run(stopped, own_path())
         log("sidelong serve has ended; an aircraft in flight goes on with what it flies")
 
     with shielded_output():
         run(live())
+
+
+@contextlib.asynccontextmanager
+async def _on_map(
+    settings: Config, address: Address, log: Callable[[str], object], display: ServiceDisplay
+) -> AsyncIterator[FlightDisplay]:
+    """Show a watch on the live map too. A watch goes on without a map that cannot be served."""
+    from sidelong.app.view.display import ViewDisplay, served  # noqa: PLC0415  # as above
+
+    async with contextlib.AsyncExitStack() as stack:
+        shown: FlightDisplay = display
+        try:
+            shown = await stack.enter_async_context(served(ViewDisplay(display, settings, address), log))
+        except InputError as error:
+            log(f"the watch goes on without the live map: {error}")
+        yield shown
 
 
 def _from_any_thread(loop: asyncio.AbstractEventLoop, log: Any, text: str) -> None:

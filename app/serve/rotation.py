@@ -46,7 +46,8 @@ def _runs(parent: Path) -> list[tuple[datetime, Path]]:
 
 def _size(run: Path) -> int:
     size = 0
-    for path in run.rglob("*"):
-        with contextlib.suppress(OSError):
-            size += path.lstat().st_blocks * 512
+    with contextlib.suppress(OSError):  # a person may delete it in the meantime
+        for path in run.rglob("*"):
+            with contextlib.suppress(OSError):
+                size += path.lstat().st_blocks * 512
     return size

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from sidelong.app.commands import serve
 from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.life import Life
@@ -30,6 +31,7 @@ from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.standby import Standby
 from sidelong.app.serve.state import State
 from sidelong.app.serve.triggers import Triggers
+from sidelong.app.view.address import Address
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.core.events import ModeReported
@@ -321,3 +323,28 @@ def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
     assert str(resident.status) == "watching: nothing received from the aircraft for 3 s"
     display.connected(VehicleStatus)
     assert str(resident.status) == "watching"
+
+
+def test_a_watch_goes_on_without_a_map_that_cannot_be_served(free_port):
+    announced: list[str] = []
+    display = ServiceDisplay(print, lambda: None)
+
+    async def show(address):
+        async with serve._on_map(Config(), address, announced.append, display) as shown:
+            return shown
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port()))
+        taken.listen()
+        assert asyncio.run(show(Address("127.0.0.1", taken.getsockname()[1]))) is display
+    (text,) = announced
+    assert text.startswith("the watch goes on without the live map: the page cannot be shown on 127.0.0.1:")
+
+
+def test_a_run_that_is_deleted_while_it_is_measured_stops_no_rotation(tmp_path, monkeypatch):
+    def vanished(_path, _pattern):
+        raise FileNotFoundError
+
+    made(tmp_path, "20261110T120000Z", 1024)
+    monkeypatch.setattr(Path, "rglob", vanished)
+    assert rotate(tmp_path, 1e9, timedelta(days=30), NOW) == 0
