@@ -152,7 +152,7 @@ class Resident:
         if snapshot is None or display.request is None or snapshot.phase not in (Phase.YIELDED, Phase.HOLDING):
             return False, "a watch is under way"
         display.request(OperatorRequest(snapshot.time_s, "resume", who=who))
-        return True, "the vehicle is checked, and the watch resumed"
+        return True, "the vehicle is being checked; sidelong status shows whether the watch is resumed"
 
     def _release(self, who: str) -> tuple[bool, str]:
         display, life = self._display, self._life
@@ -271,7 +271,7 @@ class Resident:
             return
         self._wanted.clear()
         self._watches += 1
-        display = ServiceDisplay(self._log, self._follow)
+        display = ServiceDisplay(self._noted, self._follow)
         self._display = display
         self._become(State.WATCHING, "the watch begins")
         try:
@@ -333,6 +333,14 @@ class Resident:
             self._log(f"the records are incomplete: {self._records}")
 
     # -- what others receive ------------------------------------------------------------------------------
+
+    def _noted(self, text: str) -> None:
+        """Take a message of the watch. A refused resumption is shown to the person who asked for it."""
+        if text.startswith("resume refused"):
+            self._become(self._state, text)
+            self._inform_station(text)
+        else:
+            self._log(text)
 
     def _follow(self) -> None:
         """Take the state from the flight."""

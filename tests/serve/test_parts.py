@@ -348,3 +348,12 @@ def test_a_run_that_is_deleted_while_it_is_measured_stops_no_rotation(tmp_path, 
     made(tmp_path, "20261110T120000Z", 1024)
     monkeypatch.setattr(Path, "rglob", vanished)
     assert rotate(tmp_path, 1e9, timedelta(days=30), NOW) == 0
+
+
+def test_a_refused_resumption_is_in_the_status_and_sent_to_the_ground_station(tmp_path, monkeypatch):
+    resident, sent = Watched(tmp_path, None), []
+    monkeypatch.setattr(resident, "_inform_station", sent.append)
+    resident._become(State.YIELDED, "the flight mode was changed to MANUAL")
+    resident._noted("resume refused: the aircraft is on the ground")
+    assert str(resident.status) == "yielded: resume refused: the aircraft is on the ground"
+    assert sent[-1] == "resume refused: the aircraft is on the ground"
