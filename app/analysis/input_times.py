@@ -28,11 +28,7 @@ class InputTimes:
         self._changes: dict[Input, list[tuple[float, InputState]]] = defaultdict(list)
 
     def note(self, reports: tuple[InputReport, ...]) -> None:
-        """Take the present states of all inputs.
-
-        Args:
-            reports: As a snapshot has them.
-        """
+        """Take the present states of all inputs, as a snapshot has them."""
         if reports is self._latest:  # displays ask at every event
             return
         self._latest = reports

@@ -146,7 +146,7 @@ class SummaryCollector:
         self.judged_s = -math.inf  # time of the latest estimate that was taken
         self._departures_s: list[float] = []
         self._position_age_s = 0.0  # at the end
-        self._input_times = InputTimes()
+        self.input_times = InputTimes()  # how long each input was not ok
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
         self._within_pan: list[tuple[float, bool]] = []  # time, whether the gimbal can look at the target
         self.ground: Ground | None = None  # what they are over, once it is known
@@ -154,7 +154,7 @@ class SummaryCollector:
     def observe(self, snapshot: Snapshot) -> None:
         """Take a snapshot; only departures are taken from those without a new estimate."""
         self._position_age_s = snapshot.position_age_s
-        self._input_times.note(snapshot.health)
+        self.input_times.note(snapshot.health)
         self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
         if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
@@ -220,10 +220,6 @@ class SummaryCollector:
         ]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 
-    def input_times(self, start_s: float, end_s: float) -> tuple[InputTime, ...]:
-        """Return how long each input was not ok between two times."""
-        return self._input_times.between(start_s, end_s)
-
     def moments(
         self, truth: Truth | None, plane: LocalPlane | None, start_s: float
     ) -> tuple[Sequence[Moment], Literal["truth", "estimate"]]:
@@ -270,7 +266,7 @@ def summarise(
         time_in_sight=in_sight,
         min_clearance_m=clearance_m,
         time_within_pan_limits=gatherer.time_within_pan_limits(start_s),
-        inputs=gatherer.input_times(start_s, snapshot.time_s + snapshot.position_age_s),
+        inputs=gatherer.input_times.between(start_s, snapshot.time_s + snapshot.position_age_s),
         gimbal_delay_s=None if delays is None else round(delays.gimbal_s, 3),
         range_delay_s=None if delays is None else round(delays.range_s, 3),
     )

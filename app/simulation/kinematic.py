@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -46,7 +46,7 @@ _MODES = {"AUTO": 10, "GUIDED": 15, "RTL": 11, "MISSION": 0x04040000, "LOITER": 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """How often the vehicle sends, in hertz; each divides ``tick_hz``."""
+    """How often the vehicle sends, in hertz, 0: never; each divides ``tick_hz``."""
 
     tick_hz: int = 5
     position_hz: int = 5
@@ -55,12 +55,6 @@ class Rates:
     laser_hz: int = 5
     status_hz: int = 1
     mission_current_hz: int = 1
-
-    @property
-    def each_hz(self) -> tuple[int, ...]:
-        """All rates of messages; 0: never sent."""
-        sensors = self.position_hz, self.attitude_hz, self.gimbal_hz, self.laser_hz
-        return *sensors, self.status_hz, self.mission_current_hz
 
 
 LIVE_RATES = Rates(20, 10, 20, 10, 10, 1, 5)
@@ -84,10 +78,6 @@ class Start:
     circle: Circle
     height_m: float
     boot_s: float = 100.0
-
-
-class _Station:
-    """The other end of the only link."""
 
 
 class _Radio:
@@ -135,14 +125,15 @@ class KinematicVehicle:
         self.flown: Callable[[Body], object] = lambda _body: None
         self._autopilot, self._wind, self._start = autopilot, wind, start
         self._payload, self._rates = payload, rates
-        if any(rates.tick_hz % rate_hz for rate_hz in rates.each_hz if rate_hz):
-            raise ValueError(f"the rates {rates.each_hz} do not divide {rates.tick_hz} Hz")
+        tick_hz, *each_hz = astuple(rates)
+        if any(tick_hz % rate_hz for rate_hz in each_hz if rate_hz):
+            raise ValueError(f"the rates {tuple(each_hz)} do not divide {tick_hz} Hz")
         self._tracking: LineTracking = autopilot.tracking(aircraft.airspeed_m_s, wind)
         self._tick, self.time_s = 0, 0.0
         self._sent: list[Message] = []
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._radio, self._station = _Radio(self._sent.append), _Station()
+        self._radio, self._station = _Radio(self._sent.append), object()  # the other end of the only link
         self._one_by_one = autopilot.quirks.stores_items_one_by_one
         self.mission: ArduPlaneMission | Px4Mission = self._make_mission()
         self._transfer = Transfer(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,16 +36,6 @@ class Target(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class _Leg:
-    start_s: float
-    east_m: float
-    north_m: float
-    heading_rad: float
-    speed_m_s: float
-    course_rad: float
-
-
 class RandomTarget:
     """Legs of random length; at each one speed 0, uniform or greatest, with equal chances, and a random turn.
 
@@ -56,7 +45,7 @@ class RandomTarget:
     def __init__(
         self, rng: np.random.Generator, duration_s: float, speed_max_m_s: float, legs_s: tuple[float, float]
     ) -> None:
-        self._legs: list[_Leg] = []
+        legs = []
         start_s, east_m, north_m = 0.0, 0.0, 0.0
         heading_rad = course_rad = float(rng.uniform(-math.pi, math.pi))
         while start_s < duration_s:
@@ -66,39 +55,20 @@ class RandomTarget:
             )
             if speed_m_s >= _COURSE_SPEED_M_S:
                 course_rad = heading_rad
-            self._legs.append(_Leg(start_s, east_m, north_m, heading_rad, speed_m_s, course_rad))
+            velocity_m_s = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
+            legs.append((start_s, east_m, north_m, *velocity_m_s, course_rad))
             start_s += length_s
             east_m += length_s * speed_m_s * math.sin(heading_rad)
             north_m += length_s * speed_m_s * math.cos(heading_rad)
             heading_rad += math.radians(float(rng.choice(_TURNS_DEG, p=_CHANCES)))
-        self._starts_s = [leg.start_s for leg in self._legs]
+        self._legs = np.array(legs)
 
     def sampled(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course."""
-        k = np.maximum(np.searchsorted(self._starts_s, time_s, side="right") - 1, 0)
-        legs = np.array(
-            [
-                (
-                    *(leg.start_s, leg.east_m, leg.north_m),
-                    *(leg.speed_m_s * math.sin(leg.heading_rad), leg.speed_m_s * math.cos(leg.heading_rad)),
-                    leg.course_rad,
-                )
-                for leg in self._legs
-            ]
-        )[k]
+        legs = self._legs[np.maximum(np.searchsorted(self._legs[:, 0], time_s, side="right") - 1, 0)]
         gone_s = time_s - legs[:, 0]
         return np.stack([legs[:, 1] + legs[:, 3] * gone_s, legs[:, 2] + legs[:, 4] * gone_s, *legs[:, 3:].T], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
         """See :class:`Target`."""
-        leg = self._legs[max(bisect_right(self._starts_s, time_s) - 1, 0)]
-        velocity_east = leg.speed_m_s * math.sin(leg.heading_rad)
-        velocity_north = leg.speed_m_s * math.cos(leg.heading_rad)
-        gone_s = time_s - leg.start_s
-        return TargetTruth(
-            leg.east_m + velocity_east * gone_s,
-            leg.north_m + velocity_north * gone_s,
-            velocity_east,
-            velocity_north,
-            leg.course_rad,
-        )
+        return TargetTruth(*self.sampled(np.array([time_s]))[0].tolist())

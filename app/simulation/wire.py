@@ -22,11 +22,7 @@ _HEADER_BYTES, _CHECKSUM_BYTES = 10, 2
 
 
 class Packer:
-    """Packs the messages of one sender.
-
-    Args:
-        source: its system and component id.
-    """
+    """Packs the messages of one sender, given by its system and component id."""
 
     def __init__(self, source: tuple[int, int] = OWN_ID) -> None:
         self._packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])

@@ -149,7 +149,7 @@ class Benchmark:
             study.fly(on_processes(jobs), lambda of: table_of(of, computing), 1, advance)
             for result, name in zip(study.results(), ("", WITH_ROUTE), strict=False):
                 for planner, own in result.planners.items():
-                    yield _row(one, name or str(planner), own.measures, own.decision_s)
+                    yield Row(one, name or str(planner), own.measures, decision_ms(own.decision_s)["p99"])
         if not self._all:
             return
         for of, names in (
@@ -162,11 +162,7 @@ class Benchmark:
                 yield _pair_row(one, names[steered], runs)
 
     def json(self, rows: Sequence[Row]) -> dict[str, Any]:
-        """Return the results with everything needed to compare them.
-
-        Args:
-            rows: Results of :meth:`fly`.
-        """
+        """Return the results of :meth:`fly` with everything needed to compare them."""
         return {
             "benchmark": VERSION,
             "sidelong": code_version(),
@@ -192,11 +188,7 @@ class Benchmark:
 
 
 def benchmark_table(rows: Sequence[Row]) -> Table:
-    """Return the table for people: means and worst runs.
-
-    Args:
-        rows: Results of :meth:`Benchmark.fly`.
-    """
+    """Return the table for people of :meth:`Benchmark.fly`: means and worst runs."""
     headings = (*(of.heading for of in _MEASURES), "decision, ms")
     table = right_aligned(Table("aircraft", "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)), 2)
     before = None
@@ -215,10 +207,6 @@ def _with_route(track: RecordedTarget) -> RecordedTarget:
     return replace(track, route=own_route(track, np.random.default_rng((_SEED, track.key))))
 
 
-def _row(aircraft: AircraftClass, name: str, measures: dict[str, np.ndarray], decision_s: np.ndarray) -> Row:
-    return Row(aircraft, name, measures, decision_ms(decision_s)["p99"])
-
-
 def _pair_row(aircraft: AircraftClass, name: str, runs: Sequence[FleetResult]) -> Row:
     """Return the results of two aircraft: a share of time counts if one of them achieves it, moves count of both."""
     measures = {
@@ -227,4 +215,4 @@ def _pair_row(aircraft: AircraftClass, name: str, runs: Sequence[FleetResult]) -
         LEAST.name: values_of(runs, LEAST.name),
         **{of.name: np.array([values_of(run.aircraft, of.name).sum() for run in runs]) for of in (MOVES, REVERSALS)},
     }
-    return _row(aircraft, name, measures, np.concatenate([run.decision_s for run in runs]))
+    return Row(aircraft, name, measures, decision_ms(np.concatenate([run.decision_s for run in runs]))["p99"])

@@ -16,9 +16,8 @@ from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import TargetTruth
-from sidelong.app.study.flight import SampledTarget
+from sidelong.app.study.flight import SampledTarget, StopWatch
 from sidelong.app.study.judging import RunResult, judged
-from sidelong.app.study.pilots import StopWatch
 from sidelong.app.study.run import aircraft_on, first_circle, payload_of, scene
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
 from sidelong.estimators.estimate import TargetEstimate

@@ -52,14 +52,7 @@ class ExternalController:
         self._send(",".join(COLUMNS) + "\n")
 
     def __call__(self, aircraft: AircraftState, target: TargetEstimate) -> float:
-        """Return the curvature that the controller commands, 1/m, positive to the right.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-
-        Returns:
-            The commanded curvature, not limited.
+        """Return the curvature that the controller commands, 1/m, positive to the right and not limited.
 
         Raises:
             InputError: The process has ended, does not answer in time, or answers something else than a number.

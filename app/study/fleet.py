@@ -17,6 +17,7 @@ import numpy as np
 
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.study import fleet_kernel as kernel
+from sidelong.app.study.flight import StopWatch
 from sidelong.app.study.flight_kernel import (
     CHANGES,
     COMING,
@@ -31,7 +32,6 @@ from sidelong.app.study.flight_kernel import (
 )
 from sidelong.app.study.joint_sight import JointSight
 from sidelong.app.study.judging import STEP_S, RunResult, judged, shares_of_any
-from sidelong.app.study.pilots import StopWatch
 from sidelong.app.study.run import START_RANGE_M, aircraft_on, first_circle, scene
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from time import thread_time
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -39,7 +40,6 @@ from sidelong.app.study.flight_kernel import (
     Steering,
     Target,
 )
-from sidelong.app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
 from sidelong.app.study.sensors import PayloadSensing
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.imm import DENSITIES, TargetImm
@@ -63,6 +63,29 @@ from sidelong.mission.predictive.moves_kernel import nothing_kept
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.viewpoint.viewpoint_kernel import Wish, fresh_memory
+
+_LAW_PERIOD_S, _DECISION_PERIOD_S = 0.2, 1.0
+_TIMED_EVERY = 32
+
+T = TypeVar("T")
+GuidanceLaw = Callable[[AircraftState, TargetEstimate], float]
+
+
+class StopWatch:
+    """Times one call in ``every``: asking for the processor's time may itself cost as much as a decision."""
+
+    def __init__(self, every: int = _TIMED_EVERY) -> None:
+        self.taken_s: list[float] = []
+        self._every, self._calls = every, 0
+
+    def __call__(self, decide: Callable[[], T]) -> T:
+        self._calls += 1
+        if (self._calls - 1) % self._every != 0:
+            return decide()
+        begun_s = thread_time()
+        decision = decide()
+        self.taken_s.append(thread_time() - begun_s)
+        return decision
 
 
 class SampledTarget(Protocol):
@@ -192,7 +215,9 @@ class CompiledFlight:
         if self._sensing is not None:
             return self.with_planner(planner, latency_s)
         looker, *_ = planner.lookers
-        steering = Steering(True, TIMED_EVERY, True, DECISION_PERIOD_S, latency_s, PredictiveSettings().lost_after_s)
+        steering = Steering(
+            True, _TIMED_EVERY, True, _DECISION_PERIOD_S, latency_s, PredictiveSettings().lost_after_s
+        )
         inputs = self._target, self._payload, self._filtering, self._hills, steering, self._frame, looker
         self._watch = StopWatch(1)  # the loop pauses for those alone that are timed
         return self._flown(steering, looker, lambda: self._watch(lambda: kernel.choose(self._flight, *inputs)))
@@ -211,7 +236,7 @@ class CompiledFlight:
                 if plan.heights is not None:
                     self._flight.numbers[COMING_HEIGHT_M] = plan.heights.to_m
 
-        return self._flown(Steering(False, 1, True, DECISION_PERIOD_S, latency_s, math.inf), _blind(), decide)
+        return self._flown(Steering(False, 1, True, _DECISION_PERIOD_S, latency_s, math.inf), _blind(), decide)
 
     def with_law(self, law: GuidanceLaw) -> Flown:
         """Fly a guidance law."""
@@ -221,7 +246,7 @@ class CompiledFlight:
             if estimate is not None:
                 self._flight.numbers[COMMAND_PER_M] = self._watch(lambda: law(self._aircraft, estimate))
 
-        return self._flown(Steering(False, 1, False, LAW_PERIOD_S, 0.0, math.inf), _blind(), steer)
+        return self._flown(Steering(False, 1, False, _LAW_PERIOD_S, 0.0, math.inf), _blind(), steer)
 
     @property
     def height_m(self) -> float:

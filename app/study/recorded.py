@@ -70,7 +70,15 @@ class RecordedTarget:
 
     @cached_property
     def _course_rad(self) -> FloatArray:
-        return _course_rad(self.east_m, self.north_m)
+        """The course (n,), before the first known one that one, 0 if there is none."""
+        k = np.arange(self.east_m.size)
+        before = np.maximum(k - _COURSE_STEPS, 0)
+        way_east_m, way_north_m = self.east_m - self.east_m[before], self.north_m - self.north_m[before]
+        counts = np.hypot(way_east_m, way_north_m) > _COURSE_WAY_M
+        if not counts.any():
+            return np.zeros(k.size)
+        held = np.maximum.accumulate(np.where(counts, k, int(np.argmax(counts))))
+        return np.asarray(np.arctan2(way_east_m, way_north_m)[held])
 
     def sampled(self, time_s: FloatArray) -> FloatArray:
         """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course. It stands at its end."""
@@ -149,18 +157,6 @@ def recorded_targets(
             f"or raise --target-speed-max from {speed_max_m_s:g} m/s."
         )
     return RecordedTargets(tuple(flown), tuple(skipped))
-
-
-def _course_rad(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-    """Return the course (n,), before the first known one that one, 0 if there is none."""
-    k = np.arange(east_m.size)
-    before = np.maximum(k - _COURSE_STEPS, 0)
-    way_east_m, way_north_m = east_m - east_m[before], north_m - north_m[before]
-    counts = np.hypot(way_east_m, way_north_m) > _COURSE_WAY_M
-    if not counts.any():
-        return np.zeros(east_m.size)
-    held = np.maximum.accumulate(np.where(counts, k, int(np.argmax(counts))))
-    return np.asarray(np.arctan2(way_east_m, way_north_m)[held])
 
 
 def _files(places: list[Path]) -> list[Path]:

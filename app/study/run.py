@@ -12,9 +12,8 @@ from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.payload import PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.controller import ExternalController
-from sidelong.app.study.flight import CompiledFlight, Flown, Sensed
+from sidelong.app.study.flight import CompiledFlight, Flown, GuidanceLaw, Sensed
 from sidelong.app.study.judging import RunResult, judged
-from sidelong.app.study.pilots import GuidanceLaw
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.estimators.settings import TrackerSettings

@@ -10,7 +10,6 @@ import time
 import webbrowser
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
-from types import TracebackType
 from typing import TypeVar
 
 from sidelong.app.config import Config
@@ -120,9 +119,7 @@ class ViewDisplay:
         self.pump()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._feed is not None:
             self.pump()
             self._feed.close()

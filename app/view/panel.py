@@ -7,7 +7,6 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console, RenderableType
@@ -71,9 +70,7 @@ class LivePanel:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
             self._live = None
@@ -116,13 +113,11 @@ class PanelDisplay(LivePanel):
         self._plain_s = -math.inf
         self._status: Callable[[], VehicleStatus] | None = None
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._keyboard is not None:
             self._keyboard.stop()
             self._keyboard = None
-        super().__exit__(kind, error, trace)
+        super().__exit__()
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
         self._status = status
