@@ -35,8 +35,8 @@ from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, require_recording
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
-from sidelong.app.view.clock import clock
 from sidelong.app.view.frames import Frames
+from sidelong.app.view.panel import clock
 from sidelong.app.view.player import SPEED_MAX
 from sidelong.app.view.state import StateEncoder
 from sidelong.estimators.frames import LocalPlane

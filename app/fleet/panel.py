@@ -13,8 +13,7 @@ from rich.text import Text
 from sidelong.app.flight.display import Wish
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.vehicle_status import VehicleStatus
-from sidelong.app.view.clock import clock
-from sidelong.app.view.panel import STYLES, LivePanel, target_motion, target_range_m
+from sidelong.app.view.panel import STYLES, LivePanel, clock, target_motion, target_range_m
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import Announce
@@ -25,8 +24,8 @@ _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
 class AircraftDisplay:
     """A ``FlightDisplay`` of one aircraft among several."""
 
-    def __init__(self, name: str, line: Callable[[Text], None], names_target: bool = False) -> None:
-        self.name, self._line, self._names_target = name, line, names_target
+    def __init__(self, name: str, line: Callable[[Text], None], names_target: bool, plain_lines: bool) -> None:
+        self.name, self._line, self._names_target, self._plain_lines = name, line, names_target, plain_lines
         self.snapshot: Snapshot | None = None
         self._status: Callable[[], VehicleStatus] | None = None
         self._start_s: float | None = None
@@ -61,13 +60,9 @@ class AircraftDisplay:
 
     def show(self, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
-
-    def plain_line(self) -> None:
-        """Print the state once a minute."""
-        shown = self.snapshot
-        if shown is not None and shown.time_s - self._announced_s >= _PLAIN_LINE_EVERY_S:
-            self._announced_s = shown.time_s
-            self._line(Text(f"{self._since(shown.time_s):>7}  {self.name}: " + "  ".join(filter(None, self.cells()))))
+        if self._plain_lines and snapshot.time_s - self._announced_s >= _PLAIN_LINE_EVERY_S:
+            self._announced_s = time_s = snapshot.time_s
+            self._line(Text(f"{self._since(time_s):>7}  {self.name}: " + "  ".join(filter(None, self.cells()))))
 
     def cells(self) -> tuple[str, ...]:
         """Return the present state, in the columns of the panel."""
@@ -77,7 +72,7 @@ class AircraftDisplay:
         range_m = target_range_m(shown)
         height_m = shown.sensor_status.height_m
         to = f" to {shown.target}" if self._names_target else ""
-        percent = self._status().battery_percent if self._status is not None else None
+        percent = self.status.battery_percent
         return (
             f"{shown.phase} {shown.mode}".strip(),
             f"{shown.side} side",
@@ -101,8 +96,7 @@ class FleetPanel(LivePanel):
 
     def of(self, name: str) -> AircraftDisplay:
         """Return the display of one aircraft."""
-        kind = _PlainDisplay if self._live is None else AircraftDisplay
-        display = kind(name, self._print, self._names_targets)
+        display = AircraftDisplay(name, self._print, self._names_targets, plain_lines=self._live is None)
         self._aircraft.append(display)
         return display
 
@@ -111,9 +105,3 @@ class FleetPanel(LivePanel):
         for one in self._aircraft:
             table.add_row(Text(one.name, style="bold"), *map(Text, one.cells()))
         return table
-
-
-class _PlainDisplay(AircraftDisplay):
-    def show(self, snapshot: Snapshot) -> None:
-        super().show(snapshot)
-        self.plain_line()

@@ -7,15 +7,14 @@ from types import MappingProxyType
 from typing import Protocol
 
 from sidelong.app.config import Config
-from sidelong.app.fleet.panel import AircraftDisplay, FleetPanel
+from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.flight.display import FlightDisplay, Wish
-from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import ShownAircraft, ViewDisplay
 from sidelong.app.view.state import Json
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import AlarmReported, Announce, MissionChange
+from sidelong.mission.core.events import AlarmReported, MissionChange
 from sidelong.mission.core.requirement import Side
 
 
@@ -57,26 +56,18 @@ class FleetView(ViewDisplay):
         self._first = self._aircraft[first]
         self._wanted, self._sides = configs[first].requirement.requirement().side, dict(sides)
         super().__init__(self._first, configs[first], address, ", ".join(configs), tuple(configs))
-        self._others = {name: _OtherAircraft(self._aircraft[name], configs[name], self) for name in others}
-        self._shown += [one.shown for one in self._others.values()]
+        self._others = {name: ShownAircraft(self._aircraft[name], configs[name], self, name) for name in others}
+        self._shown += self._others.values()
 
     def of(self, name: str) -> FlightDisplay:
         """Return the display of one aircraft."""
         return self._others.get(name, self)
 
-    def received(self, name: str, since_s: float | None, kind: str, text: str) -> None:
-        """Add a message to the log of the page; since_s: time since that aircraft began to watch."""
-        start_s = self._own.start_s
-        time_s = None if since_s is None or start_s is None else start_s + since_s
-        super()._received(time_s, kind, f"{name}: {text}")
-
-    def followed(self, points: list[list[object]]) -> None:
-        """Add to the path of an aircraft, and send the states if it is time to."""
-        self._trail.extend(points)
-        self.pump_if_due()
-
-    def _received(self, time_s: float | None, kind: str, text: str) -> None:
-        super()._received(time_s, kind, f"{self._first.name}: {text}")
+    def received(self, aircraft: ShownAircraft, time_s: float | None, kind: str, text: str) -> None:
+        """Add a message to the log of the page, at the time since that aircraft began to watch."""
+        if time_s is not None and aircraft is not self and aircraft.start_s is not None:
+            time_s = None if self.start_s is None else self.start_s + (time_s - aircraft.start_s)
+        super().received(aircraft, time_s, kind, f"{aircraft.name}: {text}")
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         super().begin(plane, request)
@@ -129,39 +120,3 @@ class FleetView(ViewDisplay):
         if snapshot.requirement.sector is None and not snapshot.requirement.either_side:
             state["asked"]["side"] = snapshot.side
         return state | {"start_s": one.start_s, "wanted": self._sides.get(snapshot.target, self._wanted)}
-
-
-class _OtherAircraft:
-    """A ``FlightDisplay`` of another aircraft than the first, on the terminal and on the page."""
-
-    def __init__(self, inner: AircraftDisplay, config: Config, page: FleetView) -> None:
-        self.shown = ShownAircraft(config, inner.name)
-        self._inner, self._page = inner, page
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        self._inner.connected(status)
-
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        self._inner.begin(plane, request)
-        self.shown.encoder.plane = plane
-
-    def engage(self, start_s: float, duration_s: float | None) -> None:
-        self._inner.engage(start_s, duration_s)
-        self.shown.start_s = start_s
-
-    def note(self, text: str) -> None:
-        self._inner.note(text)
-        self._page.received(self.shown.name, None, "note", text)
-
-    def say(self, announcement: Announce) -> None:
-        self._inner.say(announcement)
-        start_s = self.shown.start_s
-        since_s = None if start_s is None else announcement.time_s - start_s
-        self._page.received(self.shown.name, since_s, announcement.kind, announcement.text)
-
-    def show(self, snapshot: Snapshot) -> None:
-        self._inner.show(snapshot)
-        self._page.isolated("the page's state", self._observe, snapshot)
-
-    def _observe(self, snapshot: Snapshot) -> None:
-        self._page.followed(self.shown.take(snapshot))

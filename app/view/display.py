@@ -37,7 +37,7 @@ View = TypeVar("View", bound="ViewDisplay")
 
 
 class ShownAircraft:
-    """What the page shows of one aircraft.
+    """A ``FlightDisplay`` of one aircraft around another, which shows it on the page too.
 
     Attributes:
         name: In a fleet; '' where there is one aircraft only.
@@ -47,8 +47,8 @@ class ShownAircraft:
         vehicle: Its status as received last.
     """
 
-    def __init__(self, config: Config, name: str = "") -> None:
-        self.name = name
+    def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str = "") -> None:
+        self._inner, self._page, self.name = inner, page, name
         self.encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
         self.snapshot: Snapshot | None = None
         self.start_s: float | None = None
@@ -56,16 +56,39 @@ class ShownAircraft:
         self._received_at_s = time.monotonic()
         self._trail_s = -math.inf
 
-    def take(self, snapshot: Snapshot) -> list[list[object]]:
-        """Take the next snapshot; return the points of the path that it adds."""
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        self._inner.connected(status)
+
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+        self._inner.begin(plane, request)
+        self.encoder.plane = plane
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        self._inner.engage(start_s, duration_s)
+        self.start_s = start_s
+
+    def note(self, text: str) -> None:
+        self._inner.note(text)
+        self._page.received(self, None, "note", text)
+
+    def say(self, announcement: Announce) -> None:
+        self._inner.say(announcement)
+        time_s = None if self.start_s is None else announcement.time_s
+        self._page.received(self, time_s, announcement.kind, announcement.text)
+
+    def show(self, snapshot: Snapshot) -> None:
+        self._inner.show(snapshot)
+        self._page.isolated("the page's state", self._observe, snapshot)
+
+    def _observe(self, snapshot: Snapshot) -> None:
         if self.snapshot is None or snapshot.time_s != self.snapshot.time_s:
             self._received_at_s = time.monotonic()
         self.snapshot, aircraft = snapshot, snapshot.aircraft
-        if aircraft is None or aircraft.time_s < self._trail_s + _TRAIL_STEP_S:
-            return []
-        self._trail_s = aircraft.time_s
-        point = [round(value, 1) for value in (aircraft.time_s, aircraft.east_m, aircraft.north_m)]
-        return [[*point, self.name]]
+        if aircraft is not None and aircraft.time_s >= self._trail_s + _TRAIL_STEP_S:
+            self._trail_s = aircraft.time_s
+            point = [round(value, 1) for value in (aircraft.time_s, aircraft.east_m, aircraft.north_m)]
+            self._page.trail.append([*point, self.name])
+        self._page.pump_if_due()
 
     def state(self, snapshot: Snapshot) -> Json:
         """Return the state for the page."""
@@ -73,8 +96,8 @@ class ShownAircraft:
         return self.encoder.state(snapshot, silent_s, self.vehicle, self.name)
 
 
-class ViewDisplay:
-    """A ``FlightDisplay`` around another. Use as ``with``; ``url`` and ``viewer_url`` are then the page's addresses.
+class ViewDisplay(ShownAircraft):
+    """The page, with its first aircraft. Use as ``with``; ``url`` and ``viewer_url`` are then its addresses.
 
     Whatever the page's process does, every call returns at once and raises nothing: the page gets what fits.
 
@@ -91,14 +114,14 @@ class ViewDisplay:
         name: str = "",
         fleet: Sequence[str] = (),
     ) -> None:
+        super().__init__(inner, config, self, *fleet[:1])
         self.url = self.viewer_url = ""
         self._fleet = tuple(fleet)
-        self._inner, self._config, self.address = inner, config, address
+        self._config, self.address = config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
-        self._own = ShownAircraft(config, *fleet[:1])
-        self._shown = [self._own]
+        self._shown: list[ShownAircraft] = [self]
         self._feed: Feed | None = None
-        self._trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
+        self.trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
@@ -136,41 +159,23 @@ class ViewDisplay:
     # -- from the flight -----------------------------------------------------------------------------------
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        self._inner.connected(status)
+        super().connected(status)
         self._status = status
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        self._inner.begin(plane, request)
+        super().begin(plane, request)
         self._request = request
-        self._own.encoder.plane = plane
         self._setting = self._set()
         if self._config.terrain.folder is not None and self._shading is None:
             self._shading = Shading(self._config, plane)
 
-    def engage(self, start_s: float, duration_s: float | None) -> None:
-        self._inner.engage(start_s, duration_s)
-        self._own.start_s = start_s
-
     def note(self, text: str) -> None:
-        self._inner.note(text)
-        self._received(None, "note", text)
+        super().note(text)
         self.pump()
 
-    def say(self, announcement: Announce) -> None:
-        self._inner.say(announcement)
-        time_s = None if self._own.start_s is None else announcement.time_s
-        self._received(time_s, announcement.kind, announcement.text)
-
-    def _received(self, time_s: float | None, kind: str, text: str) -> None:
+    def received(self, aircraft: ShownAircraft, time_s: float | None, kind: str, text: str) -> None:
+        """Add a message of an aircraft to the log of the page. time_s: by its vehicle's clock."""
         self._announced.append([time_s, kind, text])
-
-    def show(self, snapshot: Snapshot) -> None:
-        self._inner.show(snapshot)
-        self.isolated("the page's state", self._observe, snapshot)
-
-    def _observe(self, snapshot: Snapshot) -> None:
-        self._trail.extend(self._own.take(snapshot))
-        self.pump_if_due()
 
     # -- to and from the page ------------------------------------------------------------------------------
 
@@ -190,7 +195,7 @@ class ViewDisplay:
 
     def _send(self, feed: Feed) -> None:
         if feed.send(page_line(self._update())):
-            self._trail.clear()
+            self.trail.clear()
             self._announced.clear()
             self._setting = None
         elif not feed.alive:
@@ -207,14 +212,14 @@ class ViewDisplay:
                 self._inner.note(f"{fault}; the flight continues")
 
     def _set(self) -> Json:
-        base = setting(self._config, self._own.encoder.plane, self._name, self._requirement, self._routes.values())
+        base = setting(self._config, self.encoder.plane, self._name, self._requirement, self._routes.values())
         return base | under_flight(self.address, self._shading)
 
     def _renew_setting(self) -> None:
         """Send the setting again if the requirement or the route of a target has changed."""
         snapshots = [one.snapshot for one in self._shown if one.snapshot is not None]
         routes = {one.target: one.route.route for one in snapshots if one.route is not None}
-        requirement = self._requirement if self._own.snapshot is None else self._own.snapshot.requirement
+        requirement = self._requirement if self.snapshot is None else self.snapshot.requirement
         if (requirement, routes) != (self._requirement, self._routes):
             self._requirement, self._routes = requirement, routes
             self._setting = self._set()
@@ -222,8 +227,8 @@ class ViewDisplay:
     def _update(self) -> Json:
         self._renew_setting()
         update: Json = {
-            "start_s": self._own.start_s,
-            "trail": list(self._trail),
+            "start_s": self.start_s,
+            "trail": list(self.trail),
             "announcements": list(self._announced),
         }
         if self._shading is not None and self._shading.is_new():
@@ -231,13 +236,12 @@ class ViewDisplay:
         if self._setting is not None:
             update["setting"] = self._setting
         if self._status is not None and time.monotonic() >= self._vehicle_at_s + _STATUS_EVERY_S:
-            self._own.vehicle, self._vehicle_at_s = self._status(), time.monotonic()
+            self.vehicle, self._vehicle_at_s = self._status(), time.monotonic()
         return update | self._states()
 
     def _states(self) -> Json:
         """Return the part of an update that says how the flight stands."""
-        own = self._own
-        return {} if own.snapshot is None else {"state": own.state(own.snapshot)}
+        return {} if self.snapshot is None else {"state": self.state(self.snapshot)}
 
     def _answer(self, text: str) -> None:
         """Answer a request of the page, on the terminal too."""
@@ -245,11 +249,11 @@ class ViewDisplay:
         self._announced.append([None, "operator", text])
 
     def _pressed(self, press: Json) -> None:
-        if self._request is None or self._own.snapshot is None or not math.isfinite(self._own.snapshot.time_s):
+        if self._request is None or self.snapshot is None or not math.isfinite(self.snapshot.time_s):
             self._answer(f"{press['action']} refused: nothing is flown yet")
             return
         self.note(f"{press['action']} by {press['who']}")
-        time_s, who = self._own.snapshot.time_s, press["who"]
+        time_s, who = self.snapshot.time_s, press["who"]
         if press["action"] == "acknowledge":
             self._request(AlarmReported(time_s, press["alarm"], "acknowledged", who=who))
             return

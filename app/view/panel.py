@@ -18,7 +18,6 @@ from rich.text import Text
 from sidelong.app.flight.display import Wish
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.vehicle_status import VehicleStatus
-from sidelong.app.view.clock import clock
 from sidelong.app.view.prompt import HELP, Keyboard, Prompt
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TrackQuality
@@ -236,6 +235,11 @@ class PanelDisplay(LivePanel):
         if shown.coming is not None:
             words.append(f"leaving for the next in {max(shown.coming.departure_s - shown.time_s, 0.0):.0f} s")
         return ", ".join(words)
+
+
+def clock(time_s: float) -> str:
+    """Return minutes:seconds."""
+    return f"{int(time_s // 60):d}:{int(time_s % 60):02d}"
 
 
 def _gauge(range_m: float, requirement: Requirement) -> Text:

@@ -17,9 +17,8 @@ from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.address import Address
-from sidelong.app.view.clock import clock
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import PanelDisplay, clock
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm

@@ -214,7 +214,7 @@ def test_nothing_from_the_page_raises_into_the_control_loop(flight, capsys, line
         display._sent_at_s = -1e9
         display.show(last)
         assert sum("a request from the page caused an internal error" in note for note in notes) == 1
-        display._own.encoder.state = None  # the page's own picture fails
+        display.encoder.state = None  # the page's own picture fails
         display._sent_at_s = -1e9
         display.show(last)
         display.show(last)
