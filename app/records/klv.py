@@ -94,7 +94,7 @@ class KlvLog:
             if attitude is not None:
                 values[18], values[19] = _relative_deg(seen, attitude)
                 values[20] = 0.0
-        estimate = self._sensing.estimate(p.time_s)
+        estimate = self._sensing.tracker.estimate(p.time_s)
         if estimate is not None and estimate.quality is not TrackQuality.LOST:
             height_m = seen.height_m if seen is not None else 0.0
             values |= self._place((40, 41, 42), estimate.east_m, estimate.north_m, height_m)

@@ -8,7 +8,6 @@ from statistics import median
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from sidelong.app.link.message import Message
 from sidelong.app.records.log import Log
 
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
@@ -42,10 +41,6 @@ class LogContext:
                 if reckoned_m is None and fields["lat"]:
                     reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
                 if len(boots_s) < _STAMPS and message.received_s > _DATED_S:
-                    boots_s.append(_boot_s(message))
+                    boots_s.append(message.received_s - fields["time_boot_ms"] * 1e-3)
         booted = datetime.fromtimestamp(median(boots_s), UTC) if boots_s else None
         return LogContext(autopilot, booted, reckoned_m if home_m is None else home_m)
-
-
-def _boot_s(message: Message) -> float:
-    return float(message.received_s - message.fields["time_boot_ms"] * 1e-3)

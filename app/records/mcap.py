@@ -84,7 +84,7 @@ class McapLog:
         match admitted:
             case PositionReading():
                 self._position(admitted)
-                estimate = self._sensing.estimate(admitted.time_s)
+                estimate = self._sensing.tracker.estimate(admitted.time_s)
                 if estimate is not None:
                     self._target(estimate)
             case RouteGiven():

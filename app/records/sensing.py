@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.tracking.tracker import Tracker
@@ -11,11 +10,11 @@ from sidelong.mission.core.events import Event
 
 
 class Sensing:
-    """Goes through a flight's events as its control step did. attitude: the latest accepted one."""
+    """Goes through a flight's events as its control step did. attitude: the latest accepted one; tracker: fed so."""
 
     def __init__(self, tracker: Tracker) -> None:
         self.attitude: AttitudeReading | None = None
-        self._tracker, self._door = tracker, Plausibility()
+        self.tracker, self._door = tracker, Plausibility()
 
     def take(self, event: Event) -> tuple[Event | None, tuple[SightingOutcome, ...]]:
         """Return the accepted event, None if it is rejected, and the sightings that it completed."""
@@ -26,8 +25,4 @@ class Sensing:
             return admitted, ()
         if isinstance(admitted, PositionReading) and not self._door.place_is_known:
             return admitted, ()
-        return admitted, self._tracker.add(admitted)
-
-    def estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the target at a time; None before the first sighting."""
-        return self._tracker.estimate(time_s)
+        return admitted, self.tracker.add(admitted)

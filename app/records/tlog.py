@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.link.frames import Frame, frame_at
 from sidelong.app.link.message import Message
+from sidelong.app.records.appender import Appender
 from sidelong.app.records.mapped_file import Progress, mapped, unseen
 
 _MARKER = re.compile(rb"[\xfd\xfe]")
@@ -23,6 +24,14 @@ _STAMP = struct.Struct(">Q")
 _STAMP_MIN_US, _STAMP_MAX_US = 10**15, 4 * 10**15  # 2001 to 2096: anything else was not written as a stamp
 _PROGRESS_FRAMES = 1000
 _NAMES: dict[int, str] = {number: kind.msgname for number, kind in dialect.mavlink_map.items()}
+
+
+class TlogWriter(Appender):
+    """Writes a log while flying: takes whole MAVLink frames, received and sent, from any thread."""
+
+    def write(self, frame: bytes, time_s: float) -> None:
+        """Append a frame that was received or sent at ``time_s``, seconds since 1970."""
+        self.append(_STAMP.pack(round(time_s * 1e6)) + frame)
 
 
 def _frames(path: Path, progress: Progress = unseen) -> Iterator[tuple[float, Frame]]:

@@ -194,7 +194,7 @@ class HistoryBuilder:
             self._positions.append(reading)
         last_s = self._estimates[-1].time_s if self._estimates else -math.inf
         if reading.time_s >= last_s + _ESTIMATE_STEP_S:
-            estimate = self._sensing.estimate(reading.time_s)
+            estimate = self._sensing.tracker.estimate(reading.time_s)
             if estimate is not None:
                 self._estimates.append(estimate)
                 self._targets.append(self._target)

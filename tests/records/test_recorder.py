@@ -16,9 +16,8 @@ from sidelong.app.errors import InputError
 from sidelong.app.records import appender
 from sidelong.app.records.appender import Appender
 from sidelong.app.records.journal import JournalReader
-from sidelong.app.records.recorder import TlogWriter
 from sidelong.app.records.run_folder import check_space
-from sidelong.app.records.tlog import read_tlog
+from sidelong.app.records.tlog import TlogWriter, read_tlog
 from sidelong.mission.core.events import Announce
 
 ROOT = Path(__file__).parents[2]
@@ -111,7 +110,7 @@ FLYING = """
 import sys, time
 from pathlib import Path
 from sidelong.app.records.journal import Header, JournalWriter
-from sidelong.app.records.recorder import TlogWriter
+from sidelong.app.records.tlog import TlogWriter
 from sidelong.mission.core.events import Announce
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 folder, mav = Path(sys.argv[1]), dialect.MAVLink(None, srcSystem=1, srcComponent=1)
