@@ -17,7 +17,7 @@ import numpy as np
 
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.study import fleet_kernel as kernel
-from sidelong.app.study.flight import StopWatch
+from sidelong.app.study.flight import StopWatch, flown_plan, true_estimate
 from sidelong.app.study.flight_kernel import (
     CHANGES,
     COMING,
@@ -27,19 +27,17 @@ from sidelong.app.study.flight_kernel import (
     Flight,
     Target,
     new_flight,
-    plan_of,
     take_plan,
 )
 from sidelong.app.study.joint_sight import JointSight
 from sidelong.app.study.judging import STEP_S, RunResult, judged, shares_of_any
 from sidelong.app.study.run import START_RANGE_M, aircraft_on, first_circle, scene
 from sidelong.app.study.settings import StudySettings
-from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
-from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.events import (
@@ -128,10 +126,8 @@ class _Member:
     def plan(self, coming: bool = False) -> Plan:
         """Return the plan that is flown, or the one that comes."""
         which = self.flight.counts[PRESENT]
-        line, circle = plan_of(self.flight, 1 - which if coming else which)
         departure_s = float(self.flight.numbers[DEPARTURE_S]) if coming or not self.busy else 0.0
-        ring = Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0)
-        return Plan(ring, Path(*line.copy()) if line.size else None, departure_s)
+        return flown_plan(self.flight, 1 - which if coming else which, departure_s)
 
 
 class FleetRun:
@@ -162,17 +158,15 @@ class FleetRun:
         if self._scene.route is not None:
             self._step(TargetRouteGiven(_TARGET, event_of(self._scene.route, 0.0)))
 
-    def joint(self, losses: Sequence[Loss] = ()) -> FleetResult:
-        """Fly with joint decisions."""
-        return self._flown(self._decide, _STEPS, losses)
-
-    def by_law(self, name: FleetPlannerName) -> FleetResult:
-        """Fly a law that holds the aircraft at equal phases about the target."""
+    def fly(self, planner: FleetPlannerName, losses: Sequence[Loss]) -> FleetResult:
+        """Fly with joint decisions, or a law that holds the aircraft at equal phases about the target."""
+        if planner is FleetPlannerName.JOINT:
+            return self._flown(self._decide, _STEPS, losses)
         steered = partial(
             phased,
             clockwise=self._settings.requirement().side.clockwise,
             airspeed_m_s=self._settings.aircraft().airspeed_m_s,
-            constant_speed=name is FleetPlannerName.FORMATION,
+            constant_speed=planner is FleetPlannerName.FORMATION,
         )
 
         def steer(estimate: TargetEstimate) -> None:
@@ -209,12 +203,9 @@ class FleetRun:
         return self._result()
 
     def _estimated(self, step: int, time_s: float) -> TargetEstimate | None:
-        truth = self._target.sampled[step].tolist()
+        truth = self._target.sampled[step]
         if self._sight is None:
-            east, north, velocity_e, velocity_n, _ = truth
-            return TargetEstimate(
-                time_s, east, north, velocity_e, velocity_n, np.zeros((4, 4)), TrackQuality.GOOD, time_s
-            )
+            return true_estimate(time_s, truth)
         found = self._sight.estimate(time_s)
         if found is not None:
             off = np.array((found.east_m - truth[0], found.north_m - truth[1]))
@@ -310,8 +301,7 @@ def run_fleet(
     losses: Sequence[Loss] = (),
 ) -> FleetResult:
     """Fly one run. losses count for joint decisions only."""
-    flown = FleetRun(settings, number, table)
-    return flown.joint(losses) if planner is FleetPlannerName.JOINT else flown.by_law(planner)
+    return FleetRun(settings, number, table).fly(planner, losses)
 
 
 def _separation_m(logs: FloatArray, heights_m: Sequence[float]) -> float:

@@ -15,8 +15,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.app.simulation.payload import PayloadErrors
-from sidelong.app.simulation.target import TargetTruth
+from sidelong.app.simulation.airframe_kernel import Body
+from sidelong.app.simulation.payload import PayloadErrors, sight_quaternion
 from sidelong.app.study import flight_kernel as kernel
 from sidelong.app.study.flight_kernel import (
     COMING_HEIGHT_M,
@@ -40,14 +40,15 @@ from sidelong.app.study.flight_kernel import (
     Steering,
     Target,
 )
-from sidelong.app.study.sensors import PayloadSensing
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.imm import DENSITIES, TargetImm
 from sidelong.estimators.filters.imm_kernel import ERRORS, MODELS, TARGET
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.track import Track
+from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan, Planner
@@ -66,6 +67,11 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Wish, fresh_memory
 
 _LAW_PERIOD_S, _DECISION_PERIOD_S = 0.2, 1.0
 _TIMED_EVERY = 32
+_LASER, _GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+
+# In Python, as of the airframe: a single call of compiled code takes longer than what it does.
+sighted: Callable[[Body, float, FloatArray, FloatArray, Payload], tuple[float, float, float]]
+sighted = kernel.sighted.py_func  # type: ignore[attr-defined]
 
 T = TypeVar("T")
 GuidanceLaw = Callable[[AircraftState, TargetEstimate], float]
@@ -196,12 +202,10 @@ class CompiledFlight:
         self._hills, self._ground = FLAT, None
         if over is not None:
             self._hills, self._ground = over.hills, over.ground if over.known else None
-        self._sensing: PayloadSensing | None = None
-        if apart:
-            self._sensing = PayloadSensing(sensed.rng, sensed.errors, assumed)
-            if self._ground is not None:
-                # A laser that is only hidden is not silent.
-                self._sensing.tracker.stand_on(self._ground, angles_alone=False)
+        self._rng, self._tracker = sensed.rng, Tracker(assumed) if apart else None
+        if self._tracker is not None and self._ground is not None:
+            # A laser that is only hidden is not silent.
+            self._tracker.stand_on(self._ground, angles_alone=False)
         self._filtering = filtering_in(assumed)
         self._assumed, self._wind = assumed, wind
         self._frame = start.frame(kernel.STEP_S)
@@ -212,7 +216,7 @@ class CompiledFlight:
 
     def with_predictive(self, planner: PredictivePlanner, latency_s: float) -> Flown:
         """Fly the predictive planner, with no fences, in the loop alone where that can be."""
-        if self._sensing is not None:
+        if self._tracker is not None:
             return self.with_planner(planner, latency_s)
         looker, *_ = planner.lookers
         steering = Steering(
@@ -271,40 +275,35 @@ class CompiledFlight:
 
     @property
     def _present(self) -> Plan:
-        line, circle = kernel.plan_of(self._flight, self._flight.counts[PRESENT])
-        path = Path(*line.copy()) if line.size else None
-        return Plan(
-            Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0),
-            path,
-            float(self._flight.numbers[DEPARTURE_S]),
-            self._level,
-        )
-
-    @property
-    def _level(self) -> HeightProfile | None:
-        """The height of the present circle, over hills."""
         height_m = float(self._flight.numbers[PLAN_HEIGHT_M])
-        return None if self._hills is FLAT else HeightProfile(height_m, height_m, 0.0)
+        level = None if self._hills is FLAT else HeightProfile(height_m, height_m, 0.0)
+        departure_s = float(self._flight.numbers[DEPARTURE_S])
+        return flown_plan(self._flight, self._flight.counts[PRESENT], departure_s, level)
 
     def _measure(self) -> None:
-        """Measure with a payload that the loop cannot measure with."""
-        truth, sensing = TargetTruth(*self._target.sampled[self._flight.counts[STEP]].tolist()), self._sensing
-        assert sensing is not None
-        body, target_m = kernel.body_of(self._flight), (truth.east_m, truth.north_m)
-        target_height_m, in_sight = kernel.ground_and_sight(
-            self._hills, body.east_m, body.north_m, self.height_m, *target_m
-        )
-        in_sight = in_sight and kernel.within_pan(body, self._frame, *target_m, self._payload.cos_pan_limit)
-        sensing.observe(self._aircraft, self.height_m, body.bank_rad, truth, target_height_m, in_sight)
+        """Measure with a payload that the loop cannot measure with, through the real tracker."""
+        body, height_m, tracker = kernel.body_of(self._flight), self.height_m, self._tracker
+        assert tracker is not None
+        truth, time_s = self._target.sampled[self._flight.counts[STEP]], body.time_s
+        east_m, north_m = truth[:2].tolist()
+        here_m = body.east_m, body.north_m, height_m
+        target_height_m, in_sight = kernel.ground_and_sight(self._hills, *here_m, east_m, north_m)
+        in_sight = in_sight and kernel.within_pan(body, self._frame, east_m, north_m, self._payload.cos_pan_limit)
+        velocity_m_s = body.speed_m_s * math.sin(body.course_rad), body.speed_m_s * math.cos(body.course_rad)
+        tracker.add(PositionReading(time_s, *here_m, *velocity_m_s, 0.0))
+        tracker.add(AttitudeReading(time_s, body.bank_rad, 0.0, body.course_rad))
+        noise = self._rng.normal(size=3)
+        if in_sight:
+            slant_m, yaw_rad, pitch_rad = sighted(body, height_m - target_height_m, truth, noise, self._payload)
+            tracker.add(GimbalReading(time_s, sight_quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
+            tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
 
     def _estimate(self) -> TargetEstimate | None:
         time_s = float(self._flight.body[0])
-        if self._sensing is not None:
-            return self._sensing.estimate(time_s)
+        if self._tracker is not None:
+            return self._tracker.estimate(time_s)
         if self._payload.perfect:
-            east, north, velocity_e, velocity_n, _ = self._target.sampled[self._flight.counts[STEP]].tolist()
-            unerring = np.zeros((4, 4))
-            return TargetEstimate(time_s, east, north, velocity_e, velocity_n, unerring, TrackQuality.GOOD, time_s)
+            return true_estimate(time_s, self._target.sampled[self._flight.counts[STEP]])
         return self._track().estimate(time_s)
 
     def _track(self) -> Track:
@@ -332,6 +331,20 @@ class CompiledFlight:
         flight.models[:] = last.state
         flight.numbers[FILTER_S], flight.numbers[SEEN_S] = last.time_s, seen_s
         flight.counts[REJECTIONS] = 0
+
+
+def flown_plan(flight: Flight, which: int, departure_s: float, heights: HeightProfile | None = None) -> Plan:
+    """Return one of the two plans of a flight."""
+    line, circle = kernel.plan_of(flight, which)
+    ring = Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0)
+    return Plan(ring, Path(*line.copy()) if line.size else None, departure_s, heights)
+
+
+def true_estimate(time_s: float, truth: FloatArray) -> TargetEstimate:
+    """Return the estimate of perfect sensors. truth: a row of :meth:`SampledTarget.sampled`."""
+    east_m, north_m, velocity_e, velocity_n = truth[:4].tolist()
+    unerring = np.zeros((4, 4))
+    return TargetEstimate(time_s, east_m, north_m, velocity_e, velocity_n, unerring, TrackQuality.GOOD, time_s)
 
 
 def _blind() -> Looker:

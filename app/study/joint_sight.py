@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sidelong.app.simulation.airframe_kernel import Body
 from sidelong.app.study import fleet_kernel as kernel
-from sidelong.app.study.flight import filtering_in, payload_in
+from sidelong.app.study.flight import filtering_in, payload_in, sighted
 from sidelong.app.study.flight_kernel import Target
 from sidelong.app.study.run import Scene, payload_of
 from sidelong.app.study.settings import StudySettings
@@ -73,21 +74,12 @@ class JointSight:
     def _begun(self, payload: int, row: FloatArray, truth: FloatArray, noise: FloatArray) -> FloatArray:
         """Return the filter begun with what one payload sees."""
         p, height_m = self._payload, float(self._heights_m[payload])
-        east_m, north_m = float(truth[0] - row[1]), float(truth[1] - row[2])
-        level_m = math.hypot(east_m, north_m)
-        sighting = Sighting(
-            float(row[0]),
-            math.hypot(level_m, height_m) + p.range_sigma_m * noise[0],
-            math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
-            math.atan2(height_m, level_m) - p.angle_sigma_rad * noise[2],
-            p.told_range_sigma_m,
-            p.told_yaw_sigma_rad,
-            p.told_pitch_sigma_rad,
-            float(row[1]),
-            float(row[2]),
-            height_m,
-            payload=payload,
-        )
+        time_s, east_m, north_m = row[:3].tolist()
+        body = Body(time_s, east_m, north_m, 0.0, 0.0, 0.0, 0.0)
+        slant_m, yaw_rad, pitch_rad = sighted(body, height_m, truth, noise, p)
+        sigmas = p.told_range_sigma_m, p.told_yaw_sigma_rad, p.told_pitch_sigma_rad
+        place = east_m, north_m, height_m
+        sighting = Sighting(time_s, slant_m, yaw_rad, -pitch_rad, *sigmas, *place, payload=payload)
         return TargetImm(self._assumed, sighting, self._prior).state
 
     def estimate(self, time_s: float) -> TargetEstimate | None:

@@ -65,10 +65,6 @@ class Share:
         half = float(t_95(len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known)))
         return Share(mean, max(mean - half, 0.0), min(mean + half, 1.0), worst)
 
-    def contains(self, share: float) -> bool:
-        """Return whether the confidence interval of the mean contains a share."""
-        return self.low < share <= self.high
-
     def __str__(self) -> str:
         mean, low, high, worst = (f"{100.0 * value:.1f}" for value in (self.mean, self.low, self.high, self.worst))
         return f"{mean} % (95 % interval {low} to {high} %, worst flight {worst} %)"
@@ -117,7 +113,7 @@ class Prediction:
         if any(share.high < least for _, share, least in known):
             return ""
         for name, share, least in known:
-            if share.contains(least):
+            if share.low < least <= share.high:
                 return f"the time {name} is near the {100.0 * least:.0f} % that are required"
         return ""
 
