@@ -79,26 +79,21 @@ class ParameterTable:
     Args:
         parameters: Those of all releases.
         release: Release on board, None: not known.
-        read: Values by the autopilot's own names; what is missing there, the autopilot did not report.
+        read: Values by the autopilot's own names, in its own units; what is missing there, it did not report.
     """
 
     def __init__(self, parameters: Iterable[Parameter], release: Release | None, read: Mapping[str, float]) -> None:
         every = tuple(parameters)
-        self._read = read
+        self.read = read
         self._found = {one.known_as: one for one in reversed(every) if one.name in read}
         expected = [one for one in every if one.is_in(release)]
         self._missing = tuple(one for one in expected if one.known_as not in self._found)
         self._listed = tuple(dict.fromkeys(self._found.get(one.known_as, one) for one in expected))
 
     @property
-    def read(self) -> Mapping[str, float]:
-        """The values by the autopilot's own names, in its own units."""
-        return self._read
-
-    @property
     def values(self) -> dict[str, float]:
         """The values by key, in the units of the newest release."""
-        return {key: self._read[one.name] * one.unit for key, one in self._found.items()}
+        return {key: self.read[one.name] * one.unit for key, one in self._found.items()}
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -116,7 +111,7 @@ class ParameterTable:
         """Return what is known for a purpose, as text."""
         serving = (one for one in self._listed if one.purpose is purpose)
         return "; ".join(
-            f"{one.name} = {self._read[one.name]:g}" if one.name in self._read else f"{one.name} is not reported"
+            f"{one.name} = {self.read[one.name]:g}" if one.name in self.read else f"{one.name} is not reported"
             for one in serving
         )
 
@@ -125,13 +120,13 @@ class ParameterTable:
         return tuple(
             ParameterNote(one.name, value, "" if value is None else one.notes.get(value, ""))
             for one in self._listed
-            for value in (self._read.get(one.name),)
+            for value in (self.read.get(one.name),)
         )
 
     def as_on_board(self, required: Iterable[RequiredParameter]) -> tuple[RequiredParameter, ...]:
         """Return requirements that are given by key under the release's own names and in its own units."""
         return tuple(
-            RequiredParameter(own.name, self._read[own.name], one.value / own.unit, one.why)
+            RequiredParameter(own.name, self.read[own.name], one.value / own.unit, one.why)
             for one in required
             for own in (self._found[one.name],)
         )

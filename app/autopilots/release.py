@@ -35,11 +35,6 @@ class Release:
         """Major and minor number, such as ``4.6``."""
         return f"{self.major}.{self.minor}"
 
-    @property
-    def of_its_series(self) -> Release:
-        """The first release of the same series."""
-        return Release(self.major, self.minor)
-
 
 def release_in(fields: Mapping[str, Any]) -> Release | None:
     """Return the release that the fields of an AUTOPILOT_VERSION name, None where the autopilot leaves it at 0."""

@@ -112,7 +112,7 @@ def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
         raise InputError(
             f"{name} {release} is not supported: it lacks {supported.older_lack}; update it to {oldest} or later."
         )
-    if release.of_its_series > supported.newest:
+    if Release(release.major, release.minor) > supported.newest:
         return (
             f"{name} {release} is newer than {supported.newest.series}, the newest that sidelong knows; test it first"
         )

@@ -17,9 +17,9 @@ import asyncio
 import contextlib
 import ctypes
 import json
-import math
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +147,7 @@ class MavsdkLink:
         except BaseException:
             await _ended(instance, ours)
             raise
-        raw.measure_delay()
+        raw.measures_delay = True
         link._alongside = asyncio.create_task(link._hear_others())
         return link
 
@@ -182,11 +182,15 @@ class MavsdkLink:
                 await asyncio.sleep(0)
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
+        # MAVSDK reads null as NaN; JSON itself has none.
+        missing = dict.fromkeys(
+            key for key, value in fields.items() if isinstance(value, float) and not isfinite(value)
+        )
         message = MavlinkMessage(
             message_name=name,
             target_system_id=int(fields.get("target_system", 0)),
             target_component_id=int(fields.get("target_component", 0)),
-            fields_json=json.dumps({key: _json_number(value) for key, value in fields.items()}),
+            fields_json=json.dumps({**fields, **missing}),
         )
         try:
             await self._bounded(self._direct.send_message(message), _SEND_S)
@@ -266,10 +270,3 @@ async def _ended(instance: Mavsdk, ours: contextlib.ExitStack) -> None:
         _, hanging = await asyncio.wait((ending,), timeout=_STEP_OF_CLOSE_S)
         if hanging:
             return
-
-
-def _json_number(value: Any) -> Any:
-    """MAVSDK reads null as NaN; JSON itself has none."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

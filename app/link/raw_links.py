@@ -38,7 +38,7 @@ _HEARTBEAT, _COMMAND_LONG, _TIMESYNC = (
     dialect.MAVLINK_MSG_ID_COMMAND_LONG,
     dialect.MAVLINK_MSG_ID_TIMESYNC,
 )
-_SET_MESSAGE_INTERVAL = 511
+_SET_MESSAGE_INTERVAL = (511).to_bytes(2, "little")
 _MAY_WAIT = frozenset(
     {
         dialect.MAVLINK_MSG_ID_ATTITUDE,
@@ -127,7 +127,8 @@ class RawLinks:
         self._delivering = threading.Lock()
         self._closing = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="links", daemon=True)
-        self._measures_delay = self._is_signing_noted = False
+        self.measures_delay = False  # by questions to the vehicle, whose answers give the delay of each link
+        self._is_signing_noted = False
 
     def start(self, deliver: Callable[[bytes], object]) -> None:
         """Begin to receive; ``deliver`` takes whole frames, one or several, from several threads."""
@@ -135,10 +136,6 @@ class RawLinks:
         for index, link in enumerate(self._links):
             link.transport.start(lambda data, peer, index=index: self._received(index, data, peer))  # type: ignore[misc]
         self._watcher.start()
-
-    def measure_delay(self) -> None:
-        """Send questions whose answers give the delay of each link, from now on."""
-        self._measures_delay = True
 
     def close(self) -> None:
         """End all links; safe to call more than once."""
@@ -153,10 +150,8 @@ class RawLinks:
     @property
     def received_since_s(self) -> float | None:
         """When the first frame came, on the monotonic clock."""
-        received_s = [
-            link.quality.received_since_s for link in self._links if link.quality.received_since_s is not None
-        ]
-        return min(received_s, default=None)
+        received_s = (link.quality.received_since_s for link in self._links)
+        return min((one for one in received_s if one is not None), default=None)
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how the links have been since the beginning."""
@@ -188,7 +183,7 @@ class RawLinks:
             if not frame.is_v2:
                 continue  # it could not be signed; MAVSDK sends none
             self._on_frame(frame.data)
-            rate = frame.message_id == _COMMAND_LONG and _command_of(frame) == _SET_MESSAGE_INTERVAL
+            rate = frame.message_id == _COMMAND_LONG and frame.payload[28:30] == _SET_MESSAGE_INTERVAL
             if rate:
                 self._rates[frame.payload[:4]] = frame  # param1: which message
             everywhere = rate or frame.message_id in (_HEARTBEAT, _TIMESYNC)
@@ -252,7 +247,8 @@ class RawLinks:
         with self._lock:
             if frame.message_id == RADIO_STATUS_ID and not frame.signed:
                 # Sent by the radio itself, which has no key. It is used for the link's statistics only.
-                rssi, remote_rssi = _radio_of(frame)
+                # On the wire: rxerrors, fixed (2 bytes each), rssi, remrssi, txbuf, noise, remnoise.
+                rssi, remote_rssi = frame.payload.ljust(9, b"\0")[4:6]
                 link.quality.radio(rssi, remote_rssi)
                 self._on_frame(frame.data)
                 return False, False, []
@@ -278,7 +274,8 @@ class RawLinks:
                 return index == self._merger.in_use, True, troubles  # it carries the vehicle's clock, too
             passed = self._merger.passes(index, frame, now_s)
         if silent_s > _BACK_AFTER_S and len(self._links) > 1:
-            self._ask_rates(index)
+            for rate in list(self._rates.values()):
+                self._send_on(index, rate)
         return passed, True, troubles
 
     def _signing_note(self, frame: Frame) -> list[str]:
@@ -303,7 +300,7 @@ class RawLinks:
             if self._has_waited:
                 self.flush()
             now_s = time.monotonic()
-            if self._measures_delay and now_s >= ask_s:
+            if self.measures_delay and now_s >= ask_s:
                 ask_s = now_s + _ASK_DELAY_S
                 for index in range(len(self._links)):
                     self._ask_delay(index, now_s)
@@ -323,20 +320,6 @@ class RawLinks:
             while len(asked) > 32:
                 del asked[next(iter(asked))]
         self._send_on(index, Frame(dialect.MAVLink_timesync_message(0, stamp).pack(self._packer)))
-
-    def _ask_rates(self, index: int) -> None:
-        for frame in list(self._rates.values()):
-            self._send_on(index, frame)
-
-
-def _command_of(frame: Frame) -> int:
-    return int.from_bytes(frame.payload.ljust(33, b"\0")[28:30], "little")
-
-
-def _radio_of(frame: Frame) -> tuple[int, int]:
-    # On the wire: rxerrors, fixed (2 bytes each), rssi, remrssi, txbuf, noise, remnoise.
-    payload = frame.payload.ljust(9, b"\0")
-    return payload[4], payload[5]
 
 
 def opened_url(url: str) -> Transport:

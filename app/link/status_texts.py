@@ -40,12 +40,6 @@ class _Arriving:
     received_s: float
     chunks: dict[int, str] = field(default_factory=dict)
 
-    @property
-    def text(self) -> str:
-        """The chunks that came, in order; a gap is marked."""
-        parts = [self.chunks.get(number, "...") for number in range(max(self.chunks) + 1)]
-        return "".join(parts)
-
 
 class StatusTexts:
     """The latest texts of one autopilot: feed it every STATUSTEXT of it with ``take``."""
@@ -81,7 +75,8 @@ class StatusTexts:
         return tuple(reversed(dict.fromkeys(reversed(texts))))
 
     def _complete(self, arriving: _Arriving) -> StatusText | None:
-        text = plain(arriving.text)  # PX4 ends a text with a tab where it is also sent as an event
+        parts = (arriving.chunks.get(number, "...") for number in range(max(arriving.chunks) + 1))
+        text = plain("".join(parts))  # PX4 ends a text with a tab where it is also sent as an event
         if not text:
             return None
         found = StatusText(text, arriving.severity, arriving.received_s)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 from sidelong.app.link.message import Message
@@ -93,8 +93,8 @@ class Telemetry:
             "WIND": self._wind,
             "WIND_COV": self._wind_cov,
             "GPS_RAW_INT": self._gps,
-            "EKF_STATUS_REPORT": self._ekf,
-            "ESTIMATOR_STATUS": self._estimator,
+            "EKF_STATUS_REPORT": partial(self._ekf, _EKF_GLITCH),
+            "ESTIMATOR_STATUS": partial(self._ekf, _ESTIMATOR_GLITCH),
         }
 
     @property
@@ -184,11 +184,14 @@ class Telemetry:
         fault = "" if fix >= _GPS_FIX_3D else f"the GPS has no fix in space (fix type {fix})"
         return NavigationReported(self.now_s, "GPS", fault)
 
-    def _ekf(self, message: Message) -> Event | None:
-        return NavigationReported(self.now_s, "EKF", _ekf_fault(int(message.fields["flags"]), _EKF_GLITCH))
-
-    def _estimator(self, message: Message) -> Event | None:
-        return NavigationReported(self.now_s, "EKF", _ekf_fault(int(message.fields["flags"]), _ESTIMATOR_GLITCH))
+    def _ekf(self, glitch: int, message: Message) -> Event | None:
+        flags, fault = int(message.fields["flags"]), ""
+        held = flags & _POSITION_HELD and not flags & _POSITION_AIDED  # PX4 holds it at rest on the ground, too
+        if flags & glitch:
+            fault = "the EKF sees a GPS glitch"
+        elif held or not flags & _POSITION_GOOD:
+            fault = f"the EKF does not know its position (flags {flags})"
+        return NavigationReported(self.now_s, "EKF", fault)
 
     def _wind(self, message: Message) -> Event | None:
         # ArduPilot reports the direction the wind comes from.
@@ -326,15 +329,6 @@ def has_fix(fields: Fields) -> bool:
     latitude_e7, longitude_e7 = abs(fields["lat"]), abs(fields["lon"])
     on_earth = latitude_e7 <= _LATITUDE_MAX_E7 and longitude_e7 <= _LONGITUDE_MAX_E7
     return bool(on_earth and max(latitude_e7, longitude_e7) > _NO_FIX_DEG_E7)
-
-
-def _ekf_fault(flags: int, glitch: int) -> str:
-    if flags & glitch:
-        return "the EKF sees a GPS glitch"
-    held = flags & _POSITION_HELD and not flags & _POSITION_AIDED  # PX4 holds it at rest on the ground, too
-    if held or not flags & _POSITION_GOOD:
-        return f"the EKF does not know its position (flags {flags})"
-    return ""
 
 
 def _finite(*values: float | None) -> bool:

@@ -44,6 +44,6 @@ def styled() -> AbstractContextManager[None]:
     return matplotlib.rc_context(_STYLE)  # type: ignore[arg-type]  # keys are literals to the checker
 
 
-def legend_above(axes: Axes, columns: int = 5) -> None:
+def legend_above(axes: Axes) -> None:
     """Put the legend where it hides nothing."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.4)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2, columnspacing=1.4)

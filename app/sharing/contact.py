@@ -52,7 +52,9 @@ class ContactBeacon:
         """Take a message of the vehicle's link."""
         if name != self._message or self._now_s() == -math.inf:
             return
-        if int(fields["ICAO_address" if self._message == _ADSB else "MMSI"]) != self._id or not _is_valid(fields):
+        if int(fields["ICAO_address" if self._message == _ADSB else "MMSI"]) != self._id:
+            return
+        if abs(fields["lat"]) > 900_000_000 or abs(fields["lon"]) > 1_800_000_000:
             return
         if self._message == _ADSB and not int(fields["flags"]) & _ADSB_COORDINATES_VALID:
             return
@@ -68,7 +70,3 @@ class ContactBeacon:
         if self._message == _AIS:
             sigma_m = _AIS_ACCURATE_SIGMA_M if int(fields["flags"]) & _AIS_ACCURATE else _AIS_SIGMA_M
         self._put(TargetFixReading(measured_s, east_m, north_m, sigma_m, Source(self._message, 0)))
-
-
-def _is_valid(fields: Mapping[str, Any]) -> bool:
-    return bool(abs(fields["lat"]) <= 900_000_000 and abs(fields["lon"]) <= 1_800_000_000)

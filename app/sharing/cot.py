@@ -144,9 +144,8 @@ class CotOutput:
         plane: LocalPlane,
         names: CotNames = CotNames(),
         height_m: Callable[[], float | None] = lambda: None,
-        now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
-        self._sender, self._plane, self._names, self._height_m, self._now = sender, plane, names, height_m, now
+        self._sender, self._plane, self._names, self._height_m = sender, plane, names, height_m
         self._own_uid = f"{_UID}-{names.own_callsign}"
         self._next_s = self._route_s = -math.inf
 
@@ -155,7 +154,7 @@ class CotOutput:
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or snapshot.aircraft is None:
             return
-        self._next_s, now = now_s + _SEND_EVERY_S, self._now()
+        self._next_s, now = now_s + _SEND_EVERY_S, datetime.now(UTC)
         self._sender.send(
             aircraft_event(snapshot.aircraft, self._plane, now, self._own_uid, self._height_m(), self._names)
         )
