@@ -10,7 +10,7 @@ import typer
 
 from sidelong.app.commands.output import console
 from sidelong.app.errors import InputError
-from sidelong.app.link.key_file import kept_times, make_key, read_key
+from sidelong.app.link.key_file import key_in_use, make_key, read_key
 from sidelong.app.link.key_setup import KeySetup, checked_local_url
 from sidelong.app.link.signing import signing_time
 
@@ -35,17 +35,17 @@ def sign(
     if connect is not None:
         checked_local_url(connect)
     if key.exists():
-        secret = read_key(key)
+        read_key(key)
     elif remove:
         raise InputError(f"{key} is not there; --remove needs the key that the vehicle has.")
     else:
-        secret = make_key(key)
+        make_key(key)
         console.print(f"made {key}: copy it only to machines that may command the vehicle", soft_wrap=True)
     if connect is None:
         return
     with (
-        kept_times(key, signing_time(time.time()), console.print) as times,
-        KeySetup(connect, secret, times) as setup,
+        key_in_use(key, signing_time(time.time()), console.print) as used,
+        KeySetup(connect, used) as setup,
     ):
         console.print(f"waiting for a heartbeat on {connect}", soft_wrap=True)
         if remove:

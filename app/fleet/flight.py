@@ -201,7 +201,7 @@ class FleetFlight:
         """Connect to one aircraft. opener: of a link that it shares."""
         link = one.config.link
         if key is not None and opener is not None:
-            key = replace(key, times=key.times.apart())
+            key = key.apart()
         one.display.note(f"connecting to {' and '.join(urls)}")
         one.session = await stack.enter_async_context(
             connected(

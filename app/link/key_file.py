@@ -14,7 +14,6 @@ import secrets
 import stat
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from sidelong.app.errors import InputError
@@ -65,22 +64,22 @@ def read_key(path: Path) -> SigningKey:
     raise InputError(f"{path} holds no signing key (64 hexadecimal digits); make one with: sidelong sign FILE")
 
 
-class KeptTimes:
-    """The times of a key, kept in ``FILE.times``. Make one with :func:`kept_times`.
+class KeyInUse:
+    """A key with its times, which are kept in ``FILE.times``. Make one with :func:`key_in_use`.
 
     locked: to be held while ``times`` are used, which happens in several threads.
     """
 
-    def __init__(self, times: SigningTimes, save: Callable[[SigningTimes], None]) -> None:
-        self.times = times
+    def __init__(self, key: SigningKey, times: SigningTimes, save: Callable[[SigningTimes], None]) -> None:
+        self.key, self.times = key, times
         self.locked = threading.Lock()
         self._save = save
         self._all = [times]
 
-    def apart(self) -> KeptTimes:
+    def apart(self) -> KeyInUse:
         """Return the same for another receiver of the same frames, as on a link shared by several vehicles."""
         with self.locked:
-            other = KeptTimes(self.times.apart(), self._save)
+            other = KeyInUse(self.key, self.times.apart(), self._save)
             other.locked, other._all = self.locked, self._all
             self._all.append(other.times)
         return other
@@ -96,29 +95,15 @@ class KeptTimes:
         self._save(ahead)
 
 
-@dataclass(frozen=True, slots=True)
-class KeyInUse:
-    """A key with its times, both of one file."""
-
-    key: SigningKey
-    times: KeptTimes
-
-
 @contextlib.contextmanager
-def key_in_use(path: Path, now: int, on_trouble: Callable[[str], object]) -> Iterator[KeyInUse]:
-    """Lend a key and its times to this process alone; see :func:`read_key` and :func:`kept_times`."""
-    key = read_key(path)
-    with kept_times(path, now, on_trouble) as times:
-        yield KeyInUse(key, times)
-
-
-@contextlib.contextmanager
-def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) -> Iterator[KeptTimes]:
-    """Lock the times of a key file for this process, and save them every second and at the end.
+def key_in_use(key_path: Path, now: int, on_trouble: Callable[[str], object]) -> Iterator[KeyInUse]:
+    """Read a key, lock its times for this process, and save them every second and at the end.
 
     now: current time in signature units (10 us). on_trouble: called once when the times can no longer be written.
-    Raises InputError if another process uses the key, or the file of times is damaged or not writable.
+    Raises InputError as :func:`read_key`, if another process uses the key, or if the file of times is damaged or not
+    writable.
     """
+    key = read_key(key_path)
     key_path = key_path.resolve()  # one file of times per key, whichever symbolic link names it
     path = key_path.with_name(key_path.name + ".times")
     try:
@@ -134,7 +119,8 @@ def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) ->
             raise InputError(f"{key_path} is in use by another sidelong; end that one first.") from error
         before, latest = _read(path), latest_time(now)
         streams = {stream: min(time, latest) for stream, time in before.streams.items()}
-        kept = KeptTimes(SigningTimes(max(min(before.sent, latest), now), streams), lambda times: _write(path, times))
+        times = SigningTimes(max(min(before.sent, latest), now), streams)
+        kept = KeyInUse(key, times, lambda ahead: _write(path, ahead))
         try:
             kept.save()
         except OSError as error:
@@ -153,7 +139,7 @@ def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) ->
         os.close(lock)
 
 
-def _keep_saving(kept: KeptTimes, ended: threading.Event, path: Path, on_trouble: Callable[[str], object]) -> None:
+def _keep_saving(kept: KeyInUse, ended: threading.Event, path: Path, on_trouble: Callable[[str], object]) -> None:
     announced = False
     while not ended.wait(_SAVE_EVERY_S):
         try:

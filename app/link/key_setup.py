@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import KeptTimes
+from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID
-from sidelong.app.link.signing import KEY_BYTES, RADIO_STATUS_ID, LinkSigning, SigningKey, signing_time
+from sidelong.app.link.signing import KEY_BYTES, RADIO_STATUS_ID, LinkSigning, signing_time
 from sidelong.app.link.transport import Peer, opened
 from sidelong.app.link.url import checked_url
 
@@ -43,10 +43,10 @@ def checked_local_url(url: str) -> str:
 class KeySetup:
     """A vehicle on a local link. Use as ``with``."""
 
-    def __init__(self, url: str, key: SigningKey, times: KeptTimes) -> None:
+    def __init__(self, url: str, key: KeyInUse) -> None:
         address = checked_local_url(url)
-        self._url, self._key, self._times = url, key, times
-        self._signing = LinkSigning(key, times.times, 0, _OWN)
+        self._url, self._key = url, key
+        self._signing = LinkSigning(key.key, key.times, 0, _OWN)
         self._packer = dialect.MAVLink(None, srcSystem=_OWN[0], srcComponent=_OWN[1])
         self._splitters: dict[Peer, FrameSplitter] = {}
         self._frames: queue.Queue[Frame] = queue.Queue()
@@ -77,7 +77,7 @@ class KeySetup:
         """
         system_id = self._checked(timeout_s)
         setup = dialect.MAVLink_setup_signing_message(
-            system_id, _AUTOPILOT, self._key.for_setup(), signing_time(time.time())
+            system_id, _AUTOPILOT, self._key.key.for_setup(), signing_time(time.time())
         )
         if not self._announced(setup, system_id, signed=False, proves=self._fresh):
             raise FlightError(f"{self._url}: the vehicle does not sign with the key; does its firmware know signing?")
@@ -124,7 +124,7 @@ class KeySetup:
         return self._awaited(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
 
     def _fresh(self, frame: Frame) -> bool:
-        with self._times.locked:
+        with self._key.locked:
             return self._signing.refusal(frame, signing_time(time.time())) is None
 
     def _send(self, message: Any, signed: bool) -> None:
@@ -132,7 +132,7 @@ class KeySetup:
             data = Frame(each.pack(self._packer)).renumbered(self._packer.seq, signed=signed)
             self._packer.seq = (self._packer.seq + 1) & 0xFF
             if signed:
-                with self._times.locked:
+                with self._key.locked:
                     data = self._signing.signed(data, signing_time(time.time()))
             self._transport.send(data)
 

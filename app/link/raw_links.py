@@ -22,10 +22,10 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import KeptTimes, KeyInUse, key_in_use
+from sidelong.app.link.key_file import KeyInUse, key_in_use
 from sidelong.app.link.merger import AUTOPILOT_COMPONENT, LinkMerger
 from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
-from sidelong.app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
+from sidelong.app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, signing_time
 from sidelong.app.link.transport import Peer, Transport, opened
 from sidelong.app.link.url import checked_url
 
@@ -100,20 +100,19 @@ class RawLinks:
         self,
         transports: Sequence[tuple[str, Transport]],
         own: tuple[int, int],
-        key: SigningKey | None,
-        times: KeptTimes | None,
+        key: KeyInUse | None,
         on_frame: FrameListener | None = None,
         on_trouble: Callable[[str], object] = lambda _text: None,
     ) -> None:
         now_s = time.monotonic()
-        self._own, self._times = own, times
+        self._own = own
         self._on_frame, self._on_trouble = on_frame or (lambda _data: None), on_trouble
-        self._lock = times.locked if times is not None else threading.Lock()
+        self._lock = key.locked if key is not None else threading.Lock()
         self._links = [
             _Link(
                 url,
                 transport,
-                LinkSigning(key, times.times, index, own) if key is not None and times is not None else None,
+                LinkSigning(key.key, key.times, index, own) if key is not None else None,
                 LinkQuality(now_s),
             )
             for index, (url, transport) in enumerate(transports)
@@ -357,7 +356,6 @@ def opened_links(
                 raise InputError(f"{url!r} could not be opened ({reason}); check the address or device.") from error
             stack.callback(transport.close)
             transports.append((url, transport))
-        secret, times = (key.key, key.times) if key is not None else (None, None)
-        links = RawLinks(transports, own, secret, times, on_frame, on_trouble)
+        links = RawLinks(transports, own, key, on_frame, on_trouble)
         stack.callback(links.close)
         yield links

@@ -15,7 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import kept_times, make_key, read_key
+from sidelong.app.link.key_file import key_in_use, make_key
 from sidelong.app.link.raw_links import UNREAD, RawLinks
 from sidelong.app.link.signing import Refusal, signing_time
 from sidelong.sitl.protocol.signing import read_key as sitl_key
@@ -59,10 +59,10 @@ class Linked:
         self.wires = [Wire() for _ in range(links)]
         self.delivered: list[bytes] = []
         self.troubles: list[str] = []
-        self._held = kept_times(path, signing_time(time.time()), pytest.fail)
+        self._held = key_in_use(path, signing_time(time.time()), pytest.fail)
         self.links = RawLinks(
             [(f"link{index}", wire) for index, wire in enumerate(self.wires)],
-            *(OURS, read_key(path), self._held.__enter__()),
+            *(OURS, self._held.__enter__()),
             on_trouble=self.troubles.append,
         )
         self.links.start(lambda data: self.delivered.extend(frame.data for frame in FrameSplitter().split(data)))
@@ -245,7 +245,7 @@ def test_px4_receives_heartbeats_of_those_without_the_key_and_obeys_none(linked,
 def test_a_vehicle_that_signs_is_noticed_on_a_link_without_a_key():
     signing, wire, troubles = mavlink.MAVLink(None, 1, 1), Wire(), []
     signing.signing.secret_key, signing.signing.sign_outgoing = bytes(32), True
-    with contextlib.closing(RawLinks([("link", wire)], OURS, None, None, on_trouble=troubles.append)) as links:
+    with contextlib.closing(RawLinks([("link", wire)], OURS, None, on_trouble=troubles.append)) as links:
         links.start(lambda _data: None)
         for _ in range(2):
             assert wire.bring(bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(signing)))
@@ -282,7 +282,7 @@ def test_what_comes_often_is_passed_on_with_others(monkeypatch):
     wire, passed, vehicle = Wire(), [], mavlink.MAVLink(None, 1, 1)
     attitude = bytes(mavlink.MAVLink_attitude_message(0, *(0.0,) * 6).pack(vehicle))
     heartbeat = bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(vehicle))
-    links = RawLinks([("link", wire)], OURS, None, None)
+    links = RawLinks([("link", wire)], OURS, None)
     links.start(passed.append)
     try:
         wire.bring(attitude)

@@ -90,7 +90,7 @@ def test_two_vehicles_that_demand_signing_share_a_link(opened, tmp_path):
     ]
     received: list[list[bytes]] = [[], []]
     with key_in_use(path, signing_time(time.time()), pytest.fail) as key:
-        links = [RawLinks([(A, opener(A))], own, key.key, key.times.apart()) for _ in vehicles]
+        links = [RawLinks([(A, opener(A))], own, key.apart()) for _ in vehicles]
         for one, frames in zip(links, received, strict=True):
             one.start(frames.append)
         brought = []
@@ -128,5 +128,5 @@ def test_two_vehicles_that_demand_signing_share_a_link(opened, tmp_path):
         for one in links:
             one.close()
     with key_in_use(path, signing_time(time.time()), pytest.fail) as key:
-        again, now = LinkSigning(key.key, key.times.times, 0, own), signing_time(time.time())
+        again, now = LinkSigning(key.key, key.times, 0, own), signing_time(time.time())
         assert {again.refusal(Frame(data), now) for data in brought[-50:]} == {Refusal.OLD}

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import kept_times, make_key, read_key
+from sidelong.app.link.key_file import key_in_use, make_key, read_key
 from sidelong.app.link.signing import LinkSigning, Refusal, SigningKey, SigningTimes, signing_time
 
 SECRET, OTHER_SECRET = bytes(range(32)), bytes(range(1, 33))
@@ -159,13 +159,13 @@ def test_neither_time_nor_replay_survives_a_restart(tmp_path):
     make_key(path)
     theirs = signer()
     recorded = []
-    with kept_times(path, NOW, pytest.fail) as kept:
+    with key_in_use(path, NOW, pytest.fail) as kept:
         ours = checking(kept.times)
         for _ in range(20):
             recorded.append(heartbeat(theirs))
             assert ours.refusal(recorded[-1], NOW) is None
         sent = kept.times.next(NOW + 400)
-    with kept_times(path, NOW - 10**9, pytest.fail) as kept:  # the clock has gone back by hours
+    with key_in_use(path, NOW - 10**9, pytest.fail) as kept:  # the clock has gone back by hours
         ours = checking(kept.times)
         assert kept.times.next(NOW - 10**9) > sent
         assert [ours.refusal(frame, NOW - 10**9) for frame in recorded] == [Refusal.OLD] * 20
@@ -176,7 +176,7 @@ def test_file_of_times_from_the_far_future_is_usable_again(tmp_path):
     path = tmp_path / "plane.key"
     make_key(path)
     (tmp_path / "plane.key.times").write_text(f'{{"sent": {2**48 + 5}, "streams": [[0, 1, 1, {2**48 - 2}]]}}')
-    with kept_times(path, NOW, pytest.fail) as kept:
+    with key_in_use(path, NOW, pytest.fail) as kept:
         assert kept.times.next(NOW).to_bytes(6, "little")
         assert max(kept.times.streams.values()) < 2**47
 
@@ -186,9 +186,9 @@ def test_symbolic_link_to_a_key_uses_the_times_of_the_key(tmp_path):
     make_key(path)
     other.symlink_to(path)
     with (
-        kept_times(path, NOW, pytest.fail),
+        key_in_use(path, NOW, pytest.fail),
         pytest.raises(InputError, match="in use by another sidelong"),
-        kept_times(other, NOW, pytest.fail),
+        key_in_use(other, NOW, pytest.fail),
     ):
         pass
     assert not (tmp_path / "other.key.times").exists()
@@ -203,12 +203,12 @@ def test_fifo_as_a_key_is_refused_at_once(tmp_path):
 def test_a_process_that_dies_has_lost_no_time(tmp_path):
     path = tmp_path / "plane.key"
     make_key(path)
-    with kept_times(path, NOW, pytest.fail) as kept:
+    with key_in_use(path, NOW, pytest.fail) as kept:
         kept.save()
         written = (tmp_path / "plane.key.times").read_bytes()
         used = [kept.times.next(NOW + 100_000) for _ in range(5)]  # a second later, before the next save
     (tmp_path / "plane.key.times").write_bytes(written)
-    with kept_times(path, NOW, pytest.fail) as kept:
+    with key_in_use(path, NOW, pytest.fail) as kept:
         assert kept.times.next(NOW) > max(used)
 
 
@@ -216,9 +216,9 @@ def test_a_key_is_used_by_one_process_at_a_time(tmp_path):
     path = tmp_path / "plane.key"
     make_key(path)
     with (
-        kept_times(path, NOW, pytest.fail),
+        key_in_use(path, NOW, pytest.fail),
         pytest.raises(InputError, match="in use by another"),
-        kept_times(path, NOW, pytest.fail),
+        key_in_use(path, NOW, pytest.fail),
     ):
         pytest.fail("twice")
 
@@ -228,5 +228,5 @@ def test_damaged_times_are_reported_with_the_way_out(tmp_path, content):
     path = tmp_path / "plane.key"
     make_key(path)
     (tmp_path / "plane.key.times").write_bytes(content)
-    with pytest.raises(InputError, match=r"plane\.key\.times.*delete it"), kept_times(path, NOW, pytest.fail):
+    with pytest.raises(InputError, match=r"plane\.key\.times.*delete it"), key_in_use(path, NOW, pytest.fail):
         pytest.fail("accepted")
