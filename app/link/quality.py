@@ -6,7 +6,8 @@ Pure: times are seconds of one monotonic clock, given as arguments.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 _WINDOW_S = 5.0
@@ -56,7 +57,9 @@ class LinkReport:
 
 
 @dataclass(slots=True)
-class _Second:
+class _Counts:
+    """What came and went since a time."""
+
     begin_s: float
     received: int = 0
     missed: int = 0
@@ -65,39 +68,35 @@ class _Second:
 
 
 class LinkQuality:
-    """Measures one link."""
+    """Measures one link. whole: counts of all the time."""
 
     def __init__(self, now_s: float) -> None:
         self.received_s: float | None = None
         self.received_since_s: float | None = None
-        self.received = self.missed = self.received_bytes = self.sent_bytes = 0
-        self._begin_s = now_s
-        self._seconds: deque[_Second] = deque([_Second(now_s)])
+        self.whole = _Counts(now_s)
+        self._seconds: deque[_Counts] = deque([_Counts(now_s)])
         self._next: dict[tuple[int, int], int] = {}
         self._round_trips_s: deque[float] = deque(maxlen=_DELAYS_KEPT)
         self._rssi: tuple[int, int] | tuple[None, None] = (None, None)
 
     def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
         """Count a frame that came in: its system and component, sequence number and bytes."""
-        second = self._second(now_s)
         self.received_s = now_s
         if self.received_since_s is None:
             self.received_since_s = now_s
-        second.received_bytes += size
-        self.received_bytes += size
         ahead = (sequence - self._next.get(source, sequence)) & 0xFF
-        if ahead >= _REORDERED:
-            return
-        self._next[source] = (sequence + 1) & 0xFF
-        second.received += 1
-        second.missed += ahead
-        self.received += 1
-        self.missed += ahead
+        is_late = ahead >= _REORDERED
+        if not is_late:
+            self._next[source] = (sequence + 1) & 0xFF
+        for counts in (self.whole, self._second(now_s)):
+            counts.received_bytes += size
+            counts.received += not is_late
+            counts.missed += 0 if is_late else ahead
 
     def sent(self, size: int, now_s: float) -> None:
         """Count bytes that went out."""
-        self._second(now_s).sent_bytes += size
-        self.sent_bytes += size
+        for counts in (self.whole, self._second(now_s)):
+            counts.sent_bytes += size
 
     def answered(self, round_trip_s: float) -> None:
         """Take the time that a question and its answer took."""
@@ -110,33 +109,29 @@ class LinkQuality:
     def measured(self, now_s: float) -> Measured:
         """Return what was measured over the last 5 s."""
         self._second(now_s)
-        span_s = max(1.0, now_s - self._seconds[0].begin_s)
-        received = sum(second.received for second in self._seconds)
-        missed = sum(second.missed for second in self._seconds)
+        return self._measured(self._seconds, now_s)
+
+    def total(self, now_s: float) -> Measured:
+        """Return the same over all the time."""
+        return self._measured([self.whole], now_s)
+
+    def _measured(self, several: Sequence[_Counts], now_s: float) -> Measured:
+        span_s = max(1.0, now_s - several[0].begin_s)
+        received, missed = sum(one.received for one in several), sum(one.missed for one in several)
         round_trips_s = sorted(self._round_trips_s)
         return Measured(
-            silent_s=now_s - (self.received_s if self.received_s is not None else self._begin_s),
+            silent_s=now_s - (self.received_s if self.received_s is not None else self.whole.begin_s),
             loss=missed / (received + missed) if received else None,
             round_trip_s=round_trips_s[len(round_trips_s) // 2] if round_trips_s else None,
-            received_bytes_s=sum(second.received_bytes for second in self._seconds) / span_s,
-            sent_bytes_s=sum(second.sent_bytes for second in self._seconds) / span_s,
+            received_bytes_s=sum(one.received_bytes for one in several) / span_s,
+            sent_bytes_s=sum(one.sent_bytes for one in several) / span_s,
             rssi=self._rssi[0],
             remote_rssi=self._rssi[1],
         )
 
-    def total(self, now_s: float) -> Measured:
-        """Return the same over all the time."""
-        span_s, counted = max(1.0, now_s - self._begin_s), self.received + self.missed
-        return replace(
-            self.measured(now_s),
-            loss=self.missed / counted if counted else None,
-            received_bytes_s=self.received_bytes / span_s,
-            sent_bytes_s=self.sent_bytes / span_s,
-        )
-
-    def _second(self, now_s: float) -> _Second:
+    def _second(self, now_s: float) -> _Counts:
         if now_s >= self._seconds[-1].begin_s + 1.0:
-            self._seconds.append(_Second(now_s))
+            self._seconds.append(_Counts(now_s))
             while now_s - self._seconds[0].begin_s > _WINDOW_S + 1.0:
                 self._seconds.popleft()
         return self._seconds[-1]

@@ -207,8 +207,8 @@ def test_doubled_and_late_frames_are_no_loss():
     quality = LinkQuality(0.0)
     for number in (0, 1, 1, 2, 4, 3, 5, 6):
         quality.frame((1, 1), number, 40, 0.1 * number)
-    assert quality.received == 6
-    assert quality.missed == 1
+    assert quality.whole.received == 6
+    assert quality.whole.missed == 1
 
 
 def test_delay_is_the_median_and_silence_is_since_the_last_frame():
