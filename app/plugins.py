@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib.metadata import entry_points
-from typing import TypeVar
 
 from sidelong.app.errors import InputError
-
-T = TypeVar("T")
 
 
 def found(group: str, own: Iterable[str], methods: tuple[str, ...]) -> list[object]:

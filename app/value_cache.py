@@ -59,7 +59,10 @@ async def have_at_hand(configurations: Iterable[TableConfiguration]) -> None:
     """
     for configuration in configurations:
         if configuration not in _remembered:
-            _remember(await _made_in_parallel(configuration))
+            table = await _made_in_parallel(configuration)
+            while len(_remembered) >= _REMEMBERED_MAX:
+                del _remembered[next(iter(_remembered))]
+            _remembered[configuration] = table
 
 
 async def _made_in_parallel(configuration: TableConfiguration) -> ValueTable:
@@ -83,12 +86,6 @@ async def _made_in_parallel(configuration: TableConfiguration) -> ValueTable:
         raise OSError(f"the value table's computation ended with code {process.returncode}")
     table: ValueTable = pickle.loads(made)
     return table
-
-
-def _remember(table: ValueTable) -> None:
-    while len(_remembered) >= _REMEMBERED_MAX:
-        del _remembered[next(iter(_remembered))]
-    _remembered[table.configuration] = table
 
 
 def stored_table(file: Path, configuration: TableConfiguration) -> Float32 | None:

@@ -13,11 +13,11 @@ from sidelong.app.warm_up import MADE_UP_ROUTE
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.joint_track import JointTrack
+from sidelong.mission.control.surroundings import Surroundings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
-from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
@@ -30,10 +30,10 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
 
     It assigns the roles by the predictive planner's costs, whichever planner the aircraft use.
     """
-    members = fleet.members
+    members, nothing = fleet.members, Surroundings()
     configs = {member.name: member.config for member in members}
     factories = {
-        name: TeamPredictive().factory(planner_needs(config, progress, lambda _plan: None, _all_in_sight))
+        name: TeamPredictive().factory(planner_needs(config, progress, nothing.check, nothing.sight))
         for name, config in configs.items()
     }
 
@@ -60,10 +60,6 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
         [FleetTarget(name, asked) for name, asked in fleet.asked.items()],
         judge,
     )
-
-
-def _all_in_sight(*_target: float) -> Sight:
-    return NOTHING_HIDDEN
 
 
 def _warm_up(planner: TeamPlanner) -> None:

@@ -47,6 +47,7 @@ _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
 _SEND_S = 2.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
+_OWN_COMPONENT_ID = 190
 OWN_SYSTEM_ID = 245
 """MAVLink system id that this program speaks as."""
 
@@ -95,8 +96,6 @@ class MavsdkLink:
         urls: Sequence[str],
         timeout_s: float,
         on_frame: FrameListener | None = None,
-        own_system_id: int = OWN_SYSTEM_ID,
-        own_component_id: int = 190,
         key: Path | KeyInUse | None = None,
         on_trouble: Callable[[str], object] = lambda _text: None,
         system_id: int | None = None,
@@ -111,8 +110,6 @@ class MavsdkLink:
             urls: The links to the vehicle.
             timeout_s: Longest wait for the first heartbeat.
             on_frame: Receives every raw frame, received and sent; called from several threads.
-            own_system_id: MAVLink system id of this end.
-            own_component_id: MAVLink component id of this end.
             key: Signing key, or its file; with it every link is signed.
             on_trouble: Receives refused frames and link changes in words; called from several threads.
             system_id: The vehicle to select; None: the only one.
@@ -124,7 +121,7 @@ class MavsdkLink:
                 ``timeout_s``, or several vehicles are received within ``settling_s`` of the first frame and none is
                 selected.
         """
-        own = (own_system_id, own_component_id)
+        own = OWN_SYSTEM_ID, _OWN_COMPONENT_ID
         # The library's own subscription decodes texts of the vehicle as UTF-8; where that fails, MAVSDK prints the
         # bytes itself, escape sequences and all.
         mavsdk.logging._cmavsdk_lib.mavsdk_log_subscribe(_drop_log, None)

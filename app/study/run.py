@@ -12,7 +12,7 @@ from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.payload import PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.controller import ExternalController
-from sidelong.app.study.flight import CompiledFlight, Flown, GuidanceLaw, Sensed
+from sidelong.app.study.flight import CompiledFlight, Flown, Sensed
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.settings import PlannerName, StudySettings
@@ -144,6 +144,7 @@ def _steered(
 ) -> Flown:
     """Fly a run in the compiled loop."""
     aircraft, requirement = settings.aircraft(), settings.requirement()
+    clockwise = requirement.side.clockwise
     match planner:
         case PlannerName.PREDICTIVE:
             assert table is not None
@@ -158,8 +159,14 @@ def _steered(
                 settings.controller, limit_per_m, band_m, settings.config.requirement.side
             ) as controller:
                 return flight.with_law(controller)
+        case PlannerName.LVFG:
+            law = VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m
+        case PlannerName.ORBIT:
+            orbit = StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_GAIN_PER_S, _ORBIT_APPROACH_PER_M)
+            law = orbit.curvature_per_m
         case _:
-            return flight.with_law(_law(planner, requirement.side.clockwise))
+            law = LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m
+    return flight.with_law(law)
 
 
 def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
@@ -171,14 +178,3 @@ def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]
         pan_limit_rad=settings.aircraft().pan_limit_rad,
     )
     return errors, tracker_settings(sensors, settings.config.planner.lost_after_s)
-
-
-def _law(planner: PlannerName, clockwise: bool) -> GuidanceLaw:
-    match planner:
-        case PlannerName.LVFG:
-            return VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m
-        case PlannerName.ORBIT:
-            orbit = StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_GAIN_PER_S, _ORBIT_APPROACH_PER_M)
-            return orbit.curvature_per_m
-        case _:
-            return LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m

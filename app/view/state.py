@@ -93,10 +93,6 @@ def _origin(plane: LocalPlane) -> Json:
     }
 
 
-def _alarms(name: str, vehicle: VehicleStatus) -> list[Json]:
-    return [{"aircraft": name, **asdict(alarm)} for alarm in vehicle.alarms]
-
-
 def _vehicle(vehicle: VehicleStatus) -> Json:
     status = {field.name: getattr(vehicle, field.name) for field in fields(vehicle) if field.name != "alarms"}
     return status | {name: _number(status[name], 0) for name in ("endurance_s", "home_s")}
@@ -168,7 +164,7 @@ class StateEncoder:
             "latency_s": _number(snapshot.latency_s, 2),
             "asked": self._asked(snapshot),
             "vehicle": None if vehicle is None else _vehicle(vehicle),
-            "alarms": [] if vehicle is None else _alarms(name, vehicle),
+            "alarms": [{"aircraft": name, **asdict(alarm)} for alarm in (vehicle.alarms if vehicle else ())],
             "over": snapshot.over,
             "unknown": snapshot.unknown,
             "inputs": list(snapshot.impaired_inputs),
