@@ -14,7 +14,8 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from functools import partial
+from typing import Protocol, TypeAlias
 
 import serial
 
@@ -26,6 +27,7 @@ _SILENT_S = 10.0  # after this silence, a UDP peer is no longer sent to, unless 
 _PEERS_MAX = 8
 _UNSENT_MAX_BYTES = 1 << 16
 
+_Stream: TypeAlias = socket.socket | serial.Serial
 Peer = tuple[str, int] | None
 Receive = Callable[[bytes, Peer], bool]
 """Takes bytes and their sender; returns whether they confirm the sender as a peer."""
@@ -51,12 +53,17 @@ def opened(url: str) -> Transport:
     """Return the transport of a URL that ``checked_url`` has passed. Raises OSError when it cannot be opened."""
     scheme, _, rest = url.partition("://")
     host, _, last = rest.rpartition(":")
-    if scheme.startswith("serial"):
-        return SerialTransport(host, int(last), scheme == "serial_flowcontrol")
     address = (host, int(last))
     if scheme.startswith("udp"):
         return UdpTransport(address, listening=scheme == "udpin")
-    return TcpListener(address) if scheme == "tcpin" else TcpTransport(address)
+    if scheme == "tcpin":
+        server = socket.create_server(address)
+        server.settimeout(_WAKE_S)
+        return _StreamTransport(partial(_accepted, server), None, server.close)
+    connect: Callable[[], _Stream] = partial(_tcp_connected, address)
+    if scheme.startswith("serial"):
+        connect = partial(_serial_opened, *address, scheme == "serial_flowcontrol")
+    return _StreamTransport(connect, connect())
 
 
 class _Threaded(ABC):
@@ -131,17 +138,22 @@ class UdpTransport(_Threaded):
 
 
 class _StreamTransport(_Threaded):
-    """A stream of bytes on a file descriptor that may go and come again."""
+    """A stream of bytes on a file descriptor that may go and come again.
 
-    def __init__(self) -> None:
+    connect: returns the next connection, not blocking, or None where there is none now; may raise OSError. stream:
+    the first one. closed: called at the end.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], _Stream | None],
+        stream: _Stream | None,
+        closed: Callable[[], object] = lambda: None,
+    ) -> None:
         super().__init__()
         self._lock = threading.Lock()
-        self._stream: socket.socket | serial.Serial | None = None
+        self._connect, self._stream, self._closed = connect, stream, closed
         self._unsent = b""
-
-    @abstractmethod
-    def _connected(self) -> socket.socket | serial.Serial | None:
-        """Return the next connection, not blocking, or None where there is none now. Raises OSError."""
 
     def send(self, data: bytes) -> None:
         with self._lock:
@@ -152,6 +164,7 @@ class _StreamTransport(_Threaded):
     def close(self) -> None:
         super().close()
         self._drop()
+        self._closed()
 
     def _flush(self) -> None:
         if self._stream is not None and self._unsent:
@@ -169,7 +182,7 @@ class _StreamTransport(_Threaded):
         while not self._closing.is_set():
             if self._stream is None:
                 try:
-                    self._stream = self._connected()
+                    self._stream = self._connect()
                 except OSError:
                     self._closing.wait(_RETRY_S)
                 continue
@@ -192,52 +205,25 @@ class _StreamTransport(_Threaded):
             receive(data, None)
 
 
-class TcpTransport(_StreamTransport):
-    """A TCP connection to a server. The first one has to succeed: OSError otherwise."""
-
-    def __init__(self, address: tuple[str, int]) -> None:
-        super().__init__()
-        self._address = address
-        self._stream = self._connected()
-
-    def _connected(self) -> socket.socket:
-        connection = socket.create_connection(self._address, timeout=2.0)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.setblocking(False)
-        return connection
+def _tcp_connected(address: tuple[str, int]) -> socket.socket:
+    connection = socket.create_connection(address, timeout=2.0)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setblocking(False)
+    return connection
 
 
-class TcpListener(_StreamTransport):
-    """A TCP server for one client at a time."""
-
-    def __init__(self, address: tuple[str, int]) -> None:
-        super().__init__()
-        self._server = socket.create_server(address)
-        self._server.settimeout(_WAKE_S)
-
-    def _connected(self) -> socket.socket | None:
-        try:
-            connection, _ = self._server.accept()
-        except TimeoutError:
-            return None
-        connection.setblocking(False)
-        return connection
-
-    def close(self) -> None:
-        super().close()
-        self._server.close()
+def _accepted(server: socket.socket) -> socket.socket | None:
+    """Return the next client: one is served at a time."""
+    try:
+        connection, _ = server.accept()
+    except TimeoutError:
+        return None
+    connection.setblocking(False)
+    return connection
 
 
-class SerialTransport(_StreamTransport):
-    """A serial device. It has to be there at first: OSError otherwise."""
-
-    def __init__(self, device: str, baud: int, flow_control: bool) -> None:
-        super().__init__()
-        self._device, self._baud, self._flow_control = device, baud, flow_control
-        self._stream = self._connected()
-
-    def _connected(self) -> serial.Serial:
-        try:
-            return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, rtscts=self._flow_control)
-        except ValueError as error:
-            raise OSError(22, f"{self._baud} baud is no rate of {self._device}") from error
+def _serial_opened(device: str, baud: int, flow_control: bool) -> serial.Serial:
+    try:
+        return serial.Serial(device, baud, timeout=0, write_timeout=0, rtscts=flow_control)
+    except ValueError as error:
+        raise OSError(22, f"{baud} baud is no rate of {device}") from error
