@@ -102,33 +102,19 @@ class Proposals:
         controller.step(ControlAcquired(time_s, circle, _MODE))
 
 
-class LogReplay(Proposals):
-    """Steps a watch through the messages of a log; calls ``on_plane`` once the local plane is known."""
-
-    def __init__(
-        self, controller: StandoffController, telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
-    ) -> None:
-        super().__init__(controller)
-        self._telemetry, self._on_plane = telemetry, on_plane
-
-    @property
-    def plane(self) -> LocalPlane | None:
-        return self._telemetry.plane
-
-    def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
-        """Yield the events of the log with the step's results; skip those that no consumer needs."""
-        return self.follow(self._events(messages))
-
-    def _events(self, messages: Iterable[Message]) -> Iterator[InboundEvent]:
-        telemetry, plane = self._telemetry, None
-        for message in messages:
-            event = telemetry.event(message)
-            if telemetry.plane is not plane:
-                plane = telemetry.plane
-                assert plane is not None
-                self._on_plane(plane)
-            if event is not None:
-                yield event
+def log_events(
+    messages: Iterable[Message], telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
+) -> Iterator[InboundEvent]:
+    """Yield the events of a log; ``on_plane`` is called once the local plane is known."""
+    plane = None
+    for message in messages:
+        event = telemetry.event(message)
+        if telemetry.plane is not plane:
+            plane = telemetry.plane
+            assert plane is not None
+            on_plane(plane)
+        if event is not None:
+            yield event
 
 
 def require_sightings(sightings: int, log: Log) -> None:

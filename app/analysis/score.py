@@ -29,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.analysis.target_course import made_good_rad, present_rad
+from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Requirement
 
@@ -80,6 +81,15 @@ class Moment:
     target_velocity_north_m_s: float
     target: str = ""
     known: bool = True
+
+    @staticmethod
+    def by_estimate(
+        east_m: float, north_m: float, estimate: TargetEstimate, target: str, known: bool = True
+    ) -> Moment:
+        """Return the moment of an estimate, with the place of the aircraft."""
+        target_m = estimate.east_m, estimate.north_m
+        velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
+        return Moment(estimate.time_s, east_m, north_m, *target_m, *velocity_m_s, target, known)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -162,19 +162,8 @@ class SummaryCollector:
         self.judged_s = estimate.time_s
         if self._asked[-1][1] != snapshot.requirement:
             self._asked.append((estimate.time_s, snapshot.requirement))
-        self._estimated.append(
-            Moment(
-                estimate.time_s,
-                aircraft.east_m,
-                aircraft.north_m,
-                estimate.east_m,
-                estimate.north_m,
-                estimate.velocity_east_m_s,
-                estimate.velocity_north_m_s,
-                snapshot.target,
-                not snapshot.unknown,
-            )
-        )
+        place_m = aircraft.east_m, aircraft.north_m
+        self._estimated.append(Moment.by_estimate(*place_m, estimate, snapshot.target, not snapshot.unknown))
         if self.ground is not None:
             self._look(self.ground, snapshot)
         if snapshot.pan_limit_rad < math.pi and math.isfinite(snapshot.sensor_status.heading_rad):

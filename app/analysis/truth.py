@@ -13,6 +13,7 @@ import numpy.typing as npt
 from sidelong.app.analysis.score import Moment
 from sidelong.app.errors import InputError
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.path import FloatArray
 
 _POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")
 _GROUND_COLUMNS = ("clearance_m", "in_sight")
@@ -37,9 +38,9 @@ class Truth:
         target: the name of the target that the payload looks at, shape (n,); '' where the file has no value.
     """
 
-    time_s: npt.NDArray[np.float64]
-    positions_deg: npt.NDArray[np.float64]
-    ground: npt.NDArray[np.float64]
+    time_s: FloatArray
+    positions_deg: FloatArray
+    ground: FloatArray
     target: npt.NDArray[np.str_]
 
     def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
@@ -65,7 +66,7 @@ class Truth:
         rows = np.concatenate(columns, axis=1).tolist()
         return [replace(Moment(*row), target=name) for row, name in zip(rows, names.tolist(), strict=True)]
 
-    def _names(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.str_]:
+    def _names(self, time_s: FloatArray) -> npt.NDArray[np.str_]:
         return self.target[np.clip(np.searchsorted(self.time_s, time_s), 0, len(self.time_s) - 1)]
 
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
@@ -89,9 +90,7 @@ class Truth:
         numbers = (number for row in rows for number in range(int(step[row]), int(step[row + 1])))
         return self.at_each([begin_s + number * step_s for number in numbers], plane)
 
-    def _places_m(
-        self, time_s: npt.NDArray[np.float64], columns: slice, plane: LocalPlane
-    ) -> npt.NDArray[np.float64]:
+    def _places_m(self, time_s: FloatArray, columns: slice, plane: LocalPlane) -> FloatArray:
         """Return these two columns (degrees) as positions in the plane, shape (n, 2), at times of shape (n,)."""
         degrees = np.array([np.interp(time_s, self.time_s, column) for column in self.positions_deg[columns]]).T
         return np.array([plane.east_north_m(*place) for place in degrees.tolist()]).reshape(-1, 2)

@@ -14,10 +14,10 @@ from rich.text import Text
 
 from sidelong.app.analysis.replay import (
     JournalReplay,
-    LogReplay,
     Proposals,
     Replayed,
     announcements,
+    log_events,
     require_sightings,
 )
 from sidelong.app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
@@ -191,15 +191,14 @@ def _replay_log(
         if frames is not None:
             frames.plane = plane
 
-    steps = LogReplay(controller, telemetry, fence)
     progress, task = progress_bar(path.name)
     with progress:
         messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
         judged = _Judged(settings, controller, progress, quiet)
-        replayed = steps.run(messages)
+        replayed = Proposals(controller).follow(log_events(messages, telemetry, fence))
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     require_sightings(controller.tracker.sightings, log)
-    result = judged.summary(truth, steps.plane, judged.first_estimate_s)
+    result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))
     # Nothing was uploaded here: what the planner would have sent counts as moves.
     return replace(result, moves=result.uploads, uploads=0, upload_failures=0)

@@ -131,11 +131,11 @@ class HistoryBuilder:
 
     def __init__(self, tracker: Tracker) -> None:
         self._sensing = Sensing(tracker)
-        self._positions: list[PositionReading] = []
+        self.positions: list[PositionReading] = []
         self._estimates: list[TargetEstimate] = []
         self._targets: list[str] = []  # of each estimate
         self._target = ""
-        self._sightings: list[SightingOutcome] = []
+        self.sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
         self._changes: dict[int, PlanChange] = {}
         self._wishes: list[OperatorRequest | MissionChange] = []
@@ -145,18 +145,10 @@ class HistoryBuilder:
         self._follower: RouteFollower | None = None
         self._progress: list[tuple[float, RouteProgress]] = []
 
-    @property
-    def sightings(self) -> int:
-        return len(self._sightings)
-
-    @property
-    def positions(self) -> int:
-        return len(self._positions)
-
     def event(self, event: Event) -> None:
         """Take an event."""
         admitted, outcomes = self._sensing.take(event)
-        self._sightings += outcomes
+        self.sightings += outcomes
         match admitted:
             case PositionReading():
                 self._position(admitted)
@@ -190,8 +182,8 @@ class HistoryBuilder:
                 self._in_hand = False
 
     def _position(self, reading: PositionReading) -> None:
-        if not self._positions or reading.time_s >= self._positions[-1].time_s + _AIRCRAFT_STEP_S:
-            self._positions.append(reading)
+        if not self.positions or reading.time_s >= self.positions[-1].time_s + _AIRCRAFT_STEP_S:
+            self.positions.append(reading)
         last_s = self._estimates[-1].time_s if self._estimates else -math.inf
         if reading.time_s >= last_s + _ESTIMATE_STEP_S:
             estimate = self._sensing.tracker.estimate(reading.time_s)
@@ -217,7 +209,7 @@ class HistoryBuilder:
 
     def build(self, asked: FlightRequirements, plane: LocalPlane, truth: Truth | None) -> History:
         """Return the history so far; there must be at least two positions."""
-        aircraft = _track(self._positions)
+        aircraft = _track(self.positions)
         start_s = self._start_s
         if start_s is None:  # no takeover: the log begins where the target is first seen
             start_s = self._estimates[0].time_s if self._estimates else float(aircraft.time_s[0])
@@ -229,11 +221,11 @@ class HistoryBuilder:
         return History(
             asked,
             start_s,
-            tuple(self._positions),
+            tuple(self.positions),
             aircraft,
             tuple(self._estimates),
             tuple(targets),
-            tuple(self._sightings),
+            tuple(self.sightings),
             moments or _estimated_moments(self._estimates, targets, aircraft, start_s),
             bool(moments),
             truth,
@@ -269,14 +261,10 @@ def _estimated_moments(
     estimates: list[TargetEstimate], targets: list[str], aircraft: AircraftTrack, start_s: float
 ) -> tuple[Moment, ...]:
     return tuple(
-        Moment(
-            one.time_s,
+        Moment.by_estimate(
             float(np.interp(one.time_s, aircraft.time_s, aircraft.east_m)),
             float(np.interp(one.time_s, aircraft.time_s, aircraft.north_m)),
-            one.east_m,
-            one.north_m,
-            one.velocity_east_m_s,
-            one.velocity_north_m_s,
+            one,
             target,
         )
         for one, target in zip(estimates, targets, strict=True)

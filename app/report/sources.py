@@ -113,7 +113,7 @@ def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress
     log = open_log(path)
     _feed_log(log, telemetry, builder, progress)
     if target_needed:
-        require_sightings(builder.sightings, log)
+        require_sightings(len(builder.sightings), log)
     history = _built(builder, settings, path, telemetry.plane, truth)
     return Flown(path.name, "an autopilot", settings, history, summary_of(history, "recorded log"))
 
@@ -126,7 +126,7 @@ def _built(
     truth: Path | None,
     home_deg: tuple[float, float] | None = None,
 ) -> History:
-    if plane is None or builder.positions < 2:
+    if plane is None or len(builder.positions) < 2:
         raise InputError(f"{path} holds no flight: it contains fewer than two positions of the vehicle.")
     ground = None
     with suppress(InputError):  # its data are not at hand any more
