@@ -80,18 +80,6 @@ class Start:
     boot_s: float = 100.0
 
 
-class _Radio:
-    """Hands on what the mission protocol answers."""
-
-    def __init__(self, take: Callable[[Message], object]) -> None:
-        self._packer = mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_AUTOPILOT)
-        self._decoder, self._take = Decoder(), take
-
-    def send(self, _station: object, message: Any) -> None:
-        for decoded in self._decoder.messages(message.pack(self._packer), 0.0):
-            self._take(decoded)
-
-
 class KinematicVehicle:
     """One vehicle of an autopilot's kind, with its payload and the target that this looks at.
 
@@ -133,13 +121,14 @@ class KinematicVehicle:
         self._sent: list[Message] = []
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._radio, self._station = _Radio(self._sent.append), object()  # the other end of the only link
+        self._packer = mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_AUTOPILOT)
+        self._decoder, self._station = Decoder(), object()  # the other end of the only link
         self._one_by_one = autopilot.quirks.stores_items_one_by_one
         self.mission: ArduPlaneMission | Px4Mission = self._make_mission()
         self._transfer = Transfer(
             mavlink.MAV_MISSION_TYPE_MISSION,
             self.mission,
-            self._radio,  # type: ignore[arg-type]  # it sends, and that is all
+            self,  # type: ignore[arg-type]  # it sends, and that is all
             ARDUPLANE_QUIRKS if self._one_by_one else PX4_QUIRKS,
             1.0,
             lambda _severity, _text: None,
@@ -168,9 +157,12 @@ class KinematicVehicle:
 
     def take(self) -> list[Message]:
         """Return what was sent since the last call."""
-        taken = self._sent[:]
-        self._sent.clear()
+        taken, self._sent = self._sent, []
         return taken
+
+    def send(self, _station: object, message: Any) -> None:
+        """Send what the mission protocol answers."""
+        self._sent += self._decoder.messages(message.pack(self._packer), 0.0)
 
     def messages(self, packet: Message, received_s: float) -> Iterator[Message]:
         """Decode a packet of :meth:`take`: here they are messages already."""
@@ -182,7 +174,7 @@ class KinematicVehicle:
             kind = message.get_type()
             if kind in ("COMMAND_LONG", "COMMAND_INT"):
                 command = Command.from_message(message)
-                self._radio.send(self._station, command.acknowledgement(self._command(command)))
+                self.send(self._station, command.acknowledgement(self._command(command)))
             elif kind == "MISSION_SET_CURRENT":
                 self.set_current(message.seq)
             elif kind.startswith("MISSION_"):

@@ -11,6 +11,7 @@ import numpy as np
 
 from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM, Message
 from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
 _LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
@@ -149,7 +150,7 @@ class Payload:
         return self._message(
             "GIMBAL_DEVICE_ATTITUDE_STATUS",
             time_boot_ms=boot_ms,
-            q=list(sight_quaternion(yaw_rad, pitch_rad)),
+            q=list(from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad)),
             flags=_LOCKED_IN_EARTH_FRAME,
             gimbal_device_id=0,
         )
@@ -175,10 +176,3 @@ class Payload:
 
     def _message(self, name: str, **fields: object) -> Message:
         return Message(name, self._system_id, PAYLOAD_COMPONENT, fields, 0.0)
-
-
-def sight_quaternion(yaw_rad: float, pitch_rad: float) -> tuple[float, float, float, float]:
-    """Return ned_from_sight for a level line of sight's yaw, then pitch."""
-    cos_y, sin_y = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
-    cos_p, sin_p = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
-    return cos_y * cos_p, -sin_y * sin_p, cos_y * sin_p, sin_y * cos_p

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
+
+from sidelong.mission.core.path import FloatArray
 
 # The heading change at each new leg, and its chance.
 _TURNS_DEG = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
@@ -63,7 +64,7 @@ class RandomTarget:
             heading_rad += math.radians(float(rng.choice(_TURNS_DEG, p=_CHANCES)))
         self._legs = np.array(legs)
 
-    def sampled(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def sampled(self, time_s: FloatArray) -> FloatArray:
         """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course."""
         legs = self._legs[np.maximum(np.searchsorted(self._legs[:, 0], time_s, side="right") - 1, 0)]
         gone_s = time_s - legs[:, 0]

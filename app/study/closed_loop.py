@@ -15,9 +15,10 @@ from sidelong.app.autopilots.registry import AUTOPILOTS as FLOWN_AUTOPILOTS
 from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload
-from sidelong.app.simulation.target import TargetTruth
-from sidelong.app.study.flight import SampledTarget, StopWatch
+from sidelong.app.simulation.target import RandomTarget, TargetTruth
+from sidelong.app.study.flight import StopWatch
 from sidelong.app.study.judging import RunResult, judged
+from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.run import aircraft_on, first_circle, payload_of, scene
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
@@ -39,7 +40,7 @@ _RATES = Rates(attitude_hz=1)
 class _OnTicks:
     """A target with precomputed motion for each tick of the vehicle."""
 
-    def __init__(self, target: SampledTarget, ticks: int) -> None:
+    def __init__(self, target: RandomTarget | RecordedTarget, ticks: int) -> None:
         self._rows = target.sampled(np.arange(ticks) / _RATES.tick_hz).tolist()
 
     def at(self, time_s: float) -> TargetTruth:

@@ -10,13 +10,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import thread_time
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.airframe_kernel import Body
-from sidelong.app.simulation.payload import PayloadErrors, sight_quaternion
+from sidelong.app.simulation.payload import PayloadErrors
+from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study import flight_kernel as kernel
 from sidelong.app.study.flight_kernel import (
     COMING_HEIGHT_M,
@@ -40,9 +41,11 @@ from sidelong.app.study.flight_kernel import (
     Steering,
     Target,
 )
+from sidelong.app.study.recorded import RecordedTarget
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.imm import DENSITIES, TargetImm
 from sidelong.estimators.filters.imm_kernel import ERRORS, MODELS, TARGET
+from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
@@ -92,14 +95,6 @@ class StopWatch:
         decision = decide()
         self.taken_s.append(thread_time() - begun_s)
         return decision
-
-
-class SampledTarget(Protocol):
-    """A target with precomputed motion."""
-
-    def sampled(self, time_s: FloatArray) -> FloatArray:
-        """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +177,7 @@ class CompiledFlight:
 
     def __init__(
         self,
-        target: SampledTarget,
+        target: RandomTarget | RecordedTarget,
         start: KinematicAircraft,
         circle: Circle,
         height_m: float,
@@ -295,7 +290,7 @@ class CompiledFlight:
         noise = self._rng.normal(size=3)
         if in_sight:
             slant_m, yaw_rad, pitch_rad = sighted(body, height_m - target_height_m, truth, noise, self._payload)
-            tracker.add(GimbalReading(time_s, sight_quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
+            tracker.add(GimbalReading(time_s, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", _GIMBAL))
             tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
 
     def _estimate(self) -> TargetEstimate | None:
@@ -341,7 +336,7 @@ def flown_plan(flight: Flight, which: int, departure_s: float, heights: HeightPr
 
 
 def true_estimate(time_s: float, truth: FloatArray) -> TargetEstimate:
-    """Return the estimate of perfect sensors. truth: a row of :meth:`SampledTarget.sampled`."""
+    """Return the estimate of perfect sensors. truth: a row of :meth:`RandomTarget.sampled`."""
     east_m, north_m, velocity_e, velocity_n = truth[:4].tolist()
     unerring = np.zeros((4, 4))
     return TargetEstimate(time_s, east_m, north_m, velocity_e, velocity_n, unerring, TrackQuality.GOOD, time_s)

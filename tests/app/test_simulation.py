@@ -14,9 +14,10 @@ from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.link import Link, Silence
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.payload import Payload, PayloadErrors, sight_quaternion
+from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, PlanStatus, Yield
@@ -151,7 +152,7 @@ def test_a_gimbal_waits_at_its_stop_for_a_target_beyond_its_pan_limits(camera):
         heading_rad = 0.8
         at = 300.0 * math.sin(heading_rad + pan_rad), 300.0 * math.cos(heading_rad + pan_rad), -100.0
         gimbal, *others = payload.measure(0.0, 0, *at, heading_rad=heading_rad)
-        wanted = sight_quaternion(heading_rad + yaw_rad, math.atan2(-100.0, 300.0))
+        wanted = from_roll_pitch_yaw(0.0, math.atan2(-100.0, 300.0), heading_rad + yaw_rad)
         assert abs(np.dot(gimbal.fields["q"], wanted)) == pytest.approx(1.0, abs=1e-6)
         assert bool(others) == (abs(pan_rad) < 2.0)
 
