@@ -8,9 +8,9 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import Literal, get_args
 
-from sidelong.app.fleet.vehicle_clock import MissionScale, ToMissionTime, VehicleClockReader
+from sidelong.app.fleet.vehicle_clock import ToMissionTime, VehicleClockReader
 from sidelong.app.flight.loop import Stepped
 from sidelong.app.link.message import Message
 from sidelong.app.records.journal import JournalWriter
@@ -93,7 +93,7 @@ class Coordination:
         self.changes: dict[str, list[tuple[float, Requirement]]] = defaultdict(list)
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
-        self.scale = MissionScale(lambda: self.now_s)
+        self._ahead_s: dict[str, float] = {}  # mission time less the time of each source
         self._utc_rejected = False
         self._ticked_s = -math.inf
         self._moved_s = math.inf
@@ -121,6 +121,13 @@ class Coordination:
             if other != name and participant.clock.reports_time and participant.received_s >= since_s
         ]
         return max((one for one in known if math.isfinite(one)), default=math.nan)
+
+    def mission_s(self, source: Literal["utc", "host"], time_s: float) -> float:
+        """Return mission time for the present time of a source: the first one is it, a new one moves nothing."""
+        if source not in self._ahead_s:
+            now_s = self.now_s
+            self._ahead_s[source] = now_s - time_s if math.isfinite(now_s) else 0.0
+        return time_s + self._ahead_s[source]
 
     def _mission_s(self, participant: Participant) -> float:
         """Return mission time by one aircraft's clock; -inf before that is known."""

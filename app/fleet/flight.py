@@ -258,10 +258,8 @@ class FleetFlight:
         )
         with beginning(self._folder.path):
             journal = JournalWriter(self._folder.journal, header, self._aircraft[0].trouble)
-        try:
+        with journal:
             yield journal
-        finally:
-            journal.close()
 
     # -- in flight -----------------------------------------------------------------------------------------
 
@@ -289,7 +287,7 @@ class FleetFlight:
                     lambda own=telemetry: own.now_s,  # type: ignore[misc]
                     above_m,
                     lambda name=one.name: coordination.reported_by_others_s(name),  # type: ignore[misc]
-                    coordination.scale.mission_s,
+                    coordination.mission_s,
                 )
             )
             vehicle.bystanders.append(bystander)

@@ -43,21 +43,6 @@ ToMissionTime = Callable[[Literal["utc", "host"], float], float]
 """Returns mission time for the time of a source: the vehicles' UTC, or this computer's clock."""
 
 
-class MissionScale:
-    """Mission time less the time of each source, constant from its first use on: a new source moves nothing."""
-
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
-        self._ahead_s: dict[str, float] = {}
-
-    def mission_s(self, source: Literal["utc", "host"], time_s: float) -> float:
-        """Return mission time for the present time of a source; the first source of all is mission time."""
-        if source not in self._ahead_s:
-            now_s = self._now_s()
-            self._ahead_s[source] = now_s - time_s if math.isfinite(now_s) else 0.0
-        return time_s + self._ahead_s[source]
-
-
 class VehicleClockReader:
     """Reads one vehicle's SYSTEM_TIME, which holds UTC and the vehicle's own clock; without UTC, its TIMESYNC.
 
