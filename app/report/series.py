@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sidelong.app.report.history import AircraftTrack, History
-from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.mission.core.path import FloatArray
 
 _CURVATURE_SPAN_S = 1.0
@@ -49,10 +48,8 @@ def estimate_errors(history: History) -> EstimateErrors | None:
         if true is None:
             continue
         miss_m = np.array([one.east_m - true.target_east_m, one.north_m - true.target_north_m])
-        covariance = one.covariance[:2, :2]
-        radius95_m = confidence_ellipse(covariance).semi_major_m
-        nees = float(miss_m @ np.linalg.solve(covariance, miss_m))
-        rows.append((one.time_s, math.hypot(*miss_m), radius95_m, nees))
+        nees = float(miss_m @ np.linalg.solve(one.covariance[:2, :2], miss_m))
+        rows.append((one.time_s, math.hypot(*miss_m), one.ellipse_95.semi_major_m, nees))
     return EstimateErrors(*np.array(rows).T) if rows else None
 
 

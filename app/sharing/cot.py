@@ -58,14 +58,12 @@ def target_event(
     route: RouteProgress | None = None,
 ) -> bytes:
     """Return the event for the target at ``time_s`` of the vehicle's clock, which is ``now`` by the wall's."""
-    position = estimate.covariance[:2, :2]
     event = _event(uid, names.type, _MACHINE_FUSED, now)
-    error_m = confidence_ellipse(position, _ONE_SIGMA).semi_major_m
+    error_m = confidence_ellipse(estimate.covariance[:2, :2], _ONE_SIGMA).semi_major_m
     _point(event, plane, estimate.position_m(time_s), ce=f"{error_m:.1f}")
     detail = _detail(event, names.callsign, estimate.course_rad, estimate.speed_m_s)
     remarks = ElementTree.SubElement(detail, "remarks")
-    within_m = confidence_ellipse(position).semi_major_m
-    remarks.text = f"sidelong: track {estimate.quality}, within {within_m:.1f} m with 95 %"
+    remarks.text = f"sidelong: track {estimate.quality}, within {estimate.ellipse_95.semi_major_m:.1f} m with 95 %"
     if route is not None:
         remarks.text += f"; {describe(route)}"
     return _encoded(event)

@@ -12,7 +12,6 @@ from operator import xor
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.sharing.senders import Sender
-from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
@@ -108,7 +107,7 @@ class NmeaOutput(_Periodic):
         clock = now.strftime("%H%M%S.") + f"{now.microsecond // 10_000:02d}"
         place = f"{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
         knots, course_deg = _KNOTS_PER_M_S * estimate.speed_m_s, math.degrees(estimate.course_rad) % 360.0
-        dilution = max(confidence_ellipse(estimate.covariance[:2, :2]).semi_major_m / 5.0, 0.1)
+        dilution = max(estimate.ellipse_95.semi_major_m / 5.0, 0.1)
         self._sender.send(
             _sentence(f"GPRMC,{clock},A,{place},{knots:.2f},{course_deg:.2f},{now:%d%m%y},,,A")
             + _sentence(f"GPGGA,{clock},{place},1,08,{dilution:.1f},{self._altitude_m:.1f},M,,M,,")

@@ -19,7 +19,6 @@ from sidelong.app.flight.display import Wish
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.prompt import HELP, Keyboard, Prompt
-from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase, Snapshot
@@ -199,7 +198,7 @@ class PanelDisplay(LivePanel):
             yield "target", Text("not seen yet")
         else:
             yield "range", _gauge(range_m, shown.requirement)
-            within_m = confidence_ellipse(estimate.covariance[:2, :2]).semi_major_m
+            within_m = estimate.ellipse_95.semi_major_m
             known = Text(f"{target_motion(shown)}, 95 % within {within_m:.1f} m, track ")
             known.append(estimate.quality, _QUALITY_STYLES[estimate.quality])
             yield "target", known

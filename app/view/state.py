@@ -16,7 +16,6 @@ from pydantic import BaseModel
 from sidelong.app.analysis.present import PresentWatch, Watch
 from sidelong.app.config import AircraftSection, Config, RequirementSection
 from sidelong.app.link.vehicle_status import VehicleStatus
-from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.path import Path
@@ -202,7 +201,7 @@ class StateEncoder:
         if estimate is None or aircraft is None:
             return None
         at_m = estimate.position_m(snapshot.time_s)
-        ellipse = confidence_ellipse(estimate.covariance[:2, :2])
+        ellipse = estimate.ellipse_95
         return {
             "at_m": _rounded(*at_m),
             "at_deg": self._degrees(*at_m),
