@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
-from typing import Any
 
 from pymavlink.dialects.v20 import all as _mav
 
@@ -51,14 +49,6 @@ _PARAMETERS = (
 )
 
 
-@cache
-def _mavutil() -> Any:
-    """Return the module that names the modes. The import is late: it loads another dialect, and much else."""
-    from pymavlink import mavutil  # noqa: PLC0415
-
-    return mavutil
-
-
 class Px4:
     """``Autopilot`` for PX4's fixed wings."""
 
@@ -76,7 +66,9 @@ class Px4:
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         if (custom_mode >> 16 & 0xFF, custom_mode >> 24) == (_AUTO, _PRECLAND):  # pymavlink lacks it
             return "PRECLAND"
-        return str(_mavutil().interpret_px4_mode(base_mode, custom_mode))
+        from pymavlink import mavutil  # noqa: PLC0415  # it loads another dialect, and much else
+
+        return str(mavutil.interpret_px4_mode(base_mode, custom_mode))
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
         required_parameters = list(required_airspeed(values, "FW_AIRSPD_TRIM", airspeed_m_s))
