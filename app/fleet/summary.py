@@ -9,14 +9,11 @@ from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from rich.table import Table
 
-from sidelong.app.analysis.score import Asked, Judgement, Moment, judge_moments
+from sidelong.app.analysis.score import Asked, BoolArray, Judgement, Moment, judge_moments
 from sidelong.app.analysis.summary import Summary, percent
 from sidelong.mission.core.path import FloatArray
-
-BoolArray = npt.NDArray[np.bool_]
 
 _STEP_S, _APART_STEP_S = 0.5, 0.2
 _HOLDS_S = 2.5  # how long a moment counts where none follows

@@ -43,9 +43,6 @@ async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSW
         system_id: MAVLink system id of the other one.
         answer_s: How long to wait for each answer, s.
 
-    Returns:
-        Its mission.
-
     Raises:
         LookupError: It is not received, does not answer, or has fewer than two way points; says so in words.
         LinkError: A message cannot be sent.

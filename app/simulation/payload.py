@@ -56,13 +56,7 @@ class PayloadErrors:
 
 
 class Payload:
-    """Laser and gimbal of one aircraft, both looking at the target.
-
-    Args:
-        errors: of the readings.
-        rng: their noise.
-        system_id: of the vehicle that carries them.
-    """
+    """Laser and gimbal of the vehicle ``system_id``, both looking at the target."""
 
     def __init__(self, errors: PayloadErrors, rng: np.random.Generator, system_id: int = 1) -> None:
         self._errors, self._rng, self._system_id = errors, rng, system_id

@@ -121,15 +121,12 @@ class Benchmark:
         return sum(each * len(settings.numbers) for settings in self._settings)
 
     def fly(self, jobs: int | None, advance: Callable[[int], None], computing: Computing) -> list[Row]:
-        """Fly everything.
+        """Fly everything and return the rows, by aircraft.
 
         Args:
             jobs: Processes; None: one for each core.
             advance: Called with the number of runs just flown.
             computing: Called with the share of a value table that is computed.
-
-        Returns:
-            The rows, by aircraft.
         """
         begun_s = time.perf_counter()
         rows = [row for k in range(len(CLASSES)) for row in self._fly_class(k, jobs, advance, computing)]

@@ -87,11 +87,7 @@ class Prediction:
     time_within_pan_limits: Share | None = None
 
     def shortcoming(self, config: Config) -> str:
-        """Return what the configuration does not achieve and what to change, '' if it is good enough.
-
-        Args:
-            config: The mission that was predicted.
-        """
+        """Return what the configuration does not achieve and what to change, '' if it is good enough."""
         band, side, wanted = self.time_in_band, self.time_on_side, config.requirement
         if band is not None and band.high < LEAST_IN_BAND:
             return (

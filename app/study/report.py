@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,18 +65,17 @@ def study_table(result: StudyResult) -> Table:
     table = right_aligned(Table("", "", *map(str, result.planners), box=box.SIMPLE_HEAD), 2)
     planners = list(result.planners.values())
 
-    def row(label: str, name: str, digits: int, value: Callable[[PlannerResult], float | None]) -> None:
-        values = map(value, planners)
+    def row(label: str, name: str, digits: int, values: Iterable[float | None]) -> None:
         table.add_row(label, name, *("-" if one is None else f"{one:.{digits}f}" for one in values))
 
     for of in measures_of(result.settings):
         for name in ("mean", f"p{of.tail}", "worst"):
             label = of.label if name == "mean" else ""
-            row(label, name, of.digits, lambda p, of=of, name=name: of.spread(of.shown(p[of.name]))[name])  # type: ignore[misc]
-    row("observation angle, °", "spread", 0, _angle_spread_deg)
+            row(label, name, of.digits, [of.spread(of.shown(one[of.name]))[name] for one in planners])
+    row("observation angle, °", "spread", 0, map(_angle_spread_deg, planners))
     for name in ("p50", "p99"):
         label = "decision, ms" if name == "p50" else ""
-        row(label, name, 2, lambda p, name=name: decision_ms(p.decision_s)[name])  # type: ignore[misc]
+        row(label, name, 2, [decision_ms(one.decision_s)[name] for one in planners])
     return table
 
 

@@ -48,12 +48,7 @@ _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", 
 
 
 class LivePanel:
-    """A panel at the bottom of the terminal with messages above it; else plain lines. Use as ``with``.
-
-    Args:
-        console: the terminal.
-        quiet: print nothing.
-    """
+    """A panel at the bottom of the terminal with messages above it; else plain lines. Use as ``with``."""
 
     def __init__(self, console: Console, quiet: bool = False) -> None:
         self._console, self._quiet = console, quiet
