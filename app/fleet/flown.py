@@ -30,13 +30,10 @@ from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, Requirem
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AircraftPart:
-    """One aircraft's part. offset_s makes its own times mission time."""
+class AircraftPart(FlownAircraft):
+    """One aircraft's part, with its own flight."""
 
-    name: str
     flown: Flown
-    offset_s: float
-    track: FlownTrack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +78,8 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     aircraft = []
     for k, name in enumerate(names):
         flown = read_flight(folder.path / name, progress=lambda share, k=k: progress((k + share) / len(names)))  # type: ignore[misc]
-        aircraft.append(AircraftPart(name, flown, offsets_s[name], tracks[name]))
+        judged = flown.summary, flown.history.moments
+        aircraft.append(AircraftPart(name, *judged, offsets_s[name], tracks[name], flown))
     # The figures of a run that was cut off are worth having all the same.
     summary = _written(folder) if folder.summary.exists() else _summed(asked, aircraft)
     name = folder.path.resolve().name
@@ -106,9 +104,5 @@ def _written(folder: FleetFolder) -> FleetSummary:
 
 def _summed(asked: Mapping[str, Asked], aircraft: list[AircraftPart]) -> FleetSummary:
     by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
-    parts = [
-        FlownAircraft(one.name, one.flown.summary, one.flown.history.moments, one.offset_s, one.track)
-        for one in aircraft
-    ]
-    outcomes = sorted({one.flown.summary.outcome for one in aircraft})
-    return summarise_fleet(parts, asked, "; ".join(outcomes), "truth" if by_truth else "estimate")
+    outcomes = sorted({one.summary.outcome for one in aircraft})
+    return summarise_fleet(aircraft, asked, "; ".join(outcomes), "truth" if by_truth else "estimate")

@@ -18,7 +18,6 @@ from sidelong.app.errors import InputError
 from sidelong.app.records.animation import animated_svg
 from sidelong.app.records.track import ROUTE_POINTS, Flight, Track, ring
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.mission.route.route import Route
 from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT
 from sidelong.mission.upload.mission_item import MissionItem, e7
 from sidelong.mission.upload.plan_file import plan_file
@@ -175,7 +174,7 @@ def _features(flight: Flight) -> Iterator[dict[str, Any]]:
         if len(line) > 1:
             yield drawn
     if flight.route is not None:
-        yield feature(flight.named("route"), "LineString", places(_outline_m(flight.route)))
+        yield feature(flight.named("route"), "LineString", places(flight.route.outline_m(ROUTE_POINTS).tolist()))
     for since_s, circle in flight.circles:
         corners = places(ring(circle))
         # A polygon's outer ring runs counter-clockwise (RFC 7946).
@@ -183,10 +182,6 @@ def _features(flight: Flight) -> Iterator[dict[str, Any]]:
         circled = {"radius_m": circle.radius_m, "clockwise": circle.clockwise}
         since = {"since_s": since_s, "since_utc": flight.utc(since_s)}
         yield feature(flight.named("circle"), "Polygon", [outer], **since, **circled)
-
-
-def _outline_m(route: Route) -> list[tuple[float, float]]:
-    return [(east_m, north_m) for east_m, north_m in route.outline_m(ROUTE_POINTS).tolist()]
 
 
 def _gpx(flights: Sequence[Flight]) -> str:
@@ -218,9 +213,10 @@ def _kml(flights: Sequence[Flight]) -> str:
     for flight in flights:
         for track in flight.tracks():
             _kml_track(_kml_mark(document, track.kind, track.name), flight, track)
-        lines = (
-            [] if flight.route is None else [("route", f", {flight.route.length_m:.0f} m", _outline_m(flight.route))]
-        )
+        lines = []
+        if flight.route is not None:
+            outline_m = flight.route.outline_m(ROUTE_POINTS).tolist()
+            lines.append(("route", f", {flight.route.length_m:.0f} m", outline_m))
         for since_s, circle in flight.circles:
             lines.append(("circle", f" from {since_s:.1f} s, radius {circle.radius_m:.0f} m", ring(circle)))
         for kind, about, points_m in lines:

@@ -106,15 +106,15 @@ class ElevationData:
 
     def coverage(self, bounds: Bounds) -> Coverage:
         """Return what is covered, and where it is void, at the spacing of the data; strip by strip."""
-        tiles = tuple(_tile_coverage(tile, bounds) for tile in self.tiles if tile.posts.bounds.overlap(bounds))
-        known = outlined = total = 0
-        finest = next((tile for tile in self.tiles if tile.posts.bounds.overlap(bounds)), None)
-        if finest is None:
+        within = [tile for tile in self.tiles if tile.posts.bounds.overlap(bounds)]
+        if not within:
             return Coverage(bounds, 0.0, 0.0, ())
-        for strip in _strips(_within(bounds, finest.posts, _COVERAGE_POSTS_MAX)):
+        known = outlined = total = 0
+        for strip in _strips(_within(bounds, within[0].posts, _COVERAGE_POSTS_MAX)):
             known += int(np.isfinite(self.read(strip)).sum())
             outlined += _outlined(strip, [tile.posts.bounds for tile in self.tiles])
             total += strip.rows * strip.columns
+        tiles = tuple(_tile_coverage(tile, bounds) for tile in within)
         return Coverage(bounds, known / total, (outlined - known) / total, tiles)
 
 
