@@ -8,13 +8,10 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from sidelong.sitl.binary import Binary, BinaryError, started
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
-from sidelong.sitl.payload.device import Device
 from sidelong.sitl.payload.device_port import Address, device_port
-from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.devices import device_of
 from sidelong.sitl.settings import PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
 from sidelong.sitl.world.hills import HillsError
@@ -28,15 +25,9 @@ def companions_of(
     first = settings[0]
     shared = SharedTarget(target_motion(first.targets[0], first.seed))
     return [
-        Companion(payload, shared.seen_from(one.home_east_m), one.seed, terrain, vehicle_id, _device_of(one))
+        Companion(payload, shared.seen_from(one.home_east_m), one.seed, terrain, vehicle_id, device_of(one))
         for one in settings
     ]
-
-
-def _device_of(settings: Settings) -> Device | None:
-    if not settings.device:
-        return None
-    return DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
 
 
 @contextlib.contextmanager

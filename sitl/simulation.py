@@ -12,8 +12,8 @@ import numpy as np
 
 from sidelong.sitl.arduplane.vehicle import ArduPlane
 from sidelong.sitl.autopilot import Autopilot
-from sidelong.sitl.payload.device import LEAN, Device, Seen
-from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.device import Device, Wired
+from sidelong.sitl.payload.devices import device_of
 from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, Payload, Sight
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
 from sidelong.sitl.px4.vehicle import Px4
@@ -34,7 +34,7 @@ _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
 
 
-class Simulation:
+class Simulation(Wired):
     """Datagrams in by :meth:`receive`, time by :meth:`advance`, datagrams out by :meth:`take`.
 
     A station is any hashable address; :meth:`connect` adds a station that receives frames before it has sent any.
@@ -50,19 +50,12 @@ class Simulation:
         self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
-        self.device: Device | None = None
-        if settings.device:
-            self.device = DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
-        self.unplugged = False  # the device neither receives nor answers
-        self._seen: Seen | None = None
-        latency_steps = 0 if settings.payload is None else round(settings.payload.latency_s / STEP_S)
-        self._slants_m: deque[float] = deque(maxlen=latency_steps + 1)  # true ones: the laser's range is that old
+        self._latency_s = 0.0 if settings.payload is None else settings.payload.latency_s
+        super().__init__(device_of(settings), round(self._latency_s / STEP_S))
         self._measured: Measurement | None = None
-        self._streamed: list[bytes] = []
         self.muted: set[str] = set()  # payload messages withheld, by name
         self.lost_s = math.inf  # from then on nothing is received from the vehicle
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
-        self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
         self._in_flight: deque[tuple[float, list[Any]]] = deque()
         self._received: list[tuple[Station, Any]] = []
         self._steps = 0
@@ -91,17 +84,6 @@ class Simulation:
         radio = self.vehicle.radio
         taken, radio.outbox = radio.outbox, []
         return taken
-
-    def receive_device(self, data: bytes) -> list[bytes]:
-        """Take bytes at the device's port and return its answers."""
-        if self.device is None or self._seen is None or self.unplugged:
-            return []
-        return self.device.receive(data, self.time_s, self._seen)
-
-    def take_device(self) -> list[bytes]:
-        """Return what the device has sent unasked since the last call."""
-        streamed, self._streamed = self._streamed, []
-        return [] if self.unplugged else streamed
 
     def advance(self, to_s: float) -> None:
         """Make every step that ends by to_s."""
@@ -190,18 +172,12 @@ class Simulation:
         self.on_truth(row)
 
     def _see(self, device: Device) -> None:
-        """Let the device look along the sight of this step, with the errors of the latest measurement."""
+        """Let the device look along the sight of this step."""
         craft, measured = self.vehicle.craft, self._measured
-        if measured is None:
-            return
-        target_m = self.hills.standing(self.motions[self.looks_at].at(self.time_s))
-        sight = Sight.between((craft.east_m, craft.north_m, craft.height_m), target_m)
-        bearing_rad = sight.bearing_rad + measured.bearing_error_rad - craft.heading_rad
-        elevation_rad = sight.elevation_rad + measured.elevation_error_rad
-        self._slants_m.append(sight.slant_range_m)
-        range_m = None if measured.range_m is None else self._slants_m[0] + measured.range_error_m
-        self._seen = Seen(range_m, bearing_rad, elevation_rad, LEAN * craft.roll_rad)
-        self._streamed += device.stream(self.time_s, self._seen)
+        if measured is not None:
+            target_m = self.hills.standing(self.motions[self.looks_at].at(self.time_s))
+            sight = Sight.between((craft.east_m, craft.north_m, craft.height_m), target_m)
+            self.look(device, sight, measured, craft.heading_rad, craft.roll_rad)
 
     def _target_seen(self) -> tuple[float, float]:
         """Return where the target is that the payload looks at; turned to a place it takes what is nearest there."""

@@ -6,7 +6,6 @@ import math
 import os
 import socket
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from functools import partial
@@ -17,7 +16,7 @@ import numpy as np
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.device import LEAN, Device, Seen
+from sidelong.sitl.payload.device import Device, Wired
 from sidelong.sitl.payload.payload import PERIOD_S, Measurement, Payload, Sight
 from sidelong.sitl.protocol.signing import signing_time
 from sidelong.sitl.settings import PayloadSettings
@@ -43,7 +42,7 @@ class CompanionError(Exception):
     """The vehicle cannot be reached; the message gives the reason."""
 
 
-class Companion:
+class Companion(Wired):
     """Measures at each position the vehicle reports, stamped with that position's time.
 
     Pure: pass it the vehicle's messages, send the messages it returns. motion: of the target, in a plane with its
@@ -62,11 +61,8 @@ class Companion:
         device: Device | None = None,
     ) -> None:
         _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
-        self.device = device
-        self._seen: Seen | None = None
-        self._streamed: list[bytes] = []
+        super().__init__(device, round(payload.latency_s / _DEVICE_PERIOD_S))
         self._measured: tuple[float, Measurement] | None = None  # time, s
-        self._slants_m: deque[float] = deque(maxlen=round(payload.latency_s / _DEVICE_PERIOD_S) + 1)
         self._payload = Payload(payload, sensor_seed)
         self._motion = motion
         self._terrain = terrain
@@ -87,16 +83,10 @@ class Companion:
         """How often the vehicle's position and attitude are needed."""
         return PERIOD_S if self.device is None else _DEVICE_PERIOD_S
 
-    def receive_device(self, data: bytes) -> list[bytes]:
-        """Take bytes at the device's port and return its answers."""
-        if self.device is None or self._seen is None:
-            return []
-        return self.device.receive(data, self._latest_s, self._seen)
-
-    def take_device(self) -> list[bytes]:
-        """Return what the device has sent unasked since the last call."""
-        streamed, self._streamed = self._streamed, []
-        return streamed
+    @property
+    def time_s(self) -> float:
+        """Time of the latest position, on the vehicle's clock."""
+        return self._latest_s
 
     def handle(self, message: Any) -> list[Any]:
         """Take one message from the link and return the measurements it leads to."""
@@ -133,7 +123,7 @@ class Companion:
         # On the ground the payload is tried out on what is about, as in the simulation of our own.
         sight = Sight.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
         if self.device is not None and self._measured is not None and since_s - self._measured[0] < PERIOD_S:
-            self._see(self.device, sight, self._measured[1])
+            self.look(self.device, sight, self._measured[1], self._heading_rad, self._roll_rad)
             return []
         measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
         row = TruthRow(
@@ -152,19 +142,8 @@ class Companion:
         if self.device is None:
             return measured.messages
         self._measured = since_s, measured
-        self._see(self.device, sight, measured)
+        self.look(self.device, sight, measured, self._heading_rad, self._roll_rad)
         return []
-
-    def _see(self, device: Device, sight: Sight, measured: Measurement) -> None:
-        """Let the device look along the sight, with the errors of the latest measurement."""
-        self._slants_m.append(sight.slant_range_m)
-        self._seen = Seen(
-            None if measured.range_m is None else self._slants_m[0] + measured.range_error_m,
-            sight.bearing_rad + measured.bearing_error_rad - self._heading_rad,
-            sight.elevation_rad + measured.elevation_error_rad,
-            LEAN * self._roll_rad,
-        )
-        self._streamed += device.stream(self._latest_s, self._seen)
 
 
 def accompany(

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from sidelong.sitl.payload.payload import Measurement, Sight
 from sidelong.sitl.settings import Quirks
 
-LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
+_LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,47 @@ class Device(ABC):
     def _echo_m(self, seen: Seen) -> float | None:
         """Return the range within the laser's reach."""
         return seen.range_m if seen.range_m is not None and seen.range_m <= self.quirks.reach_m else None
+
+
+class Wired(ABC):
+    """What the port of a device is connected to: a simulation or a companion, which looks at the target for it.
+
+    latency_looks: how many looks ago the laser's present range was measured.
+    """
+
+    def __init__(self, device: Device | None, latency_looks: int) -> None:
+        self.device = device
+        self.unplugged = False  # the device neither receives nor answers
+        self._seen: Seen | None = None
+        self._streamed: list[bytes] = []
+        self._slants_m: deque[float] = deque(maxlen=latency_looks + 1)  # true ones
+
+    @property
+    @abstractmethod
+    def time_s(self) -> float:
+        """The device's clock."""
+
+    def receive_device(self, data: bytes) -> list[bytes]:
+        """Take bytes at the device's port and return its answers."""
+        if self.device is None or self._seen is None or self.unplugged:
+            return []
+        return self.device.receive(data, self.time_s, self._seen)
+
+    def take_device(self) -> list[bytes]:
+        """Return what the device has sent unasked since the last call."""
+        streamed, self._streamed = self._streamed, []
+        return [] if self.unplugged else streamed
+
+    def look(self, device: Device, sight: Sight, latest: Measurement, heading_rad: float, roll_rad: float) -> None:
+        """Let the device look along the sight, with the errors of the latest measurement."""
+        self._slants_m.append(sight.slant_range_m)
+        self._seen = Seen(
+            None if latest.range_m is None else self._slants_m[0] + latest.range_error_m,
+            sight.bearing_rad + latest.bearing_error_rad - heading_rad,
+            sight.elevation_rad + latest.elevation_error_rad,
+            _LEAN * roll_rad,
+        )
+        self._streamed += device.stream(self.time_s, self._seen)
 
 
 def joint_angles_rad(seen: Seen) -> tuple[float, float, float]:

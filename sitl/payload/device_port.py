@@ -5,25 +5,13 @@ from __future__ import annotations
 import contextlib
 import socket
 from collections.abc import Sequence
-from typing import Protocol
 
+from sidelong.sitl.payload.device import Wired
 from sidelong.sitl.payload.devices import OVER_TCP
 
 Address = tuple[str, int]
 
 _DATAGRAM_MAX = 4096
-
-
-class Wired(Protocol):
-    """What a port is connected to: a simulation or a companion with a device."""
-
-    def receive_device(self, data: bytes) -> list[bytes]:
-        """Take bytes at the device's port and return its answers."""
-        ...
-
-    def take_device(self) -> list[bytes]:
-        """Return what the device has sent unasked since the last call."""
-        ...
 
 
 class _UdpPort:

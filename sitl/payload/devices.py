@@ -11,7 +11,7 @@ from sidelong.sitl.payload.gremsy import SimulatedGremsy
 from sidelong.sitl.payload.siyi import SimulatedSiyi
 from sidelong.sitl.payload.topotek import SimulatedTopotek
 from sidelong.sitl.payload.viewpro import SimulatedViewpro
-from sidelong.sitl.settings import Quirks
+from sidelong.sitl.settings import Quirks, Settings
 
 OVER_TCP = ("viewpro",)
 """Those that listen for a TCP connection; the others take datagrams."""
@@ -22,3 +22,10 @@ DEVICES: dict[str, Callable[[Quirks, np.random.Generator], Device]] = {
     "gremsy": SimulatedGremsy,
     "topotek": SimulatedTopotek,
 }
+
+
+def device_of(settings: Settings) -> Device | None:
+    """Return the device of a vehicle, None where its payload has no port of its own."""
+    if not settings.device:
+        return None
+    return DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
