@@ -44,17 +44,12 @@ def describe_change(change: MissionChange) -> str:
     Args:
         change: The change.
     """
-    words = []
-    if change.radius_m is not None:
-        words.append(f"radius {change.radius_m:g} m")
-    if change.range_min_m is not None:
-        words.append(f"least range {change.range_min_m:g} m")
-    if change.range_max_m is not None:
-        words.append(f"greatest range {change.range_max_m:g} m")
-    if change.height_m is not None:
-        words.append(f"height {change.height_m:g} m")
-    if change.side is not None:
-        words.append(f"side {change.side}")
-    if change.pan_limit_deg is not None:
-        words.append(f"pan limits of +-{change.pan_limit_deg:g} degrees")
-    return ", ".join(words)
+    words = (
+        ("radius {:g} m", change.radius_m),
+        ("least range {:g} m", change.range_min_m),
+        ("greatest range {:g} m", change.range_max_m),
+        ("height {:g} m", change.height_m),
+        ("side {}", change.side),
+        ("pan limits of +-{:g} degrees", change.pan_limit_deg),
+    )
+    return ", ".join(form.format(value) for form, value in words if value is not None)

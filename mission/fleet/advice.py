@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
 from sidelong.mission.fleet.events import ForeignAircraftReported
@@ -50,6 +49,7 @@ def advice_to(
         for one in fleet
         if one is not vehicle and one.report is not None and not one.yielded
     ]
+    others = [Neighbour(one.identity, shifted_state(one.state, by_s), one.height_m, False) for one in foreign]
     return FleetAdvice(
         now_s + by_s,
         vehicle.target,
@@ -57,7 +57,7 @@ def advice_to(
         wanted.opposite if vehicle.role is Role.OPPOSITE else wanted,
         shifted_estimate(estimate, by_s),
         vehicle.member.height_m,
-        (*ours, *(_neighbour(one, by_s) for one in foreign)),
+        (*ours, *others),
         reason,
         vehicle.watches != vehicle.target,
         course_rad,
@@ -92,8 +92,3 @@ def _reason(role: Role) -> str:
             return "another aircraft holds the required side"
         case _:
             return "this aircraft is to hold the required side"
-
-
-def _neighbour(one: ForeignAircraftReported, by_s: float) -> Neighbour:
-    state = AircraftState(one.mission_time_s + by_s, one.east_m, one.north_m, one.course_rad, one.speed_m_s, 0.0)
-    return Neighbour(one.identity, state, one.height_m, ours=False)

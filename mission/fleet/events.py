@@ -102,6 +102,11 @@ class ForeignAircraftReported:
     speed_m_s: float
     member: bool = False
 
+    @property
+    def state(self) -> AircraftState:
+        """How it flies, on mission time."""
+        return AircraftState(self.mission_time_s, self.east_m, self.north_m, self.course_rad, self.speed_m_s, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class ReliefRequested:

@@ -147,8 +147,9 @@ class RoleJudges:
             target: Name of the target.
             estimate: Estimate of the target.
         """
-        at_it = vehicle.range_m(estimate) <= self._wanted[target].range_max_m
-        return 0.0 if at_it else vehicle.way_s(estimate)
+        range_m = vehicle.range_m(estimate)
+        at_it = range_m <= self._wanted[target].range_max_m
+        return 0.0 if at_it else range_m / vehicle.member.aircraft.airspeed_m_s
 
     def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
         """Return what an aircraft would pay in each role at a target, the flight there included.

@@ -119,10 +119,7 @@ def _all_of(fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftRepo
         if one.report is not None and not one.yielded:
             yield _Flying(one.member.name, one.report.state, one.report.height_m, one)
     for other in foreign:
-        state = AircraftState(
-            other.mission_time_s, other.east_m, other.north_m, other.course_rad, other.speed_m_s, 0.0
-        )
-        yield _Flying(other.identity, state, other.height_m, None, other.member)
+        yield _Flying(other.identity, other.state, other.height_m, None, other.member)
 
 
 def _apart_m(now_s: float, one: _Flying, other: _Flying) -> float:

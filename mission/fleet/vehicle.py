@@ -63,14 +63,6 @@ class FleetVehicle:
         """Whether it watches, or could."""
         return self.report is not None and self.report.watching and not self.lost and not self.leaving
 
-    def way_s(self, target: TargetEstimate) -> float:
-        """Return about how long it needs to a target.
-
-        Args:
-            target: Estimate of the target.
-        """
-        return self.range_m(target) / self.member.aircraft.airspeed_m_s
-
     def range_m(self, target: TargetEstimate) -> float:
         """Return how far from a target it is.
 
