@@ -44,6 +44,7 @@ from sidelong.mission.exchange.plan_backend import BackendSettings, PlanBackend
 from sidelong.mission.exchange.reports import (
     CommandAcknowledged,
     ExchangeEvent,
+    ExchangeInput,
     ShutdownRequested,
     TakeoverRequested,
     TimerExpired,
@@ -53,7 +54,6 @@ from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
 _SENSED = (AttitudeReading, GimbalReading, RangeReading, TargetFixReading)
-_FREQUENT = (*_SENSED, PositionReading)  # skip the slower check for ExchangeEvent
 
 InboundEvent = Event | ExchangeEvent
 Output = StepOutput | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
@@ -122,7 +122,7 @@ class MissionController:
             The resulting outputs, in order.
         """
         self._outputs = []
-        if not isinstance(event, _FREQUENT) and isinstance(event, ExchangeEvent):
+        if isinstance(event, ExchangeInput):
             self._outbox.begin(event.time_s, event.link_s)
             self._exchange(event)
         else:

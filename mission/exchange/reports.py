@@ -12,104 +12,91 @@ from sidelong.mission.upload.mission_item import MissionItem
 
 
 @dataclass(frozen=True, slots=True)
-class MissionCurrentReported:
-    """MISSION_CURRENT of the autopilot; total 0 and mission_id 0 where it does not report them."""
+class ExchangeInput:
+    """What goes into the exchange, on both clocks."""
 
     time_s: float
     link_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class MissionCurrentReported(ExchangeInput):
+    """MISSION_CURRENT of the autopilot; total 0 and mission_id 0 where it does not report them."""
+
     seq: int
     total: int
     mission_id: int
 
 
 @dataclass(frozen=True, slots=True)
-class MissionCountReported:
+class MissionCountReported(ExchangeInput):
     """MISSION_COUNT addressed to sidelong: the number of items on board."""
 
-    time_s: float
-    link_s: float
     count: int
     mission_id: int
 
 
 @dataclass(frozen=True, slots=True)
-class MissionItemRequested:
+class MissionItemRequested(ExchangeInput):
     """MISSION_REQUEST or MISSION_REQUEST_INT to us."""
 
-    time_s: float
-    link_s: float
     seq: int
 
 
 @dataclass(frozen=True, slots=True)
-class MissionItemReported:
+class MissionItemReported(ExchangeInput):
     """MISSION_ITEM_INT to us: an item as it is on board."""
 
-    time_s: float
-    link_s: float
     seq: int
     item: MissionItem
 
 
 @dataclass(frozen=True, slots=True)
-class MissionAcknowledged:
+class MissionAcknowledged(ExchangeInput):
     """MISSION_ACK to us: a MAV_MISSION_RESULT; mission_id 0 where it does not report one."""
 
-    time_s: float
-    link_s: float
     result: int
     mission_id: int
 
 
 @dataclass(frozen=True, slots=True)
-class CommandAcknowledged:
+class CommandAcknowledged(ExchangeInput):
     """COMMAND_ACK of the autopilot to us: a MAV_RESULT."""
 
-    time_s: float
-    link_s: float
     command: int
     result: int
 
 
 @dataclass(frozen=True, slots=True)
-class PositionTargetReported:
+class PositionTargetReported(ExchangeInput):
     """POSITION_TARGET_GLOBAL_INT of the autopilot: where it flies to, 1e-7 degrees."""
 
-    time_s: float
-    link_s: float
     x: int
     y: int
 
 
 @dataclass(frozen=True, slots=True)
-class OrbitReported:
+class OrbitReported(ExchangeInput):
     """ORBIT_EXECUTION_STATUS of the autopilot: centre in 1e-7 degrees, a negative radius is counter-clockwise."""
 
-    time_s: float
-    link_s: float
     x: int
     y: int
     signed_radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class TimerExpired:
+class TimerExpired(ExchangeInput):
     """The time that the exchange asked for has come."""
-
-    time_s: float
-    link_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class TakeoverRequested:
+class TakeoverRequested(ExchangeInput):
     """Bring the aircraft onto a circle of ours: from the ground, or from ``mode``, in which it flies already.
 
     After a yield it resumes the watch: a person has asked for it, and the vehicle was checked again.
     arm_period_s: between two requests to arm; round_trip_s: as far as it is known. Both are of the link's clock.
     """
 
-    time_s: float
-    link_s: float
     flying: bool
     mode: str
     arm_period_s: float = 1.0
@@ -117,11 +104,8 @@ class TakeoverRequested:
 
 
 @dataclass(frozen=True, slots=True)
-class ShutdownRequested:
+class ShutdownRequested(ExchangeInput):
     """The program ends: start nothing new; an upload under way may end."""
-
-    time_s: float
-    link_s: float
 
 
 VehicleReport = (
