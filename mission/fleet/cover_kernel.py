@@ -33,7 +33,7 @@ class Team(NamedTuple):
     alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on. opposite: per
     second, of the share of courses that no aircraft would cover. turn: weight of what turns would cost. margin: of
     the side, in radii of the circle. price: share of what changes cost alone. own: weight of what the moves of the
-    primary are worth to it alone. futures: 1 for the target's velocity kept alone.
+    primary are worth to it alone.
     """
 
     wanted: float
@@ -41,13 +41,11 @@ class Team(NamedTuple):
     chances: FloatArray
     alone_running: float
     alone_end: float
-    together: float
     price: float
     opposite: float
     turn: float
     margin: float
     own: float
-    futures: int
 
 
 class Cover(NamedTuple):

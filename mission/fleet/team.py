@@ -41,13 +41,11 @@ def team_of(table: ValueTable, wanted: Side) -> Team:
         chances=np.array(habits.chances),
         alone_running=0.2,
         alone_end=0.2,
-        together=1.0,
         price=0.6 / haste,
         opposite=0.6 * haste,
         turn=2.0,
         margin=0.5,
         own=max(1.0, wide**_WIDER_POWER),
-        futures=1,
     )
 
 

@@ -90,7 +90,7 @@ def _team_rate(
         walls = cost_rate(across_m, along_m, widened_m, blur_m, c) - alone
         missing = off_side(s * across_m, blur_m) * cover.off[one, k]
         gap = uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
-        total += f.weight[one] * (walls + team.alone_running * alone + team.together * missing + team.opposite * gap)
+        total += f.weight[one] * (walls + team.alone_running * alone + missing + team.opposite * gap)
     return total
 
 
@@ -220,7 +220,7 @@ def _end_value(
         back += f.weight[one] * _way_back(scene, looker, math.hypot(off_x, off_y))
     turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, found)
     return (
-        team.together * total
+        total
         + _TAIL_S * team.opposite * gap
         + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
         + _CIRCLING_S / looker.table.mean_leg_s * turn
@@ -359,7 +359,7 @@ def team_decide(
     if len(looker.foresight.way.points) > 0:  # without the layers of time
         every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
         every, _ = along_route(scene, looker, every)
-    f = first_of(every, 1) if team.futures < 2 else every
+    f = first_of(every, 1)
     cover = cover_of(scene, f, others, first_s, looker, team)
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
     if scene.mirror == team.wanted:

@@ -124,18 +124,11 @@ def turn_radius_m(radius_m: float, speed_m_s: float, craft: Craft) -> float:
 
 @compiled
 def sharpness_per_m2(speed_m_s: float, craft: Craft) -> float:
-    """See :func:`sidelong.mission.geometry.trapezoid.sharpnesses_per_m2`."""
+    """See :func:`sidelong.mission.geometry.trapezoid.sharpness_per_m2`."""
     bank_rad = math.atan(speed_m_s * speed_m_s / (GRAVITY_M_S2 * turn_radius_m(craft.radius_m, speed_m_s, craft)))
     max_rad_s = craft.roll_rate_max_rad_s
     roll_rad_s = min(max(2.0 * bank_rad / _REVERSAL_S, _MIN_SHARE * max_rad_s), _MAX_SHARE * max_rad_s)
     return roll_rad_s * GRAVITY_M_S2 / (speed_m_s * speed_m_s * speed_m_s)
-
-
-@compiled
-def sharpnesses_per_m2(speed_m_s: FloatArray, craft: Craft, found: FloatArray) -> None:
-    """Fill in the ramps for many speeds (n,)."""
-    for i in range(len(speed_m_s)):
-        found[i] = sharpness_per_m2(speed_m_s[i], craft)
 
 
 @compiled
@@ -341,7 +334,7 @@ def point_at(line: FloatArray, circle: Circling, arc_m: float, east_m: float, no
 def line_at(
     line: FloatArray, circle: Circling, arc_m: FloatArray, east_m: float, north_m: float, found: FloatArray
 ) -> None:
-    """Fill in (east, north, course) (3, k) at many arcs: see :func:`sidelong.mission.geometry.progress.line_at`."""
+    """Fill in (east, north, course) (3, k) at many arcs (k,): :func:`point_at` to some centimetres."""
     n = line.shape[1]
     start_rad, length_m = (
         (course_on_circle(circle, east_m, north_m), 0.0) if n == 0 else (line[COURSE, n - 1], line[ARC, n - 1])

@@ -17,7 +17,6 @@ __all__ = [
     "LinePoint",
     "circling_of",
     "dead_reckoned",
-    "line_at",
     "line_of",
     "nearest_arc_m",
     "off_track",
@@ -71,19 +70,6 @@ def point_at(plan: Plan, arc_m: float, aircraft: AircraftState) -> LinePoint:
         aircraft: State of the aircraft.
     """
     return line_kernel.point_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m)
-
-
-def line_at(plan: Plan, arc_m: FloatArray, aircraft: AircraftState) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (east, north, course) along the plan at many arcs (k,): :func:`point_at` to some centimetres.
-
-    Args:
-        plan: The plan.
-        arc_m: Arc lengths along the plan (k,), m.
-        aircraft: State of the aircraft.
-    """
-    found = np.empty((3, arc_m.size))
-    line_kernel.line_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m, found)
-    return found[0], found[1], found[2]
 
 
 def off_track(

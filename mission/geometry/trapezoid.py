@@ -41,22 +41,10 @@ def turn_radius_m(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float
     return line_kernel.turn_radius_m(aircraft.radius_m, ground_speed_m_s, craft)
 
 
-def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> FloatArray:
-    """Return the change of curvature per metre (n,) that keeps the roll rate within its share at each ground speed.
+def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float = 1.0) -> float:
+    """Return the change of curvature per metre of a transition that keeps the roll rate within its share.
 
     tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        ground_speed_m_s: Ground speeds (n,), m/s.
-    """
-    ramps = np.empty_like(ground_speed_m_s)
-    line_kernel.sharpnesses_per_m2(ground_speed_m_s, line_kernel.craft_of(aircraft), ramps)
-    return ramps
-
-
-def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float = 1.0) -> float:
-    """Return one of :func:`sharpnesses_per_m2`, for transitions that turn as tightly as that.
 
     Args:
         aircraft: Limits of the aircraft.

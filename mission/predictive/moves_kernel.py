@@ -1,4 +1,4 @@
-"""The inner loops of :mod:`sidelong.mission.predictive.moves`: what can be flown from a scene."""
+"""The moves that a planner chooses among, 70 trapezoids and going back to the circle at once: the inner loops."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 On a grid of places every move displaces all places alike, so its backup is a shifted copy of the table: one
 improvement costs a few slices for each (class, heading, move). Between improvements the policy stands, and an
-evaluation is one gather. A coarse grid first, then the fine one. The loops are in ``_value_kernel``.
+evaluation is one gather. A coarse grid first, then the fine one. The loops are in ``value_kernel``.
 
 Source: Puterman and Shin, "Modified policy iteration algorithms for discounted Markov decision problems", Management
 Science 24(11), 1978; Chow and Tsitsiklis, "An optimal one-way multigrid algorithm for discrete-time stochastic
@@ -26,7 +26,7 @@ from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import value_kernel as kernel
 from sidelong.mission.predictive.cost_kernel import blind_rates
 from sidelong.mission.predictive.eights_kernel import EIGHTS, eight_line
-from sidelong.mission.predictive.moves import moves_from, staying_on
+from sidelong.mission.predictive.moves_kernel import MOVES, STAY_LENGTHS, move_from
 from sidelong.mission.predictive.value_table import (
     HEADING_STEP_RAD,
     HEADINGS,
@@ -97,9 +97,9 @@ def _moves(c: TableConfiguration, step_m: float) -> list[_Move]:
     ramp = c.sharpness_per_m2
     moves = []
     # "Back to the circle at once", the last of the moves, is none when flown from the circle.
-    leaving = moves_from(curvature_per_m, c.radius_m, c.turn_radius_m, ramp)
-    staying = staying_on(curvature_per_m, c.radius_m, ramp)
-    for shapes, price in ((leaving.shapes[:-1], c.leave_cost), (staying.shapes, 0.0)):
+    leaving = np.array([move_from(curvature_per_m, k, c.radius_m, c.turn_radius_m, ramp) for k in range(MOVES - 1)])
+    staying = Trapezoids.between(curvature_per_m, curvature_per_m, STAY_LENGTHS * c.radius_m, curvature_per_m, ramp)
+    for shapes, price in ((leaving, c.leave_cost), (staying.shapes, 0.0)):
         for shape in shapes:
             one = Trapezoids(shape[None, :])
             length_m = float(one.end_m[0])

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.geometry.progress import dead_reckoned, line_at, nearest_arc_m, off_track, point_at
+from sidelong.mission.geometry.line_kernel import line_at
+from sidelong.mission.geometry.progress import dead_reckoned, line_of, nearest_arc_m, off_track, point_at
 from sidelong.mission.geometry.trapezoid import Trapezoids, end_circle
 
 RADIUS_M = 50.0
@@ -55,7 +56,8 @@ def test_many_points_agree_with_one(hold_per_m, length_m, share):
     plan = transition(hold_per_m, length_m)
     arc_m = share * plan.transition.length_m
     one = point_at(plan, arc_m, aircraft_at_origin())
-    east_m, north_m, course_rad = line_at(plan, np.array([arc_m]), aircraft_at_origin())
+    east_m, north_m, course_rad = found = np.empty((3, 1))
+    line_at(*line_of(plan), np.array([arc_m]), 0.0, 0.0, found)
     assert (east_m[0], north_m[0], course_rad[0]) == pytest.approx(
         (one.east_m, one.north_m, one.course_rad), abs=0.03
     )

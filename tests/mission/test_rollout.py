@@ -9,9 +9,9 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
-from sidelong.mission.geometry.line_kernel import circle_after, craft_of
-from sidelong.mission.geometry.progress import line_at, line_of
-from sidelong.mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
+from sidelong.mission.geometry.line_kernel import circle_after, craft_of, line_at
+from sidelong.mission.geometry.progress import line_of
+from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.foresight import no_route
@@ -116,7 +116,8 @@ class Look:
 
         def ramps(heading_rad):
             around = np.asarray(heading_rad)[:, None] + np.linspace(-0.5, 0.5, 5)
-            return sharpnesses_per_m2(self.aircraft, ground_speeds_m_s(around, 10.0, wind).max(axis=1))
+            fastest = ground_speeds_m_s(around, 10.0, wind).max(axis=1)
+            return np.array([sharpness_per_m2(self.aircraft, one) for one in fastest])
 
         moves = moves_from(
             self.side * scene.start.curvature_per_m, radius_m, scene.turn_radius_m, ramps([heading])[0]
@@ -129,7 +130,8 @@ class Look:
             return costs + 0.5, roll_out.costs(stays, x, y, heading).min()
         length_m = self.present.transition.length_m - scene.arc_m + beyond_m
         arc = np.linspace(0.0, length_m, max(2, math.ceil(length_m / 10.0) + 1))
-        east, north, course = line_at(self.present, scene.arc_m + arc, self.state)
+        east, north, course = found = np.empty((3, arc.size))
+        line_at(*line_of(self.present), scene.arc_m + arc, self.state.east_m, self.state.north_m, found)
         seen = np.array([in_frame(scene, *place) for place in zip(east, north, strict=True)]).T
         stay = roll_out.costs_of(*seen[:, None], self.side * (course - scene.course_rad)[None], arc[None])
         return costs + 1.0, stay[0]
