@@ -22,16 +22,6 @@ def wrap_rad(angle_rad: float) -> float:
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def bearing_rad(east: float, north: float) -> float:
-    """Return the compass angle of a vector in the plane, in (-pi, pi]; 0 for the zero vector.
-
-    Args:
-        east: East component.
-        north: North component, in the same unit.
-    """
-    return math.atan2(east, north)
-
-
 @dataclass(frozen=True, slots=True)
 class LocalPlane:
     """Tangent plane of the WGS-84 ellipsoid at a geodetic origin, x east, y north, metres.

@@ -7,18 +7,10 @@ from dataclasses import dataclass, field
 
 from sidelong.mission.core.heights import Heights
 from sidelong.mission.core.plan import Plan
-from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
+from sidelong.mission.core.sight import NOTHING_HIDDEN, SightAt
 from sidelong.mission.geometry.separation import Separation
 
 FenceCheck = Callable[[Plan], str | None]
-
-
-def _no_fence(_plan: Plan) -> str | None:
-    return None
-
-
-def _all_in_sight(*_target: float) -> Sight:
-    return NOTHING_HIDDEN
 
 
 @dataclass(slots=True)
@@ -31,9 +23,9 @@ class Surroundings:
         sight: Returns what terrain hides around a target of given position and velocity.
     """
 
-    check: FenceCheck = _no_fence
+    check: FenceCheck = lambda _plan: None
     heights: Heights | None = None
-    sight: SightAt = _all_in_sight
+    sight: SightAt = lambda *_target: NOTHING_HIDDEN
     separation: Separation = field(default_factory=Separation)
 
     def cleared(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sidelong.estimators.frames import bearing_rad
-
 
 @dataclass(frozen=True, slots=True)
 class RelativePosition:
@@ -23,7 +21,7 @@ class RelativePosition:
             east_m: East of the target from the aircraft, m.
             north_m: North of the target from the aircraft, m.
         """
-        return RelativePosition(math.hypot(east_m, north_m), bearing_rad(east_m, north_m))
+        return RelativePosition(math.hypot(east_m, north_m), math.atan2(east_m, north_m))
 
     @property
     def east_m(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.viewpoint import viewpoint_kernel as kernel
-from sidelong.mission.viewpoint.viewpoint_kernel import COURSE, STANDING, Known
+from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Known
 
 
 def known(target: TargetEstimate) -> Known:
@@ -48,13 +48,7 @@ class CourseHold:
         Returns:
             Course to watch from, rad; None until the target has moved.
         """
-        kernel.held_course_rad(known(target), self._memory)
-        return self.course_rad
-
-    @property
-    def course_rad(self) -> float | None:
-        """The course to watch from; None until the target has moved."""
-        course_rad = float(self._memory[COURSE])
+        course_rad = kernel.held_course_rad(known(target), self._memory)
         return None if math.isnan(course_rad) else course_rad
 
     @property
