@@ -20,7 +20,6 @@ class Timed(Protocol):
     @property
     def time_s(self) -> float:
         """When it was measured, s on the vehicle's clock."""
-        ...
 
 
 T = TypeVar("T", bound=Timed)

@@ -98,4 +98,3 @@ class CooperativePlanner(Planner, Protocol):
         Args:
             news: Advice of the coordinator, or the plans of another aircraft.
         """
-        ...

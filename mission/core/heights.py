@@ -25,7 +25,6 @@ class Heights(Protocol):
         Returns:
             The plan with heights above home, or in words why there are none.
         """
-        ...
 
     def at(self, height_m: float) -> Heights:
         """Return the same rules for another height.
@@ -33,7 +32,6 @@ class Heights(Protocol):
         Args:
             height_m: The height, above the reference of the configured one, m.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,7 +140,6 @@ class Planner(Protocol):
         Returns:
             A new plan, or None to continue, with the reason.
         """
-        ...
 
 
 @runtime_checkable
@@ -153,7 +152,6 @@ class WindPlanner(Planner, Protocol):
         Args:
             wind_speed_m_s: Wind speed, m/s.
         """
-        ...
 
 
 @runtime_checkable
@@ -163,7 +161,6 @@ class PanPlanner(Planner, Protocol):
     @property
     def plans_pan_limits(self) -> bool:
         """Whether it does so for its requirement."""
-        ...
 
 
 PlannerFactory = Callable[[Aircraft, Requirement], Planner]

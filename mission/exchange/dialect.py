@@ -57,27 +57,22 @@ class AutopilotDialect(Protocol):
     @property
     def name(self) -> str:
         """What people call it, and a journal."""
-        ...
 
     @property
     def quirks(self) -> ProtocolQuirks:
         """How it treats the mission protocol."""
-        ...
 
     @property
     def mission_mode(self) -> str:
         """The flight mode, by name, in which it flies a mission."""
-        ...
 
     @property
     def circle_mode(self) -> str:
         """The flight mode, by name, in which it flies a circle given by one command."""
-        ...
 
     @property
     def min_items(self) -> int:
         """How long its mission is kept at least, see ``MissionLayout``."""
-        ...
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
         """Return the items at the beginning of every mission.
@@ -85,7 +80,6 @@ class AutopilotDialect(Protocol):
         Args:
             home: Home position of the vehicle.
         """
-        ...
 
     def tail(self, home: Home) -> tuple[MissionItem, ...]:
         """Return the items that close every mission without ever being reached.
@@ -93,7 +87,6 @@ class AutopilotDialect(Protocol):
         Args:
             home: Home position of the vehicle.
         """
-        ...
 
     def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
         """Return how the autopilot flies along waypoints, for laying them out.
@@ -102,7 +95,6 @@ class AutopilotDialect(Protocol):
             airspeed_m_s: Airspeed, m/s.
             wind: Estimate of the wind.
         """
-        ...
 
     def stored(self, item: MissionItem) -> MissionItem:
         """Return the item as this autopilot stores it.
@@ -110,15 +102,12 @@ class AutopilotDialect(Protocol):
         Args:
             item: The mission item.
         """
-        ...
 
     def start_mission(self) -> VehicleCommand:
         """Return the command to fly the mission."""
-        ...
 
     def return_home(self) -> VehicleCommand:
         """Return the command to fly home."""
-        ...
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
         """Return the command to fly a circle without a mission.
@@ -127,7 +116,6 @@ class AutopilotDialect(Protocol):
             order: The circle on the globe.
             take_over: Whether to change from another flight mode.
         """
-        ...
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
         """Return the circle that the autopilot reports in ``circle_mode``.
@@ -138,4 +126,3 @@ class AutopilotDialect(Protocol):
         Returns:
             The circle; radius 0 if it is not reported. None for any other report.
         """
-        ...

@@ -53,17 +53,14 @@ class PlanBackend(Protocol):
     @property
     def mode(self) -> str:
         """The flight mode, by name, in which it flies."""
-        ...
 
     @property
     def next_timer_s(self) -> float:
         """When ``expire`` is to be called, on the link's clock; -inf: at once."""
-        ...
 
     @property
     def idle(self) -> bool:
         """Whether nothing is under way that should end before the program does."""
-        ...
 
     def upload(self, command: UploadPlan) -> None:
         """Bring a plan to the autopilot without flying it yet.
@@ -71,7 +68,6 @@ class PlanBackend(Protocol):
         Args:
             command: The plan with its number.
         """
-        ...
 
     def activate(self, command: ActivatePlan) -> None:
         """Fly a plan now.
@@ -79,11 +75,9 @@ class PlanBackend(Protocol):
         Args:
             command: Number of the plan.
         """
-        ...
 
     def take_control(self) -> None:
         """Begin to detect other operators: sidelong has control of the vehicle now."""
-        ...
 
     def receive(self, report: VehicleReport) -> None:
         """Process a report of the autopilot.
@@ -91,7 +85,6 @@ class PlanBackend(Protocol):
         Args:
             report: The report of the autopilot.
         """
-        ...
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
         """Process the aircraft's position and flight mode.
@@ -100,12 +93,9 @@ class PlanBackend(Protocol):
             aircraft: State of the aircraft.
             mode: Flight mode by the autopilot's name.
         """
-        ...
 
     def expire(self) -> None:
         """Do what is due."""
-        ...
 
     def close(self) -> None:
         """Start nothing new."""
-        ...

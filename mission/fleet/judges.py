@@ -33,7 +33,6 @@ class RoleJudge(Protocol):
             wind: Estimate of the wind.
             latency_s: Time until a new plan can depart, s.
         """
-        ...
 
     def follow(self, route: Route | None, progress: FloatArray) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`; the progress is updated by others.
@@ -42,7 +41,6 @@ class RoleJudge(Protocol):
             route: The route of the target; None: none is known.
             progress: Memory of the progress filter.
         """
-        ...
 
     def presume(self, course_rad: float) -> None:
         """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
@@ -50,7 +48,6 @@ class RoleJudge(Protocol):
         Args:
             course_rad: Course of the target, rad.
         """
-        ...
 
 
 MakeJudge = Callable[[str, Aircraft, Requirement], RoleJudge]

@@ -13,16 +13,6 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.geometry import line_kernel
 from sidelong.mission.geometry.line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
 
-__all__ = [
-    "LinePoint",
-    "circling_of",
-    "dead_reckoned",
-    "line_of",
-    "nearest_arc_m",
-    "off_track",
-    "point_at",
-]
-
 _NO_LINE = np.empty((5, 0))
 
 

@@ -76,7 +76,6 @@ class RoutePlanner(Planner, Protocol):
             route: The route; None: none is known.
             progress: Memory of the progress filter, of :func:`fresh_progress`; decisions update it.
         """
-        ...
 
 
 def way_of(route: Route) -> Way:
