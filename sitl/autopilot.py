@@ -135,10 +135,6 @@ class Autopilot(ABC):
         return self.quirks
 
     @property
-    def roll_limit_rad(self) -> float:
-        return math.radians(self.parameters.within(self.roll_limit_parameter, 5.0, 80.0))
-
-    @property
     @abstractmethod
     def base_mode(self) -> int: ...
 
@@ -176,7 +172,7 @@ class Autopilot(ABC):
                 self._home_sent = True
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             lateral_m_s2 = self.navigate(self.navigation_period_s)
-            limit_rad = self.roll_limit_rad
+            limit_rad = math.radians(self.parameters.within(self.roll_limit_parameter, 5.0, 80.0))
             self.roll_goal_rad = max(-limit_rad, min(limit_rad, math.atan(lateral_m_s2 / GRAVITY_M_S2)))
         craft = self.craft
         if craft.flying:

@@ -201,6 +201,7 @@ class PredictivePlanner:
     def _looker(self, table: ValueTable) -> Looker:
         """Return what looks ahead with a table; all remember the same."""
         own, price = self.settings, table.configuration.leave_cost
+        least_of_class = table.values.min(axis=(1, 2, 3)).astype(np.float64)
         change = price if own.change_cost is None else own.change_cost
         return Looker(
             craft_of(self.aircraft, turn_share(self.requirement)),
@@ -217,7 +218,7 @@ class PredictivePlanner:
                 own.turn_fades_s,
                 table.configuration.cost.terms.blind > 0.0,
             ),
-            Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min()), False),
+            Depth(own.beam, own.horizon_s, least_of_class, float(table.after_turn.min()), False),
             self._seconds,
             self._foresight(table.arrays, table.configuration),
         )
@@ -313,12 +314,6 @@ class PredictivePlanner:
             reason = f"staying: {describe_range(ahead)}"
         values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
         return Decision(now.time_s, plan, reason, values)
-
-
-def _least(table: ValueTable) -> FloatArray:
-    """Return the least value of each class (classes,)."""
-    least: FloatArray = table.values.min(axis=(1, 2, 3)).astype(np.float64)
-    return least
 
 
 def situation(

@@ -31,7 +31,7 @@ _IMMEDIATE = {mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_LAND_START}
 
 
 class Px4Mission(Store):
-    """Storage; ``on_swap`` is called when other items have come, ``on_seek`` when another one was made current."""
+    """Storage; ``on_swap`` is called when other items have come."""
 
     def __init__(self, on_swap: Callable[[], None]) -> None:
         super().__init__(with_checksum=True)

@@ -87,7 +87,7 @@ class Px4(Autopilot):
         self._handlers |= {
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
             mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
-            mavlink.MAV_CMD_DO_ORBIT: self._on_orbit,
+            mavlink.MAV_CMD_DO_ORBIT: lambda command: self._hold_around(command, command.param(1)),
             mavlink.MAV_CMD_NAV_TAKEOFF: self._on_takeoff,
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Mode.RTL) else REJECTED,
             mavlink.MAV_CMD_NAV_LAND: lambda _: ACCEPTED if self.set_mode(Mode.LAND) else REJECTED,
@@ -376,9 +376,6 @@ class Px4(Autopilot):
         if int(command.number(2)) != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
             return UNSUPPORTED
         return self._hold_around(command, math.nan)
-
-    def _on_orbit(self, command: Command) -> int:
-        return self._hold_around(command, command.param(1))
 
     def _hold_around(self, command: Command, signed_radius_m: float) -> int:
         """Hold around the place in params 5 to 7, altitude above sea level in any frame; what is NaN is here."""

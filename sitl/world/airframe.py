@@ -89,7 +89,9 @@ class Airframe:
         self._move(dt_s)
         self.height_m += self.climb_m_s * dt_s
         if self.height_m <= self.ground_m:
-            self._touch_down()
+            self.flying = False
+            self.height_m = self.ground_m
+            self.climb_m_s = self.roll_rad = self.roll_rate_rad_s = self.yaw_rate_rad_s = 0.0
 
     def roll_on_ground(self, dt_s: float, lift_off_m_s: float | None) -> None:
         """Run along the nose: up to the airspeed of lift-off, or (None) down to a stop."""
@@ -112,8 +114,3 @@ class Airframe:
     def _move(self, dt_s: float) -> None:
         self.east_m += self.velocity_east_m_s * dt_s
         self.north_m += self.velocity_north_m_s * dt_s
-
-    def _touch_down(self) -> None:
-        self.flying = False
-        self.height_m = self.ground_m
-        self.climb_m_s = self.roll_rad = self.roll_rate_rad_s = self.yaw_rate_rad_s = 0.0
