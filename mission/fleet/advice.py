@@ -11,6 +11,12 @@ from sidelong.mission.fleet.clocks import shifted_estimate, shifted_plan, shifte
 from sidelong.mission.fleet.events import ForeignAircraftReported
 from sidelong.mission.fleet.vehicle import FleetVehicle
 
+_REASONS = {
+    Role.LEAVE: "another aircraft has taken over, or the battery is low",
+    Role.OPPOSITE: "another aircraft holds the required side",
+    Role.WANTED: "this aircraft is to hold the required side",
+}
+
 
 def advice_to(
     vehicle: FleetVehicle,
@@ -22,9 +28,7 @@ def advice_to(
     course_rad: float | None = None,
     separation: str = "",
 ) -> FleetAdvice:
-    """Return an aircraft's advice at mission time ``now_s``; wanted, course_rad: side and course of its target.
-
-    separation: which other aircraft is too near, in words.
+    """Return an aircraft's advice.
 
     Args:
         vehicle: The aircraft.
@@ -38,7 +42,7 @@ def advice_to(
     """
     by_s = -vehicle.clock.offset_s
     announced = (vehicle.role, vehicle.target)
-    reason = "" if announced == vehicle.announced else _reason(vehicle.role)
+    reason = "" if announced == vehicle.announced else _REASONS[vehicle.role]
     if vehicle.announced is not None and vehicle.target != vehicle.announced[1]:
         reason = f"it is to watch {vehicle.target} now"
     vehicle.announced = announced
@@ -82,13 +86,3 @@ def announced_plans(listener: FleetVehicle, other: FleetVehicle, now_s: float) -
         shifted_plan(announced.present, by_s),
         shifted_plan(announced.coming, by_s),
     )
-
-
-def _reason(role: Role) -> str:
-    match role:
-        case Role.LEAVE:
-            return "another aircraft has taken over, or the battery is low"
-        case Role.OPPOSITE:
-            return "another aircraft holds the required side"
-        case _:
-            return "this aircraft is to hold the required side"

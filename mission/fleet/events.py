@@ -1,6 +1,7 @@
 """What goes into the fleet's coordinator and what comes out of it: frozen values, as in :mod:`mission.core.events`.
 
 ``time_s`` is on the named vehicle's own clock, ``mission_time_s`` on the one that the whole fleet shares.
+Source: docs/decisions/0012-fleet-as-a-layer.md.
 """
 
 from __future__ import annotations

@@ -36,13 +36,11 @@ class FleetReporter:
     ) -> tuple[FleetEvent, ...]:
         """Return the fleet's events of one step: ``event`` went in, ``outputs`` came out.
 
-        mission_time_s: now, on the fleet's clock; it is needed where the vehicle's own stands still.
-
         Args:
             controller: Control step of the aircraft.
             event: The event.
             outputs: Outputs of the step.
-            mission_time_s: Mission time, s.
+            mission_time_s: Mission time, s; the vehicle's own clock may stand still.
         """
         found: list[FleetEvent] = [SightingReported(self._name, outcome.sighting) for outcome in controller.sighted]
         outputs = tuple(outputs)

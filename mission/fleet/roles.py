@@ -153,13 +153,11 @@ def is_on_station(
 ) -> bool:
     """Return whether an aircraft is on the required side of a target and in the band.
 
-    course_rad: the one whose sides count; None where the target has none yet: any place is on either side then.
-
     Args:
         aircraft: State of the aircraft.
         target: Estimate of the target.
         requirement: Required band and side.
-        course_rad: Course of the target whose sides count, rad; None if unknown.
+        course_rad: Course of the target whose sides count, rad; None before it has one: any place is on either side.
     """
     east_m, north_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m
     in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m

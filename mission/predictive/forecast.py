@@ -24,8 +24,6 @@ class Outlook:
 def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s: float) -> str | None:
     """Return the first breach of the requirement on the line of ``seen``; None when there is none.
 
-    lead_s: from now to the outlook's time 0.
-
     Args:
         seen: Positions relative to the target along the flown line.
         side: Required side.

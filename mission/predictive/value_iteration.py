@@ -52,7 +52,7 @@ _NODES, _NODE_WEIGHTS = (
 
 
 def compute(configuration: TableConfiguration, progress: Progress = lambda _share: None) -> ValueTable:
-    """Return the table. ``progress`` is called with the share 0..1 of the work that is done.
+    """Return the table.
 
     Args:
         configuration: Configuration of the table.
