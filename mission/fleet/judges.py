@@ -3,54 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.events import RouteGiven
-from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.fleet.clocks import shifted_plan
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.vehicle import FleetVehicle
 from sidelong.mission.fleet.watched_course import WatchedCourse
 from sidelong.mission.route.progress import RouteFollower, follower_of
-from sidelong.mission.route.route import Route
 
+if TYPE_CHECKING:
+    from sidelong.mission.fleet.team_planner import TeamPlanner
 
-class RoleJudge(Protocol):
-    """Computes what the roles cost an aircraft; see :class:`sidelong.mission.fleet.team_planner.TeamPlanner`."""
-
-    def role_costs(
-        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
-    ) -> RoleCosts:
-        """Return what this aircraft would pay alone in each role, from its next departure on.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan can depart, s.
-        """
-
-    def follow(self, route: Route | None, progress: FloatArray) -> None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`; the progress is updated by others.
-
-        Args:
-            route: The route of the target; None: none is known.
-            progress: Memory of the progress filter.
-        """
-
-    def presume(self, course_rad: float) -> None:
-        """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
-
-        Args:
-            course_rad: Course of the target, rad.
-        """
-
-
-MakeJudge = Callable[[str, Aircraft, Requirement], RoleJudge]
+MakeJudge = Callable[[str, Aircraft, Requirement], "TeamPlanner"]
 
 
 class RoleJudges:
@@ -58,7 +25,7 @@ class RoleJudges:
 
     def __init__(self, make_judge: MakeJudge) -> None:
         self._make_judge = make_judge
-        self._judges: dict[tuple[str, str], RoleJudge] = {}
+        self._judges: dict[tuple[str, str], TeamPlanner] = {}
         self._wanted: dict[str, Requirement] = {}
         self._courses: dict[str, WatchedCourse] = {}
         self._followers: dict[str, RouteFollower] = {}

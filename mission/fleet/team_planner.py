@@ -69,7 +69,11 @@ class TeamPlanner:
                 self.presume(news.course_rad)
 
     def presume(self, course_rad: float) -> None:
-        """See :class:`sidelong.mission.fleet.judges.RoleJudge`."""
+        """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
+
+        Args:
+            course_rad: Course of the target, rad.
+        """
         self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
 
     def follow(self, route: Route | None, progress: FloatArray) -> None:
@@ -84,7 +88,15 @@ class TeamPlanner:
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """See :class:`sidelong.mission.fleet.judges.RoleJudge`."""
+        """Return what this aircraft would pay alone in each role, from its next departure on.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time until a new plan can depart, s.
+        """
         looker, team = self._for(wind)
         return RoleCosts(*kernel.role_values(situation(aircraft, target, present, wind, latency_s), looker, team))
 

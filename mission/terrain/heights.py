@@ -77,16 +77,9 @@ class FlightHeights:
         return other
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
-        """Return a plan with its heights over this ground.
+        """See :class:`sidelong.mission.core.heights.Heights`.
 
-        Args:
-            plan: The plan.
-            flown_m: Present height above home, m; None before the first circle.
-            target_m: Target's position (east, north), m; where its ground is unknown, the ground below the circle
-                serves.
-
-        Returns:
-            The plan with heights above home, or in words why it cannot be flown.
+        Where the ground under the target is unknown, that below the circle serves.
         """
         rules = self._rules
         ring = _ring(plan.circle)
