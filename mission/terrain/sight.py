@@ -9,6 +9,7 @@ Source: docs/how-to/hills.md.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +33,7 @@ class SightField:
     def __init__(self, ground: Ground, reach_m: float) -> None:
         self._ground = ground
         self._rings = math.ceil(reach_m / _RING_M)
-        self._kept: dict[tuple[int, int], npt.NDArray[np.float32]] = {}
+        self._needed_m = lru_cache(_KEPT)(self._compute_needed_m)
 
     def sight(
         self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float, height_m: float
@@ -53,7 +54,10 @@ class SightField:
             return NOTHING_HIDDEN
         needed_m = np.stack(
             [
-                self._needed_m(east_m + velocity_east_m_s * time_s, north_m + velocity_north_m_s * time_s)
+                self._needed_m(
+                    round((east_m + velocity_east_m_s * time_s) / _APART_M),
+                    round((north_m + velocity_north_m_s * time_s) / _APART_M),
+                )
                 for time_s in np.arange(_TARGETS) * _STEP_S
             ]
         )
@@ -61,16 +65,10 @@ class SightField:
             return NOTHING_HIDDEN
         return Sight(needed_m, _RING_M, _STEP_S, height_m, _SOFT_M, _WEIGHT)
 
-    def _needed_m(self, east_m: float, north_m: float) -> npt.NDArray[np.float32]:
-        key = round(east_m / _APART_M), round(north_m / _APART_M)
-        found = self._kept.pop(key, None)
-        if found is None:
-            place_m = key[0] * _APART_M, key[1] * _APART_M
-            height_m = self._ground.height_m(*place_m) + _TARGET_M
-            found = self._ground.horizon_m(*place_m, height_m, _AZIMUTHS, self._rings, _RING_M)
-            if math.isnan(height_m):
-                found[:] = -math.inf
-            while len(self._kept) >= _KEPT:
-                del self._kept[next(iter(self._kept))]
-        self._kept[key] = found
+    def _compute_needed_m(self, column: int, row: int) -> npt.NDArray[np.float32]:
+        place_m = column * _APART_M, row * _APART_M
+        height_m = self._ground.height_m(*place_m) + _TARGET_M
+        found = self._ground.horizon_m(*place_m, height_m, _AZIMUTHS, self._rings, _RING_M)
+        if math.isnan(height_m):
+            found[:] = -math.inf
         return found

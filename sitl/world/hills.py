@@ -41,10 +41,6 @@ class Hills:
                 "add the .hgt tile, or set another home"
             )
 
-    @property
-    def flat(self) -> bool:
-        return self._folder is None
-
     def height_m(self, east_m: float, north_m: float) -> float:
         """Return the height of the ground at a place."""
         if self._folder is None:
@@ -53,7 +49,7 @@ class Hills:
 
     def reported(self, aircraft_m: tuple[float, float, float], in_sight: bool) -> tuple[float | None, bool | None]:
         """Return the clearance over the ground and whether the target is in sight; None where no ground is known."""
-        if self.flat:
+        if self._folder is None:
             return None, None
         return aircraft_m[2] - self.height_m(*aircraft_m[:2]), in_sight
 

@@ -87,10 +87,10 @@ def test_rasters_are_kept_while_the_target_is_near() -> None:
     field = SightField(walled(), 700.0)
     first = field.sight(0.0, 0.0, 0.0, 0.0, HEIGHT_M)
     assert field.sight(3.0, -4.0, 0.0, 0.0, HEIGHT_M).needed_m is not first.needed_m
-    assert len(field._kept) == 1
+    assert field._needed_m.cache_info().currsize == 1
     for k in range(200):
         field.sight(20.0 * (k % 60) - 600.0, 0.0, 0.0, 0.0, HEIGHT_M)
-    assert len(field._kept) <= 64
+    assert field._needed_m.cache_info().currsize <= 64
 
 
 def test_the_planner_moves_to_where_it_sees() -> None:
