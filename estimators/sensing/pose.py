@@ -8,21 +8,12 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from dataclasses import replace
 from operator import attrgetter
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
 
-
-class Timed(Protocol):
-    """Anything with a time stamp."""
-
-    @property
-    def time_s(self) -> float:
-        """When it was measured, s on the vehicle's clock."""
-
-
-T = TypeVar("T", bound=Timed)
+T = TypeVar("T", bound=Reading)
 _time_s = attrgetter("time_s")
 
 

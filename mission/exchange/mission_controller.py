@@ -40,7 +40,7 @@ from sidelong.mission.exchange.dialect import AutopilotDialect
 from sidelong.mission.exchange.mission_items import MissionItemBackend
 from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox, SendMessage, TakeoverFailed
-from sidelong.mission.exchange.plan_backend import BackendSettings, PlanBackend
+from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.reports import (
     CommandAcknowledged,
     ExchangeEvent,
@@ -56,6 +56,7 @@ DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
 _SENSED = (AttitudeReading, GimbalReading, RangeReading, TargetFixReading)
 
 InboundEvent = Event | ExchangeEvent
+PlanBackend = MissionItemBackend | OrbitCommandBackend
 Output = StepOutput | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
 
 UNSEEN = frozenset((*_SENSED, NavigationReported, *get_args(ExchangeEvent)))
@@ -63,7 +64,7 @@ UNSEEN = frozenset((*_SENSED, NavigationReported, *get_args(ExchangeEvent)))
 
 
 class MissionController:
-    """One vehicle's whole core. make_backend: of the two, the one that flies plans."""
+    """One vehicle's whole core."""
 
     def __init__(
         self,

@@ -56,7 +56,7 @@ class _Change:
 
 
 class MissionItemBackend:
-    """``PlanBackend`` by uploads. ``load`` or ``adopt`` comes first."""
+    """Flies plans by uploads. ``load`` or ``adopt`` comes first."""
 
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
@@ -185,7 +185,7 @@ class MissionItemBackend:
     # -- plans ---------------------------------------------------------------------------------------------
 
     def upload(self, command: UploadPlan) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Bring a plan to the autopilot without flying it yet."""
         change = self._change
         busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
         if busy or self._closed or self._layout is None:
@@ -197,7 +197,7 @@ class MissionItemBackend:
         self._waits = True
 
     def activate(self, command: ActivatePlan) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Fly a plan now."""
         change = self._change
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
             self._announce(command.number, "failed", "it is not on board")
@@ -311,7 +311,7 @@ class MissionItemBackend:
     # -- what is reported ----------------------------------------------------------------------------------
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Process the aircraft's position and flight mode."""
         self._aircraft = aircraft
         change = self._change
         if change is not None and change.activation is not None:
@@ -319,7 +319,7 @@ class MissionItemBackend:
             self._judge_activation(change)
 
     def receive(self, report: VehicleReport) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Process a report of the autopilot."""
         if self._read is not None:
             self._read.receive(report)
         frozen = self._ownership.frozen

@@ -26,7 +26,7 @@ _REMEMBERED, _REMEMBERED_S = 4, 10.0  # at least this many commands, and all wit
 
 
 class OrbitCommandBackend:
-    """``PlanBackend`` by one command a circle. ``take_over`` comes first.
+    """Flies plans by one command a circle. ``take_over`` comes first.
 
     While a transition is flown, the circle that leads along it is commanded every second, then the plan's own one,
     once.
@@ -83,12 +83,12 @@ class OrbitCommandBackend:
         self._suspicion.forget()
 
     def upload(self, command: UploadPlan) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Bring a plan to the autopilot without flying it yet."""
         self._plan = command
         self._outbox.report(PlanStatus(self._outbox.time_s, command.number, "ready", by_command=True))
 
     def activate(self, command: ActivatePlan) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Fly a plan now."""
         plan = self._plan
         if plan is None or plan.number != command.number or self._closed:
             self._announce(command.number, "failed", "it is not the plan that was made ready")
@@ -101,7 +101,7 @@ class OrbitCommandBackend:
         self._closed, self._flown, self._departing = True, None, False
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Process the aircraft's position and flight mode."""
         self._aircraft, self._mode = aircraft, mode
         if self._flown is not None and self._command is None and aircraft.time_s >= self._due_s:
             self._waits = True
@@ -118,7 +118,7 @@ class OrbitCommandBackend:
             self._lead(self._flown)
 
     def receive(self, report: VehicleReport) -> None:
-        """See :class:`sidelong.mission.exchange.plan_backend.PlanBackend`."""
+        """Process a report of the autopilot."""
         if isinstance(report, CommandAcknowledged) and self._command is not None:
             self._command.receive(report)
             self._judge()
