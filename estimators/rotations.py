@@ -51,14 +51,11 @@ def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Qu
 
 
 def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
-    """Return a vector in another frame.
+    """Return a vector in frame a.
 
     Args:
         a_from_b: Rotation from frame b to frame a, of unit length.
         vector_b: The vector in frame b.
-
-    Returns:
-        The vector in frame a.
     """
     w, x, y, z = a_from_b
     vx, vy, vz = vector_b

@@ -28,9 +28,6 @@ class BeaconErrors:
         Args:
             time_s: Time of the fix, vehicle's clock, s.
             sigma_m: Standard deviation that the beacon reports or that is configured, m.
-
-        Returns:
-            Standard deviation, m.
         """
         step_s = max(abs(time_s - self._last_s), _MIN_STEP_S)
         self._last_s = max(self._last_s, time_s)

@@ -54,9 +54,6 @@ class Ground:
         Args:
             east_m: East in the local plane, m.
             north_m: North in the local plane, m.
-
-        Returns:
-            Height, m; NaN if unknown.
         """
         return height_and_slope(self.grid, east_m, north_m)[0]
 

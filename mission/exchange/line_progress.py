@@ -47,9 +47,6 @@ def flown_after(
         aircraft: State of the aircraft; None if unknown: no waypoint is passed.
         plane: The local plane of the mission.
         duration_s: How far to look ahead, s.
-
-    Returns:
-        Number of the item.
     """
     index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
     if aircraft is None or index == layout.end - 1:

@@ -67,13 +67,10 @@ class Outbox:
             self._began = (time_s, link_s)
 
     def vehicle_s(self, link_s: float) -> float:
-        """Convert a time of the link's clock to the vehicle's clock, which runs faster in a simulation.
+        """Convert a duration of the link's clock to one of the vehicle's clock, which runs faster in a simulation.
 
         Args:
             link_s: Duration on the link's clock, s.
-
-        Returns:
-            Duration on the vehicle's clock, s.
         """
         if self._began is None or self.link_s - self._began[1] < _RATE_KNOWN_S:
             return link_s

@@ -107,11 +107,7 @@ def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
         aircraft: Limits of the aircraft.
         requirement: Required band and side.
     """
-    return aircraft.pan_limit_rad if _plans_pan_limits(requirement) else math.pi
-
-
-def _plans_pan_limits(requirement: Requirement) -> bool:
-    return requirement.fleet_size == 1
+    return aircraft.pan_limit_rad if requirement.fleet_size == 1 else math.pi
 
 
 def turn_share(requirement: Requirement) -> float:
@@ -231,7 +227,7 @@ class PredictivePlanner:
     @property
     def plans_pan_limits(self) -> bool:
         """See :class:`sidelong.mission.core.plan.PanPlanner`."""
-        return _plans_pan_limits(self.requirement)
+        return self.requirement.fleet_size == 1
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`sidelong.mission.core.plan.WindPlanner`.
