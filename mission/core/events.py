@@ -1,7 +1,7 @@
 """What goes into the control step and what comes out of it.
 
 Events and commands are plain frozen values: the journal writes both, and a replay feeds the events again
-and must get the same commands.
+and must get the same commands. ``time_s`` is on the vehicle's clock.
 
 Source: docs/decisions/0002-pure-step-and-replay.md.
 """
@@ -48,7 +48,6 @@ class RouteGiven:
     """The route that the target is expected to follow; without way points, none.
 
     Attributes:
-        time_s: When, on the vehicle's clock.
         east_m: East of the way points in the local plane, m.
         north_m: North of the way points, m.
         lap: Whether the last way point connects to the first one.
@@ -89,7 +88,6 @@ class ControlAcquired:
     """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
 
     Attributes:
-        time_s: Time on the vehicle's clock, s.
         circle: The circle that is flown.
         commanded: The circle as it was commanded, where that differs from ``circle``.
     """
@@ -105,7 +103,6 @@ class PlanStatus:
     """How far the autopilot has followed plan ``number``.
 
     Attributes:
-        time_s: Time on the vehicle's clock, s.
         number: Number of the plan.
         stage: ready: the autopilot holds the plan and still flies the previous path. departed: it flies the plan.
             failed: it does neither, and flies the previous path. unconfirmed: the plan was commanded, but not
@@ -134,7 +131,6 @@ class ClockTick:
     """A second of this computer has passed: shows the silence of a vehicle whose own clock stands still.
 
     Attributes:
-        time_s: the vehicle's clock.
         link_s: this computer's clock.
     """
 
@@ -245,7 +241,6 @@ class UploadPlan:
     """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
 
     Attributes:
-        time_s: Time on the vehicle's clock, s.
         number: Number of the plan.
         plan: The plan.
         commanded: The plan's circle, corrected so that the autopilot flies the required one.
@@ -308,7 +303,6 @@ class HealthChanged:
     """The state of an input has changed.
 
     Attributes:
-        time_s: the vehicle's clock.
         input: which input.
         state: its new state.
         text: what has happened and what to do, in one sentence.
