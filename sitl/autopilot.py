@@ -46,7 +46,7 @@ class Autopilot(ABC):
     armed_text: ClassVar[str]
     landed_text: ClassVar[str]
     roll_limit_parameter: ClassVar[str]  # degrees
-    quirks: ClassVar[ProtocolQuirks]
+    quirks: ProtocolQuirks
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
         mavlink.MAV_MISSION_TYPE_MISSION,
@@ -98,7 +98,7 @@ class Autopilot(ABC):
                 mission_type,
                 store,
                 self.radio,
-                self.quirks_of_release,
+                self.quirks,
                 self.settings.link_rate,
                 self.say,
                 self.transfers,
@@ -128,11 +128,6 @@ class Autopilot(ABC):
 
     @abstractmethod
     def set_current_item(self, index: int) -> bool: ...
-
-    @property
-    def quirks_of_release(self) -> ProtocolQuirks:
-        """How its release treats the mission protocol."""
-        return self.quirks
 
     @property
     @abstractmethod

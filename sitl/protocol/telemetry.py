@@ -64,11 +64,8 @@ class Telemetry:
         settings = self._vehicle.settings
         if settings.payload is None or settings.device or settings.payload.pan_limit_rad >= math.pi:
             return None
-        pan_rad, pitch_rad, flags = (
-            settings.payload.pan_limit_rad,
-            0.5 * math.pi,
-            mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS,
-        )
+        pan_rad, pitch_rad = settings.payload.pan_limit_rad, 0.5 * math.pi
+        flags = mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS
         return mavlink.MAVLink_gimbal_manager_information_message(
             self._vehicle.boot_ms, flags, 1, 0.0, 0.0, -pitch_rad, 0.0, -pan_rad, pan_rad
         )
@@ -109,7 +106,6 @@ class Telemetry:
             self._vehicle.boot_ms,
             *quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad),
             *self._body_rates_rad_s(),
-            [0.0, 0.0, 0.0, 0.0],
         )
 
     def _body_rates_rad_s(self) -> tuple[float, float, float]:
@@ -186,13 +182,9 @@ class Telemetry:
         return mavlink.MAVLink_home_position_message(
             *self.place_e7(0.0, 0.0),
             round(vehicle.home.altitude_m * 1000.0),
-            0.0,
-            0.0,
-            0.0,
+            *(0.0,) * 3,
             list(self.home_quaternion),
-            0.0,
-            0.0,
-            0.0,
+            *(0.0,) * 3,
             vehicle.boot_us,
         )
 

@@ -137,10 +137,6 @@ class Px4Telemetry(Telemetry):
             0,
             mavlink.MAV_SENSOR_ROTATION_PITCH_270,
             0,
-            0.0,
-            0.0,
-            [0.0] * 4,
-            0,
         )
         relayed, self._vehicle.relayed_range = self._vehicle.relayed_range, None
         return [downward] if relayed is None else [downward, relayed]

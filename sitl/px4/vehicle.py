@@ -62,7 +62,6 @@ class Px4(Autopilot):
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
     armed_text, landed_text = "Armed by external command\t", "Landing detected\t"
     roll_limit_parameter = "FW_R_LIM"
-    quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S
     unsigned_messages = Autopilot.unsigned_messages | {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,
@@ -72,6 +71,7 @@ class Px4(Autopilot):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings, AirframeParameters(), 0.0, px4_parameters(settings))
+        self.quirks = replace(QUIRKS, names_lists=self.release >= (1, 15))
         self.mission = Px4Mission(self._on_swap)
         self.navigator = Px4Navigator(self.craft, self.parameters)
         self._item: Item | None = None  # being flown
@@ -265,10 +265,6 @@ class Px4(Autopilot):
             self.set_mode(Mode.HOLD)
 
     @property
-    def quirks_of_release(self) -> ProtocolQuirks:
-        return replace(self.quirks, names_lists=self.release >= (1, 15))
-
-    @property
     def _take_off_and_landing(self) -> int:
         """Required mission items, as a value of MIS_TKO_LAND_REQ; releases before 1.14 require none."""
         return int(self.parameters["MIS_TKO_LAND_REQ"]) if "MIS_TKO_LAND_REQ" in self.parameters else 0
@@ -329,20 +325,9 @@ class Px4(Autopilot):
 
     def take_range(self, message: Any) -> None:
         """Relay a range as a sensor of its own, stamped with its arrival."""
-        self.relayed_range = mavlink.MAVLink_distance_sensor_message(
-            self.boot_ms,
-            message.min_distance,
-            message.max_distance,
-            message.current_distance,
-            message.type,
-            message.id,
-            message.orientation,
-            message.covariance,
-            message.horizontal_fov,
-            message.vertical_fov,
-            message.quaternion,
-            max(0, message.signal_quality - 1),
-        )
+        measured = (getattr(message, name) for name in message.fieldnames[1:-1])
+        quality = max(0, message.signal_quality - 1)
+        self.relayed_range = mavlink.MAVLink_distance_sensor_message(self.boot_ms, *measured, quality)
 
     # Commands.
 
