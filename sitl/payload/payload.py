@@ -56,13 +56,9 @@ class Measurement:
     """What the payload measures at one moment: nothing while a hill hides the target.
 
     Attributes:
-        messages: the measurements as MAVLink messages.
         laser_valid: whether there is a range.
         laser_outlier: whether that range is wrong.
         range_m: the measured range; None: none.
-        range_error_m: error of the measured range.
-        bearing_error_rad: error of the measured bearing.
-        elevation_error_rad: error of the measured elevation.
     """
 
     messages: list[Any]
@@ -150,16 +146,9 @@ class Payload:
         settings = self._settings
         if settings.gimbal_frame != GimbalFrame.EARTH:
             yaw_rad -= heading_rad
+        pointing = list(quaternion(0.0, pitch_rad, yaw_rad))
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
-            0,
-            0,
-            boot_ms,
-            _FLAGS[settings.gimbal_frame],
-            list(quaternion(0.0, pitch_rad, yaw_rad)),
-            NAN,
-            NAN,
-            NAN,
-            0,
+            0, 0, boot_ms, _FLAGS[settings.gimbal_frame], pointing, *(NAN,) * 3, 0
         )
 
     @staticmethod
