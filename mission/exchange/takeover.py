@@ -204,14 +204,12 @@ class Takeover:
             if self._mode != mode:
                 raise _FailedError(f"the flight mode was changed to {self._mode} in the meantime")
 
-    def _commanded(self, command: VehicleCommand | CommandExchange) -> Iterator[None]:
+    def _commanded(self, command: VehicleCommand | CommandExchange) -> Generator[None, None, CommandExchange]:
         exchange = command if isinstance(command, CommandExchange) else CommandExchange(self._outbox, command)
         self._command = exchange
         while not exchange.done:
             yield
-
-    def _answer(self) -> str:
-        return describe_result(self._command.result if self._command is not None else None)
+        return exchange
 
     # -- from the air --------------------------------------------------------------------------------------
 
@@ -272,13 +270,12 @@ class Takeover:
         return self._aircraft
 
     def _take_over_by_command(self, first: Plan) -> Script:
-        yield from self._commanded(self._orbits.take_over(first))
-        assert self._command is not None
+        command = yield from self._commanded(self._orbits.take_over(first))
         mode = self._dialect.circle_mode
-        if self._command.accepted:
+        if command.accepted:
             yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S)
-        if not self._command.accepted or self._mode != mode:
-            raise _FailedError(f"the circle was not taken over ({self._answer()})")
+        if not command.accepted or self._mode != mode:
+            raise _FailedError(f"the circle was not taken over ({describe_result(command.result)})")
 
     # -- from the ground -----------------------------------------------------------------------------------
 
@@ -317,15 +314,13 @@ class Takeover:
         self._note("arming")
         deadline_s, reasons_asked = self._outbox.time_s + _ARM_WITHIN_S, False
         while True:
-            yield from self._commanded(_ARM)
-            assert self._command is not None
-            if self._command.accepted:
+            command = yield from self._commanded(_ARM)
+            if command.accepted:
                 return
-            if self._command.stuck or self._outbox.time_s > deadline_s:
-                reason = f"the autopilot did not arm ({self._answer()})"
-                if self._command.unsettled:
+            if command.stuck or self._outbox.time_s > deadline_s:
+                if command.unsettled:
                     yield from self._commanded(_DISARM)
-                raise _FailedError(reason)
+                raise _FailedError(f"the autopilot did not arm ({describe_result(command.result)})")
             if not reasons_asked:
                 reasons_asked = True
                 yield from self._commanded(VehicleCommand(_RUN_PREARM_CHECKS, ()))
@@ -339,19 +334,18 @@ class Takeover:
         # command and stays in HOLD. Where an accepted command is final, another mode is the pilot's choice.
         final = self._dialect.quirks.stores_items_one_by_one
         while True:
-            yield from self._commanded(self._dialect.start_mission())
-            assert self._command is not None
-            if self._command.accepted:
+            command = yield from self._commanded(self._dialect.start_mission())
+            if command.accepted:
                 yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S if final else _STARTED_S)
-            if self._mode == mode or self._outbox.link_s >= link_end_s or (final and self._command.accepted):
+            if self._mode == mode or self._outbox.link_s >= link_end_s or (final and command.accepted):
                 break
             if self._mode not in expected:
                 raise _FailedError(f"the flight mode was changed to {self._mode} in the meantime")
-            if not (self._command.accepted or self._command.refused_for_now):
+            if not (command.accepted or command.refused_for_now):
                 break
             yield from self._until(lambda: False, _START_AGAIN_S)
-        if not self._command.accepted or self._mode != mode:
-            raise _FailedError(f"the mission was not started ({self._answer()})")
+        if not command.accepted or self._mode != mode:
+            raise _FailedError(f"the mission was not started ({describe_result(command.result)})")
 
     def _until_circling(self, first: Plan, again_s: float) -> Script:
         """Wait for the first circle; ask for it again, should that have been lost."""
