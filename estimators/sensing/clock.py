@@ -58,7 +58,6 @@ class VehicleClock:
     """The vehicle's clock: ``now_s`` is its latest accepted stamp, -inf before the first.
 
     Attributes:
-        now_s: The latest accepted stamp.
         shift_s: How far the latest change of sequences moved the clock.
         restarted: Whether that change was an autopilot reboot.
         returned: Whether that change was back to the previous sequence.

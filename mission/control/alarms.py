@@ -70,9 +70,7 @@ class Alarm:
         key: Its name, such as ``target``.
         text: The present fault.
         advice: Recommended action.
-        since_s: When it was raised.
         countdown_s: Time until the aircraft acts automatically; None: it does not.
-        acknowledged: Whether the operator has acknowledged it.
     """
 
     key: str

@@ -88,7 +88,6 @@ class ControlAcquired:
     """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
 
     Attributes:
-        circle: The circle that is flown.
         commanded: The circle as it was commanded, where that differs from ``circle``.
     """
 
@@ -103,7 +102,6 @@ class PlanStatus:
     """How far the autopilot has followed plan ``number``.
 
     Attributes:
-        number: Number of the plan.
         stage: ready: the autopilot holds the plan and still flies the previous path. departed: it flies the plan.
             failed: it does neither, and flies the previous path. unconfirmed: the plan was commanded, but not
             confirmed; departed or failed follows. A failed departure may still be followed by departed.
@@ -241,8 +239,6 @@ class UploadPlan:
     """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
 
     Attributes:
-        number: Number of the plan.
-        plan: The plan.
         commanded: The plan's circle, corrected so that the autopilot flies the required one.
         wind: The present estimate of the wind, for which waypoints are laid out.
     """
@@ -303,8 +299,6 @@ class HealthChanged:
     """The state of an input has changed.
 
     Attributes:
-        input: which input.
-        state: its new state.
         text: what has happened and what to do, in one sentence.
         lasted_s: how long the previous state lasted; 0 if there was none.
     """

@@ -47,13 +47,8 @@ class FleetAdvice:
     """About once a second: which target to watch, from which side, and where the others are.
 
     Attributes:
-        time_s: Time on the vehicle's clock, s.
-        target: Name of the target.
-        role: Role of this aircraft.
-        side: Side to watch from.
         estimate: Joint estimate of that target; None before it was seen.
         height_m: Height of the layer to fly in, above home, m.
-        neighbours: The other aircraft.
         reason: Why this differs from the previous advice; '' where it does not.
         turn_payload: The payload looks at another target and has to turn.
         course_rad: Course of the target by which the fleet assigns the sides, clockwise from north; None before the

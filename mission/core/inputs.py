@@ -40,8 +40,6 @@ class InputReport:
     """The present state of one input, for displays.
 
     Attributes:
-        input: which input.
-        state: how it is.
         since_s: since when, on the vehicle's clock.
         rate_hz: readings per second of the vehicle's clock over the last seconds; NaN before it is known.
         text: the sentence of the last change.

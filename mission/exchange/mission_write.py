@@ -53,7 +53,6 @@ class MissionWrite:
 
     Attributes:
         items: The mission. If ``changed`` has the same length, it replaces the whole list on board.
-        changed: The range of items to write.
         marked: The item to fly when the list is activated.
         deadline_s: Timeout, on the link's clock.
         mission_ids_before: Ids of earlier uploads whose acknowledgements may still arrive.

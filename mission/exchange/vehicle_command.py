@@ -50,7 +50,6 @@ class CommandExchange:
     """One command until it is answered.
 
     Attributes:
-        done: Whether it has ended.
         result: MAV_RESULT once ``done``; None: no answer; 5: in progress for longer than is waited for.
     """
 

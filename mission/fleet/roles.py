@@ -49,7 +49,6 @@ class Candidate:
     """One aircraft that takes part.
 
     Attributes:
-        costs: Its expected cost in each role.
         on_station: It watches from the required side now.
         under_way: A plan for it is on its way to the autopilot.
     """

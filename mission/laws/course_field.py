@@ -21,7 +21,6 @@ class CourseField(ABC):
     """A field that leads onto a circle around the target.
 
     Attributes:
-        radius_m: Radius of the circle, m.
         clockwise: Direction, seen from above.
         course_gain_per_s: Turn rate for each radian off the field's course, 1/s.
     """

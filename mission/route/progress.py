@@ -39,8 +39,6 @@ class RouteProgress:
     """The target's progress along its route.
 
     Attributes:
-        route: The route.
-        on_route: Whether the target follows the route.
         along_m: Position along the route, m; NaN where it is unknown.
         speed_m_s: Speed along the route, negative against its direction, m/s; NaN where it is unknown.
         probability: Probability that the target follows the route, 0..1.
