@@ -19,18 +19,16 @@ from sidelong.sitl.protocol.store import Store
 
 _ACCEPTED: int = mavlink.MAV_MISSION_ACCEPTED
 
-_NAVIGATION = {
-    mavlink.MAV_CMD_NAV_WAYPOINT,
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
-    mavlink.MAV_CMD_NAV_LOITER_TURNS,
-    mavlink.MAV_CMD_NAV_LOITER_TIME,
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-    mavlink.MAV_CMD_NAV_LAND,
-    mavlink.MAV_CMD_NAV_TAKEOFF,
-    mavlink.MAV_CMD_NAV_LOITER_TO_ALT,
+NAVIGATION = {  # items that are flown, with their names in texts
+    mavlink.MAV_CMD_NAV_WAYPOINT: "WP",
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: "LoitUnlim",
+    mavlink.MAV_CMD_NAV_LOITER_TURNS: "LoitTurns",
+    mavlink.MAV_CMD_NAV_LOITER_TIME: "LoitTime",
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "RTL",
+    mavlink.MAV_CMD_NAV_LAND: "Land",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "Takeoff",
+    mavlink.MAV_CMD_NAV_LOITER_TO_ALT: "LoitAltitude",
 }
-
-
 _ANY_YAW = {
     mavlink.MAV_CMD_NAV_WAYPOINT,
     mavlink.MAV_CMD_NAV_LOITER_UNLIM,
@@ -129,12 +127,12 @@ class ArduPlaneMission(Store):
 
     def following(self) -> Item | None:
         """Return the next navigation item in storage."""
-        return next((item for item in self._items[self.index + 1 :] if item.command in _NAVIGATION), None)
+        return next((item for item in self._items[self.index + 1 :] if item.command in NAVIGATION), None)
 
     def _start_from(self, index: int) -> None:
         while index < len(self._items):
             item = self._items[index]
-            if item.command in _NAVIGATION:
+            if item.command in NAVIGATION:
                 self.index, self.item = index, item
                 self._on_start(index, item)
                 return

@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.arduplane.mission import ArduPlaneMission, MissionState
+from sidelong.sitl.arduplane.mission import NAVIGATION, ArduPlaneMission, MissionState
 from sidelong.sitl.arduplane.modes import SELF_FLYING, Mode
 from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
 from sidelong.sitl.arduplane.parameters import arduplane_parameters
@@ -44,16 +44,6 @@ QUIRKS = ProtocolQuirks(
     timeout_severity=mavlink.MAV_SEVERITY_WARNING,
     timeout_text="Mission upload timeout",
 )
-_ITEM_NAMES = {
-    mavlink.MAV_CMD_NAV_WAYPOINT: "WP",
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: "LoitUnlim",
-    mavlink.MAV_CMD_NAV_LOITER_TURNS: "LoitTurns",
-    mavlink.MAV_CMD_NAV_LOITER_TIME: "LoitTime",
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "RTL",
-    mavlink.MAV_CMD_NAV_LAND: "Land",
-    mavlink.MAV_CMD_NAV_TAKEOFF: "Takeoff",
-    mavlink.MAV_CMD_NAV_LOITER_TO_ALT: "LoitAltitude",
-}
 
 
 class ArduPlane(Autopilot):
@@ -244,9 +234,9 @@ class ArduPlane(Autopilot):
     def _start_item(self, index: int, item: Item) -> None:
         if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
             self._change_speed(item.params[0], item.params[1])
-        if item.command not in _ITEM_NAMES:
+        if item.command not in NAVIGATION:
             return
-        self.say(mavlink.MAV_SEVERITY_INFO, f"Mission: {index} {_ITEM_NAMES[item.command]}")
+        self.say(mavlink.MAV_SEVERITY_INFO, f"Mission: {index} {NAVIGATION[item.command]}")
         if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
             self.set_mode(Mode.RTL)
         elif item.command == mavlink.MAV_CMD_NAV_TAKEOFF:

@@ -17,7 +17,6 @@ class PathFollower:
     def __init__(self, period_s: float = 10.0, damping: float = 0.7071) -> None:
         self.period_s = period_s
         self.damping = damping
-        self.bound_m = self.cross_track_m = self.nav_bearing_rad = 0.0
 
     def towards_line(self, craft: Airframe, start_m: tuple[float, float], end_m: tuple[float, float]) -> float:
         """Return the acceleration that joins and follows the endless line through start and end (east, north)."""
@@ -41,13 +40,11 @@ class PathFollower:
     def _follow(self, craft: Airframe, tangent_rad: float, right_m: float, curvature_per_m: float) -> float:
         """right_m: how far the craft is to the right of the path."""
         speed_m_s = max(1.0, craft.ground_speed_m_s)
-        self.cross_track_m = right_m
-        self.bound_m = speed_m_s * self.period_s * self.damping
-        closeness = 1.0 - min(1.0, abs(right_m) / self.bound_m)
+        bound_m = speed_m_s * self.period_s * self.damping
+        closeness = 1.0 - min(1.0, abs(right_m) / bound_m)
         look_ahead_rad = math.pi / 2 * closeness**2  # 90 degrees: along the path
         lean_rad = math.pi / 2 - look_ahead_rad
-        self.nav_bearing_rad = course_rad = tangent_rad - math.copysign(lean_rad, right_m)
-        heading_rad, turn_ratio = self._heading_for(craft, course_rad)
+        heading_rad, turn_ratio = self._heading_for(craft, tangent_rad - math.copysign(lean_rad, right_m))
         error_rad = math.remainder(heading_rad - craft.heading_rad, math.tau)
         gain_per_s = 4.0 * math.pi * self.damping / self.period_s
         correction = math.copysign(1.0, error_rad) if abs(error_rad) > math.pi / 2 else math.sin(error_rad)
