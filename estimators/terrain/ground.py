@@ -43,11 +43,6 @@ class Ground:
         """The same as the compiled loops take it."""
         return self.heights_m, self.west_m, self.south_m, self.step_east_m, self.step_north_m
 
-    @property
-    def step_m(self) -> float:
-        """The finer of the two spacings of posts."""
-        return min(self.step_east_m, self.step_north_m)
-
     def height_m(self, east_m: float, north_m: float) -> float:
         """Return the height at a place, NaN where it is not known.
 

@@ -25,4 +25,5 @@ def patch_of(ground: Ground, east_m: float, north_m: float) -> Patch | None:
     height_m, *slope = height_and_slope(ground.grid, east_m, north_m)
     if math.isnan(height_m):
         return None
-    return Patch(east_m, north_m, height_m, *slope, height_sigma_m(ground.sigma_m, ground.step_m, *slope))
+    step_m = min(ground.step_east_m, ground.step_north_m)
+    return Patch(east_m, north_m, height_m, *slope, height_sigma_m(ground.sigma_m, step_m, *slope))

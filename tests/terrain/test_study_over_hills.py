@@ -64,8 +64,8 @@ def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
     """Ground that rises above the aircraft everywhere but under the target's start: never in sight, no estimate."""
     pit = np.full_like(ground.heights_m, 3000.0)
     east, north = (np.arange(n) for n in pit.shape[::-1])
-    about = (np.abs(ground.west_m + east * ground.step_m) < 9000.0)[None, :] & (
-        np.abs(ground.south_m + north * ground.step_m) < 9000.0
+    about = (np.abs(ground.west_m + east * ground.step_east_m) < 9000.0)[None, :] & (
+        np.abs(ground.south_m + north * ground.step_north_m) < 9000.0
     )[:, None]
     rng = np.random.default_rng(3)
     walls = np.where(about & (rng.random(pit.shape) < 0.5), 500.0, 0.0).astype(np.float32)
