@@ -82,7 +82,6 @@ class Takeover:
         self._circle_reported: CircleOrder | None = None
         self._arm_period_s, self._round_trip_s = 1.0, 0.0
         self._until_s = math.inf
-        self._now_s = outbox.link_s
 
     @property
     def running(self) -> bool:
