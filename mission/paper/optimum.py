@@ -36,7 +36,7 @@ _LAP_STEPS = 90
 class ThresholdBounds:
     """Every C in [least, greatest] keeps its promises; best leaves ``room_m`` at both ends.
 
-    greatest_range_m is the proven bound at the best C.
+    max_range_m is the proven bound at the best C.
     """
 
     least: float

@@ -29,7 +29,7 @@ class Scope:
     longest_move_m    d_max, one lap of the target more.
     shortest_time_s   t_y,min, the least time between two moves; inf for a standing target.
     straight_left_m   what the shortest move leaves beyond both bends; negative when they do not fit.
-    least_threshold   the least C for which they always fit.
+    min_threshold     the least C for which they always fit.
     """
 
     x_tr_m: float
