@@ -65,7 +65,7 @@ _TURNED_SHARE = 0.25  # as _BETTER_SHARE: this hypothesis is fitted, so it fits 
 _SCALES = 0.8, 1.25  # of a yaw error's fit, which leaves the length of the line of sight free
 _DELAYS_S = -1.5, 3.5  # half a second more than those that the track finds and corrects
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
-_DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
+_DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 60.0
 
 GroundHeight = Callable[[float, float], float]
 """Returns the height of the ground above home at a position (east, north); NaN where unknown."""

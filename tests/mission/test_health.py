@@ -82,6 +82,16 @@ def test_payload_is_checked_while_the_attitude_is_silent():
     assert flown.wrongly_in_band_s <= 0.02 * DURATION_S
 
 
+@pytest.mark.parametrize("seed", [1, 5])
+def test_unit_that_changes_while_the_link_is_silent_is_found(seed):
+    silence = Fault("link", BEGIN_S, BEGIN_S + 25.0, lambda _message, _since_s, _rng: iter(()))
+    fault = Fault("feet", BEGIN_S + 10.0, math.inf, scaled(0.3048))
+    flown = FaultedFlight(Scenario(seed, "px4", DURATION_S), [silence, fault]).fly()
+    found_s = [time_s for time_s, one in flown.health if one.input is Input.LASER and "feet" in one.text]
+    assert found_s[0] <= BEGIN_S + 25.0 + 15.0
+    assert flown.wrongly_in_band_s <= 0.02 * DURATION_S
+
+
 @pytest.mark.parametrize("name", PAYLOAD_FAULTS)
 def test_payload_that_is_corrected_is_used_again(name):
     change, input_, _ = PAYLOAD_FAULTS[name]
