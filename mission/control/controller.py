@@ -354,6 +354,8 @@ class StandoffController:
             self._hold("no heartbeat from the autopilot")
             return announced
         if self.door.faulty:
+            if due:  # a link that often fails may bring few other positions
+                self._next_decision_s = self.time_s
             return announced
         return announced + self._decide() if due else ()
 

@@ -116,6 +116,9 @@ class Health:
             event: as it was received.
             now_s: the vehicle's clock.
         """
+        goes_on = self._ticks > self._moved_tick + _TICKS_MARGIN and now_s != self._now_s
+        if goes_on:
+            self._moved_tick, self._now_s = self._ticks, now_s
         one = self._by_kind.get(type(event))
         if one is not None and now_s > -math.inf:
             if one.source is None or event.source is one.source or event.source == one.source:  # type: ignore[union-attr]
@@ -126,7 +129,7 @@ class Health:
             if now_s == self._now_s:
                 return True
             self._moved_tick, self._now_s = self._ticks, now_s
-        return now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
+        return goes_on or now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
 
     def link_changed(self, event: LinkReported, now_s: float) -> HealthChanged:
         """Note that the link is lost or back; return its change of state.

@@ -82,6 +82,18 @@ def test_payload_is_checked_while_the_attitude_is_silent():
     assert flown.wrongly_in_band_s <= 0.02 * DURATION_S
 
 
+def test_payload_is_used_in_each_of_the_moments_in_which_a_link_works():
+    """1.5 s of each 5 s; half a second of that confirms the vehicle's clock."""
+
+    def now_and_then(message, since_s, _rng):
+        return iter([(0.0, message)] if since_s % 5.0 > 3.5 else [])
+
+    flown = FaultedFlight(Scenario(5, "px4", DURATION_S), [Fault("link", BEGIN_S, math.inf, now_and_then)]).fly()
+    unseen_s = [one.unseen_s for one in flown.decided if one.time_s > BEGIN_S]
+    assert unseen_s
+    assert max(unseen_s) < 6.0
+
+
 @pytest.mark.parametrize("seed", [1, 5])
 def test_unit_that_changes_while_the_link_is_silent_is_found(seed):
     silence = Fault("link", BEGIN_S, BEGIN_S + 25.0, lambda _message, _since_s, _rng: iter(()))
