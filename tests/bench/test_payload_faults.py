@@ -49,7 +49,7 @@ ERRORS = {
     "yaw 15 degrees to the left": (turned(-15.0), "the gimbal's yaw is"),
     "yaw 20 degrees to the right": (turned(20.0), "the gimbal's yaw is"),
 }
-ERRORS_DURATION_S, CORRECTED_AFTER_S = 540.0, 60.0
+ERRORS_DURATION_S, CORRECTED_AFTER_S = float(size(540, 150)), 60.0
 SIDE_LOST_MAX = 8.0  # points, on average
 LEAST_RANGE_MIN_M = 40.0  # ranges 100 m too long put the target nearer than the track until they are found
 
