@@ -16,6 +16,7 @@ Source: docs/explanation/filter.md#delays.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -183,6 +184,7 @@ class DelayFit:
         if last_s - first_s < _SPAN_MIN_S or min(len(gimbals), len(ranges)) < _READINGS_MIN:
             return None
 
+        @functools.cache  # most fits of a moment share a factor
         def scene(factor: float) -> Scene:
             return Scene(positions, attitudes, gimbals, ranges * (1.0, factor), self.frame, self._noise)
 
