@@ -6,14 +6,11 @@ from collections.abc import Callable, Iterable, Sequence
 from types import SimpleNamespace
 from typing import Generic, Protocol, TypeVar, cast
 
-import numpy as np
-
-from sidelong.app.link.link import Link as AnyLink
+from sidelong.app.link.link import Link
 from sidelong.app.link.message import Message
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import Vehicle
-from sidelong.app.simulation.link import NO_FAULTS, Link
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ClockTick
@@ -68,38 +65,27 @@ class ClosedLoop(Generic[P]):
 
     Args:
         simulated: the vehicle, and what it carries.
-        down: the link from the vehicle.
-        up: the link to the vehicle.
-        rate: seconds of the vehicle's clock in one of the link's.
 
     Attributes:
         core: what flies, None before :meth:`start`.
         listeners: called with each event and the outputs that it led to.
     """
 
-    def __init__(
-        self,
-        simulated: SimulatedVehicle[P],
-        down: Link[P] | None = None,
-        up: Link[bytes] | None = None,
-        rate: float = 1.0,
-    ) -> None:
-        self.simulated, self.rate = simulated, rate
-        unused = np.random.default_rng(0)
-        self.down: Link[P] = down or Link(NO_FAULTS, unused)
-        self.up: Link[bytes] = up or Link(NO_FAULTS, unused)
-        self.vehicle = Vehicle(cast(AnyLink, SimpleNamespace(system_id=simulated.system_id, own_id=OWN_ID)))
+    def __init__(self, simulated: SimulatedVehicle[P]) -> None:
+        self.simulated = simulated
+        self.vehicle = Vehicle(cast(Link, SimpleNamespace(system_id=simulated.system_id, own_id=OWN_ID)))
         self.telemetry, self.reports = Telemetry(simulated.system_id), VehicleReports(self.vehicle)
         self.core: MissionController | None = None
         self.listeners: list[Callable[[InboundEvent, tuple[Output, ...]], object]] = []
         self._packer = Packer()
+        self._sent: list[bytes] = []
         self._start_s = simulated.time_s
         self._tick_s = 0.0  # when the next tick of this computer's clock is due
 
     @property
     def link_s(self) -> float:
-        """The receiver's clock, by which retries run."""
-        return (self.simulated.time_s - self._start_s) / self.rate
+        """The link's clock, by which retries run."""
+        return self.simulated.time_s - self._start_s
 
     def start(self, make_core: Callable[[LocalPlane], MissionController], flying_mode: str = "") -> None:
         """Wait until position and mode are known, and take the aircraft over.
@@ -145,9 +131,10 @@ class ClosedLoop(Generic[P]):
 
     def step(self) -> None:
         """Move the clock by one tick, and hand over all that is due."""
-        simulated = self.simulated
-        for frame in self.up.take(self.link_s):
-            self.deliver(frame)
+        simulated, sent = self.simulated, self._sent
+        self._sent = []
+        for frame in sent:
+            simulated.receive(frame)
         simulated.advance(simulated.time_s + simulated.tick_s)
         link_s = self.link_s
         for packet in self.arriving():
@@ -158,16 +145,9 @@ class ClosedLoop(Generic[P]):
             self.put(ClockTick(self.telemetry.now_s, link_s))
         self.expire()
 
-    def deliver(self, frame: bytes) -> None:
-        """Hand the vehicle a frame that has come through."""
-        self.simulated.receive(frame)
-
     def arriving(self) -> Iterable[P]:
         """Return what has come through from the vehicle."""
-        link_s = self.link_s
-        for packet in self.simulated.take():
-            self.down.put(packet, link_s, len(packet) if isinstance(packet, bytes) else 0)
-        return self.down.take(link_s)
+        return self.simulated.take()
 
     def on_message(self, message: Message) -> None:
         """Take a message that has arrived."""
@@ -204,5 +184,5 @@ class ClosedLoop(Generic[P]):
         self.transmit(self._packer.frame(message.name, message.fields, self.simulated.system_id))
 
     def transmit(self, frame: bytes) -> None:
-        """Put a frame on the link to the vehicle."""
-        self.up.put(frame, self.link_s, len(frame))
+        """Hand the vehicle a frame in the next step."""
+        self._sent.append(frame)

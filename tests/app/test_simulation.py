@@ -12,7 +12,6 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Rates, Start
-from sidelong.app.simulation.link import Link, Silence
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
@@ -28,6 +27,7 @@ from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
+from tests.faulty_loop import FaultyLoop, Link, Silence
 from tests.sitl_vehicle import SitlVehicle
 
 HOME = Home(47.4, 8.5, 400.0)
@@ -54,7 +54,7 @@ class Flight:
             StandoffSettings(*settings, give_up_after_s=1e9), tracker_of(config), PaperPlanner
         )
         self.vehicle = vehicle_of(autopilot)
-        self.loop = ClosedLoop(self.vehicle, **links)
+        self.loop = FaultyLoop(self.vehicle, **links)
         self.loop.telemetry.plane = PLANE
         self.outputs = []
         self.loop.listeners.append(lambda _event, outputs: self.outputs.extend(outputs))

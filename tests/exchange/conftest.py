@@ -18,8 +18,6 @@ from sidelong.app.link.frames import FrameSplitter
 from sidelong.app.link.merger import LinkMerger
 from sidelong.app.link.quality import LinkQuality
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
-from sidelong.app.simulation.link import NO_FAULTS, Link
-from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
@@ -32,6 +30,7 @@ from sidelong.mission.upload.mission_item import MissionItem
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
+from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link
 from tests.sitl_vehicle import RATES_HZ, SitlVehicle
 
 _ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
@@ -68,7 +67,7 @@ class Wandering:
         return Decision(aircraft.time_s, Plan(there, transition, departure_s), "moving")
 
 
-class Flight(ClosedLoop[bytes]):
+class Flight(FaultyLoop[bytes]):
     """A flight from the ground, in steps of the vehicle's clock.
 
     ``events`` and ``outputs`` are what went into the core and came out, one tuple of outputs an event. ``arrived`` is

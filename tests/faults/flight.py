@@ -21,8 +21,6 @@ from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
-from sidelong.app.simulation.link import NO_FAULTS, Link
-from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
@@ -35,6 +33,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from tests.faults.flight_faults import Fault
+from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link
 
 STEP_S = 0.1
 _TICK_STEPS, _SURE_M = 10, 5.0
@@ -92,7 +91,7 @@ class Flown:
     slowest_step_s: float = 0.0
 
 
-class FaultedFlight(ClosedLoop[Message]):
+class FaultedFlight(FaultyLoop[Message]):
     """One flight with faults. What came of it is in ``flown``."""
 
     def __init__(

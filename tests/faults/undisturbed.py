@@ -108,7 +108,7 @@ class Craft(ClosedLoop[bytes]):
         target = controller.estimate
         x, y = (round(1e7 * degrees) for degrees in plane.latitude_longitude_deg(target.east_m, target.north_m))
         fields = {"command": _SET_ROI_LOCATION, "frame": 0, "x": x, "y": y, "z": 0.0}
-        self.deliver(self._packer.frame("COMMAND_INT", fields, self.simulated.system_id))
+        self.simulated.receive(self._packer.frame("COMMAND_INT", fields, self.simulated.system_id))
 
     def _truth(self, row: TruthRow) -> None:
         now_s = self.simulation.time_s

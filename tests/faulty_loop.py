@@ -1,4 +1,4 @@
-"""One direction of a simulated link: loss, delay, jitter, duplicates, silences, and faults of single packets."""
+"""The closed loop over faulty links: loss, delay, jitter, duplicates, silences, and faults of single packets."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from sidelong.app.simulation.loop import ClosedLoop, SimulatedVehicle
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 
 P = TypeVar("P")
@@ -29,7 +30,7 @@ class Silence:
 
 
 class Link(Generic[P]):
-    """Carries packets of any kind; a packet that is sent twice or late comes out of ``take`` so.
+    """Carries packets one way, of any kind; a packet that is sent twice or late comes out of ``take`` so.
 
     Args:
         faults: loss, duplicates, delay, jitter and baud rate.
@@ -88,3 +89,49 @@ class Link(Generic[P]):
             self._at_once.append(packet)
         else:
             self._link.put(packet, now_s, size_bytes)
+
+
+class FaultyLoop(ClosedLoop[P]):
+    """A closed loop over links.
+
+    Args:
+        simulated: the vehicle, and what it carries.
+        down: the link from the vehicle.
+        up: the link to the vehicle.
+        rate: seconds of the vehicle's clock in one of the link's.
+    """
+
+    def __init__(
+        self,
+        simulated: SimulatedVehicle[P],
+        down: Link[P] | None = None,
+        up: Link[bytes] | None = None,
+        rate: float = 1.0,
+    ) -> None:
+        super().__init__(simulated)
+        unused = np.random.default_rng(0)
+        self.down: Link[P] = down or Link(NO_FAULTS, unused)
+        self.up: Link[bytes] = up or Link(NO_FAULTS, unused)
+        self.rate = rate
+
+    @property
+    def link_s(self) -> float:
+        return super().link_s / self.rate
+
+    def step(self) -> None:
+        for frame in self.up.take(self.link_s):
+            self.deliver(frame)
+        super().step()
+
+    def deliver(self, frame: bytes) -> None:
+        """Hand the vehicle a frame that has come through."""
+        self.simulated.receive(frame)
+
+    def arriving(self) -> Iterable[P]:
+        link_s = self.link_s
+        for packet in super().arriving():
+            self.down.put(packet, link_s, len(packet) if isinstance(packet, bytes) else 0)
+        return self.down.take(link_s)
+
+    def transmit(self, frame: bytes) -> None:
+        self.up.put(frame, self.link_s, len(frame))
