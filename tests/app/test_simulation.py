@@ -28,6 +28,7 @@ from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
 from tests.faulty_loop import FaultyLoop, Link, Silence
+from tests.faulty_payload import FaultyPayload, PayloadFaults
 from tests.sitl_vehicle import SitlVehicle
 
 HOME = Home(47.4, 8.5, 400.0)
@@ -130,8 +131,8 @@ def test_silences_and_changes_of_packets_are_kept_to():
 
 
 def test_payload_errors_have_their_sizes():
-    errors = PayloadErrors(outliers=0.1, dropouts_per_s=0.05, dropout_s=4.0)
-    payload, ranges, count = Payload(errors, np.random.default_rng(2)), [], 5000
+    errors = PayloadFaults(outliers=0.1, dropouts_per_s=0.05, dropout_s=4.0)
+    payload, ranges, count = FaultyPayload(errors, np.random.default_rng(2)), [], 5000
     for k in range(count):
         ranges += [
             one.fields["current_distance"] * 0.01
@@ -146,8 +147,8 @@ def test_payload_errors_have_their_sizes():
 
 @pytest.mark.parametrize("camera", [{}, {"has_laser": False, "view_deg": 30.0}], ids=["laser", "camera"])
 def test_a_gimbal_waits_at_its_stop_for_a_target_beyond_its_pan_limits(camera):
-    errors = PayloadErrors(angle_sigma_rad=0.0, yaw_bias_rad=0.0, off_axis=0.0, pan_limit_rad=2.0, **camera)
-    payload = Payload(errors, np.random.default_rng(2))
+    errors = PayloadFaults(angle_sigma_rad=0.0, yaw_bias_rad=0.0, off_axis=0.0, pan_limit_rad=2.0, **camera)
+    payload = FaultyPayload(errors, np.random.default_rng(2))
     for pan_rad, yaw_rad in ((1.9, 1.9), (-1.9, -1.9), (2.1, 2.0), (-2.1, -2.0)):
         heading_rad = 0.8
         at = 300.0 * math.sin(heading_rad + pan_rad), 300.0 * math.cos(heading_rad + pan_rad), -100.0

@@ -21,7 +21,6 @@ from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.mission.core.circle import Circle
@@ -30,6 +29,7 @@ from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
 from tests.bench.size import size
+from tests.faulty_payload import FaultyPayload, PayloadFaults
 
 FLIGHTS = size(4, 1, "ALARM_FLIGHTS")
 FLIGHT_S = float(size(600, 150, "ALARM_FLIGHT_S"))
@@ -37,11 +37,11 @@ STEP_S, UNSEEN_S = 0.5, 9.0  # s without a range: an alarm at 10 s, less the tim
 HOME = Home(47.4, 8.5, 400.0)
 PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)
 CIRCLE = Circle(-300.0, 0.0, 50.0, True)
-ERRORS = PayloadErrors(outliers=0.02, dropouts_per_s=0.03, dropout_s=5.0)
+ERRORS = PayloadFaults(outliers=0.02, dropouts_per_s=0.03, dropout_s=5.0)
 STATUS = VehicleStatus(80, 12.0, "3D, 11 satellites", True, 99, 0.05)
 
 
-class _Recorded(Payload):
+class _Recorded(FaultyPayload):
     """Records when the laser last sent a range that was not an outlier by more than the filter accepts."""
 
     ranged_s = -math.inf

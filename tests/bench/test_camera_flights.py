@@ -21,7 +21,6 @@ import pytest
 
 from sidelong.app.assembly import settle
 from sidelong.app.config import Config
-from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.estimators.settings import TrackerSettings
@@ -30,6 +29,7 @@ from sidelong.estimators.terrain.ground import Ground
 from tests.bench.size import size
 from tests.faults import flight as faults
 from tests.faults.flight import HOME_DEG, FaultedFlight, Scenario
+from tests.faulty_payload import FaultyPayload, PayloadFaults
 from tests.payload.test_camera import CAMERA
 from tests.payload.test_flight import error_m, shares
 from tests.terrain.conftest import SIDE, hills
@@ -53,14 +53,14 @@ class World:
     range_bias_m: float
 
 
-class _OnGround(Payload):
+class _OnGround(FaultyPayload):
     """Sees a target whose ground is not at the height of home."""
 
-    def __init__(self, errors: PayloadErrors, rng: np.random.Generator, target, world: World) -> None:
+    def __init__(self, errors: PayloadFaults, rng: np.random.Generator, target, world: World) -> None:
         super().__init__(replace(errors, yaw_bias_rad=world.yaw_bias_rad), rng)
         self._target, self._world = target, world
 
-    def measure(self, time_s, boot_ms, east_m, north_m, up_m, *, with_range=True):
+    def measure(self, time_s, boot_ms, east_m, north_m, up_m, **how):
         at = self._target.at(time_s)
         up_m += self._world.ground.height_m(at.east_m, at.north_m) + self._world.off_m
         level_m, range_m = math.hypot(east_m, north_m), math.hypot(east_m, north_m, up_m)
@@ -68,13 +68,13 @@ class _OnGround(Payload):
         share = range_m * math.cos(pitch_rad) / level_m
         longer = 1.0 + self._world.range_bias_m / range_m  # no camera sees that
         line_m = share * east_m, share * north_m, range_m * math.sin(pitch_rad)
-        return super().measure(time_s, boot_ms, *(longer * one for one in line_m), with_range=with_range)
+        return super().measure(time_s, boot_ms, *(longer * one for one in line_m), **how)
 
 
 class _Flight(FaultedFlight):
     """A flight that compares the estimate with its 95 % ellipse."""
 
-    def __init__(self, scenario: Scenario, errors: PayloadErrors, world: World) -> None:
+    def __init__(self, scenario: Scenario, errors: PayloadFaults, world: World) -> None:
         self._errors, self._world = errors, world
         self.inside: list[bool] = []
         super().__init__(scenario)

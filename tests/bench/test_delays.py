@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,6 +25,7 @@ from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings, studied
 from sidelong.app.study.study import table_of
 from sidelong.estimators.tracking.tracker import Tracker
+from tests.faulty_payload import FaultyPayload, PayloadFaults
 
 DELAYS_S = tuple(map(float, os.environ.get("SIDELONG_DELAYS", "0,0.2,0.5,1,2").split(",")))
 RUNS = int(os.environ.get("SIDELONG_RUNS", "12"))
@@ -76,11 +77,12 @@ def fly(
         if configured:
             known_s = gimbal_s + _FOUND_OFF_S, range_s - _FOUND_OFF_S
             given = replace(given, gimbal_latency_s=known_s[0], range_latency_s=known_s[1])
-        return replace(errors, gimbal_delay_s=gimbal_s, range_delay_s=range_s), given
+        return PayloadFaults(**asdict(errors), gimbal_delay_s=gimbal_s, range_delay_s=range_s), given
 
     rows, table = [], table_of(flown)
     with monkeypatch.context() as patched:
         patched.setattr(closed_loop, "payload_of", late)
+        patched.setattr(closed_loop, "Payload", FaultyPayload)
         patched.setattr(closed_loop, "Tracker", _Observed)
         for number in flown.numbers:
             result = closed_loop.run_closed_loop(flown, PlannerName.PREDICTIVE, number, table)

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sidelong.app.simulation.payload import Payload
 from sidelong.estimators.frames import wrap_rad
 from tests.bench.size import SMOKE, size
 from tests.faults.flight import ERRORS, FaultedFlight, Scenario
+from tests.faulty_payload import FaultyPayload
 from tests.payload.test_flight import error_m, shares
 
 SEEDS, DURATION_S = range(1, size(13, 2)), float(size(1200, 60))
@@ -32,7 +32,7 @@ class PannedFlight(FaultedFlight):
         super().__init__(scenario, configured=configured)
 
     def payload(self, rng):
-        return Payload(replace(ERRORS, pan_limit_rad=self._limit_rad), rng)
+        return FaultyPayload(replace(ERRORS, pan_limit_rad=self._limit_rad), rng)
 
     def _judge_reported(self, now_s, state):
         truth, heading_rad = self._target.at(now_s), self.simulated.heading_rad

@@ -21,7 +21,7 @@ from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
-from sidelong.app.simulation.payload import Payload, PayloadErrors
+from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
@@ -34,6 +34,7 @@ from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from tests.faults.flight_faults import Fault
 from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link
+from tests.faulty_payload import FaultyPayload, PayloadFaults
 
 STEP_S = 0.1
 _TICK_STEPS, _SURE_M = 10, 5.0
@@ -41,7 +42,7 @@ HOME_DEG = (47.4, 8.5)
 _HOME = Home(*HOME_DEG, 400.0)
 _PLANE = LocalPlane(*HOME_DEG)
 _HEIGHT_M = 100.0
-ERRORS = PayloadErrors(yaw_bias_rad=0.0, outliers=0.02, dropouts_per_s=0.1 / 3.0)
+ERRORS = PayloadFaults(yaw_bias_rad=0.0, outliers=0.02, dropouts_per_s=0.1 / 3.0)
 _RATES = Rates(
     tick_hz=10, position_hz=10, attitude_hz=10, gimbal_hz=10, laser_hz=10, status_hz=1, mission_current_hz=1
 )
@@ -144,7 +145,7 @@ class FaultedFlight(FaultyLoop[Message]):
         )
 
     def payload(self, rng: np.random.Generator) -> Payload | None:
-        return Payload(ERRORS, rng)
+        return FaultyPayload(ERRORS, rng)
 
     def fly(self) -> Flown:
         while self.simulated.time_s < self._scenario.duration_s - 1e-6:

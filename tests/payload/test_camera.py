@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.estimators.rotations import sight_direction
 from sidelong.estimators.sensing.readings import GimbalReading
+from tests.faulty_payload import FaultyPayload, PayloadFaults
 from tests.messages import message
 
-CAMERA = PayloadErrors(yaw_bias_rad=0.0, has_laser=False, view_deg=30.0)
+CAMERA = PayloadFaults(yaw_bias_rad=0.0, has_laser=False, view_deg=30.0)
 
 
 def telemetry_with(**fields) -> tuple[Telemetry, list[GimbalReading]]:
@@ -74,7 +74,7 @@ def test_rectangle_counts_by_its_middle_and_a_lost_target_does_not_count():
 
 def test_simulated_image_and_gimbal_show_the_target_together():
     exact = replace(CAMERA, angle_sigma_rad=0.0)
-    payload, telemetry = Payload(exact, np.random.default_rng(1)), telemetry_with(point_x=0.5, point_y=0.5)[0]
+    payload, telemetry = FaultyPayload(exact, np.random.default_rng(1)), telemetry_with(point_x=0.5, point_y=0.5)[0]
     for k in range(20):
         readings = [telemetry.event(one) for one in payload.measure(0.5 * k, 5000 + 100 * k, 150.0, -90.0, -100.0)]
         yaw_deg, depression_deg = angles_deg(readings[-1])

@@ -10,11 +10,11 @@ import pytest
 
 from sidelong.app.payload.driver import RangeMeasured
 from sidelong.app.payload.messages import COMPONENT, fields_of
-from sidelong.app.simulation.payload import Payload
 from sidelong.sitl.payload.device import Seen
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
 from tests.faults.flight import ERRORS, STEP_S, FaultedFlight, Scenario
+from tests.faulty_payload import FaultyPayload
 from tests.messages import message
 from tests.payload.wiring import Wired
 
@@ -39,7 +39,7 @@ class DeviceLoop(FaultedFlight):
         return Device(rng, self)
 
 
-class Device(Payload):
+class Device(FaultyPayload):
     """A payload whose readings go through its maker's protocol and its driver."""
 
     def __init__(self, rng, loop: DeviceLoop) -> None:
