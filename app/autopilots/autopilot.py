@@ -60,12 +60,9 @@ class Autopilot(AutopilotDialect, Protocol):
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         """Return a flight mode as the autopilot's own documentation calls it."""
-        ...
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
         """Return the parameters whose values prevent a mission, by key."""
-        ...
 
     def limits(self, values: Mapping[str, float]) -> Limits:
         """Return what the parameters allow."""
-        ...

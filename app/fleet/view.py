@@ -23,11 +23,9 @@ class FleetRequests(Protocol):
 
     def watch_from(self, side: Side, who: str) -> str:
         """Set the required side."""
-        ...
 
     def relieve(self, name: str, who: str) -> str:
         """Let another one take that aircraft's place."""
-        ...
 
 
 class FleetView(ViewDisplay):

@@ -19,16 +19,12 @@ class FlightDisplay(Display, Protocol):
 
     def note(self, text: str) -> None:
         """Show a message about the progress of the connection and preparation."""
-        ...
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
         """Learn how to find out how the vehicle is; ``status`` is cheap."""
-        ...
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         """Receive the position of the local plane, and the receiver of the operator's requests."""
-        ...
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         """Learn that watching has begun, and for how long it is to go on; times are shown since ``start_s``."""
-        ...

@@ -18,31 +18,24 @@ class Link(Protocol):
 
     def messages(self) -> AsyncIterator[Message]:
         """Yield the messages of the vehicle and its components, in order of arrival, until the link is closed."""
-        ...
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send one message. Raises LinkError when it cannot be sent."""
-        ...
 
     async def parameter(self, name: str, timeout_s: float = 4.0) -> float | None:
         """Return a parameter's value, or None where the vehicle has none of that name."""
-        ...
 
     async def set_parameter(self, name: str, value: float, timeout_s: float = 4.0) -> bool:
         """Set a parameter; return whether the vehicle accepted it."""
-        ...
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how each way to the vehicle has been since the beginning."""
-        ...
 
     def recent(self) -> tuple[LinkReport, ...]:
         """Return how each way to the vehicle is now."""
-        ...
 
     async def close(self) -> None:
         """End everything; safe to call more than once."""
-        ...
 
 
 class LinkError(FlightError):

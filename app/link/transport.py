@@ -38,15 +38,12 @@ class Transport(Protocol):
 
     def start(self, receive: Receive) -> None:
         """Begin to receive, in a thread. ``receive`` is called from there."""
-        ...
 
     def send(self, data: bytes) -> None:
         """Send to whoever is at the other end, from any thread; what cannot be sent now is lost."""
-        ...
 
     def close(self) -> None:
         """End it; safe to call more than once."""
-        ...
 
 
 def opened(url: str) -> Transport:

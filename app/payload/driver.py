@@ -125,29 +125,22 @@ class PayloadDriver(Protocol):
     @property
     def damaged(self) -> int:
         """Number of byte sequences that began like a frame and were none."""
-        ...
 
     @property
     def round_trip_s(self) -> float | None:
         """Shortest recent time between a request and its reply, s; None before the first reply."""
-        ...
 
     def restart(self, now_s: float) -> None:
         """Forget the connection's state: identification, streams and laser are requested again."""
-        ...
 
     def due(self, now_s: float) -> Sequence[bytes]:
         """Return the requests to send now. To be called every 10 ms or so."""
-        ...
 
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
         """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
-        ...
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft data to send to the gimbal; call it after each new attitude."""
-        ...
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
-        ...

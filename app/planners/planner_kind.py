@@ -43,34 +43,28 @@ class PlannerKind(Protocol):
     @property
     def name(self) -> str:
         """What ``planner.name`` calls it."""
-        ...
 
     @property
     def about(self) -> str:
         """What it does, in a few words."""
-        ...
 
     def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
         """Return why it cannot keep the requirement with this aircraft, each with the way out."""
-        ...
 
     def is_compiled(self) -> bool:
         """Return whether the planner can be made without compilation."""
-        ...
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
         """Compute what takes long for ``needs``, and return what makes a planner for an aircraft and a requirement.
 
         It makes one at once for those of ``needs``, another side, and whatever ``make_ready`` was called for.
         """
-        ...
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
         """Compute what takes long for others than those of the beginning, in another process.
 
         Raises OSError when that fails.
         """
-        ...
 
 
 @runtime_checkable
@@ -79,4 +73,3 @@ class CompilesInParts(Protocol):
 
     def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
         """Compile about half of it, while another process begins with the other half. known: to decide by."""
-        ...

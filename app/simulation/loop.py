@@ -31,33 +31,26 @@ class SimulatedVehicle(Protocol[P]):
     @property
     def system_id(self) -> int:
         """Its MAVLink system id."""
-        ...
 
     @property
     def tick_s(self) -> float:
         """The time by which the loop moves its clock."""
-        ...
 
     @property
     def time_s(self) -> float:
         """Its clock, which the loop moves; not the clock in its messages."""
-        ...
 
     def advance(self, to_s: float) -> None:
         """Fly until a time."""
-        ...
 
     def receive(self, frame: bytes) -> None:
         """Take a frame from sidelong."""
-        ...
 
     def take(self) -> Sequence[P]:
         """Return what it has sent since the last call."""
-        ...
 
     def messages(self, packet: P, received_s: float) -> Iterable[Message]:
         """Decode what it sent, after the link."""
-        ...
 
 
 class ClosedLoop(Generic[P]):

@@ -34,7 +34,6 @@ class Target(Protocol):
 
     def at(self, time_s: float) -> TargetTruth:
         """Return the truth at a time from 0 to the end of the motion."""
-        ...
 
 
 class RandomTarget:

@@ -76,7 +76,6 @@ class Tile(Protocol):
 
         Memory grows with the posts wanted, never with the file. Raises InputError naming a file that cannot be read.
         """
-        ...
 
 
 def at_posts(wanted: Posts, own: Posts, stored: HeightArray, first_row: int, first_column: int) -> HeightArray:
