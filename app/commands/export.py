@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 
 from sidelong.app.assembly import tracker_of
-from sidelong.app.commands.output import checked_file, console
+from sidelong.app.commands.output import checked_file, console, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import MISSIONS, Format
@@ -72,7 +71,7 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
     if out is None:
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
     aircraft = [_aircraft(name, path, config) for name, path in sources.items()]
-    with _whole(out) as partial:
+    with writing(out, "--out"), whole_file(out) as partial:
         if wanted is Format.MCAP:
             _write_mcap(aircraft, partial)
         elif wanted is Format.KLV:
@@ -104,16 +103,6 @@ def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
     # A run folder's tlog holds what its journal lacks: the autopilot, home and the time of day.
     context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
     return _Aircraft(name, source, flown, context)
-
-
-@contextlib.contextmanager
-def _whole(out: Path) -> Iterator[Path]:
-    """Yield the file to write: an interrupted export leaves the previous file unchanged. Raises InputError."""
-    try:
-        with whole_file(out) as partial:
-            yield partial
-    except OSError as error:
-        raise InputError(f"{out} cannot be written ({error.strerror}); give another file to --out.") from error
 
 
 def _write_mcap(aircraft: list[_Aircraft], out: Path) -> None:

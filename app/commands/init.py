@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import typer
 from pydantic.fields import FieldInfo
 
-from sidelong.app.commands.output import checked_file, console
+from sidelong.app.commands.output import checked_file, console, writing
 from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
@@ -97,10 +97,8 @@ def init(
     checked_file("init", file)
     if file.exists() and not force:
         raise InputError(f"{file} is there already; give another name, or --force to write over it.")
-    try:
+    with writing(file, "init"):
         write_text(file, config_text(preset, fleet))
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror}); give another file.") from error
     console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)
 
 

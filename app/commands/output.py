@@ -105,15 +105,22 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
     if path is None:
         return
     text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"
-    try:
+    with writing(path, "--json"):
         if str(path) == "-":
             print(text, end="", flush=True)
         else:
             write_text(path, text)
-    except BrokenPipeError:
-        raise
+
+
+@contextlib.contextmanager
+def writing(path: Path, option: str, what: str = "file") -> Iterator[None]:
+    """Raise InputError, which names the option, if the body of the ``with`` cannot write."""
+    try:
+        yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another file to --json.") from error
+        if isinstance(error, BrokenPipeError) and str(path) == "-":
+            raise  # the reader closed standard output
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another {what} to {option}.") from error
 
 
 def checked_output(path: Path | None) -> None:

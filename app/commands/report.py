@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sidelong.app.analysis.truth import read_truth
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import console, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, require_recording
@@ -68,10 +68,8 @@ def write_report(
         flown = read_flight(run, truth, config, progress)
     _write(out, report_page(flown))
     if png is not None:
-        try:
+        with writing(png, "--png", "folder"):
             files = save_png(flown, png)
-        except OSError as error:
-            raise InputError(f"{png}: cannot be written ({error.strerror}); give another folder to --png.") from error
         console.print(f"figures: {len(files)} in {png}", soft_wrap=True)
 
 
@@ -90,8 +88,6 @@ def _write_fleet(folder: FleetFolder, out: Path) -> None:
 
 
 def _write(out: Path, page: str) -> None:
-    try:
+    with writing(out, "--out"):
         write_text(out, page)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror}); give another file to --out.") from error
     console.print(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.output import JsonOption, checked_file, checked_output, console, write_json
+from sidelong.app.commands.output import JsonOption, checked_file, checked_output, console, write_json, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.report.sources import read_flight
@@ -147,10 +147,8 @@ def _write_from(source: Path, file: Path) -> None:
         raise InputError(f"{source}: contains fewer than two estimates of the target; give a longer flight.")
     line = LineString(path_m).simplify(_SIMPLIFIED_M)
     text = writer([flown.plane.latitude_longitude_deg(*point) for point in line.coords])
-    try:
+    with writing(file, "route"):
         write_text(file, text)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror}); give another file.") from error
     console.print(f"route: {file}", soft_wrap=True)
 
 
@@ -199,7 +197,5 @@ def _draw(found: Route, east_m: np.ndarray, north_m: np.ndarray, file: Path) -> 
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="east of the start, m", ylabel="north of the start, m")
     axes.legend()
-    try:
+    with writing(file, "--png"):
         drawn.savefig(file, format="png", dpi=120)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror}); give another file to --png.") from error

@@ -7,7 +7,6 @@ import math
 import os
 import re
 import shlex
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,6 +22,7 @@ from sidelong.app.commands.output import (
     latitude_longitude_deg,
     print_whole,
     write_json,
+    writing,
 )
 from sidelong.app.commands.progress import runs_progress
 from sidelong.app.commands.radius import RadiusOption
@@ -242,13 +242,15 @@ def study(
         results = whole.results()
     _announce(results, json)
     if export is not None:
-        _written("--export", export, lambda: export_runs(results, export))
+        with writing(export, "--export"):
+            export_runs(results, export)
     if report is not None:
         # Only the page needs matplotlib, which takes a second to load.
         from sidelong.app.study import page  # noqa: PLC0415
 
         words = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
-        _written("--report", report, lambda: page.write_page(results, shlex.join(words), report))
+        with writing(report, "--report"):
+            page.write_page(results, shlex.join(words), report)
 
 
 def _given(context: typer.Context) -> dict[str, list[str]]:
@@ -450,10 +452,3 @@ def _check_places(export: Path | None, report: Path | None, store: Path | None, 
         parquet_writer()
     if scheduler is not None and not re.fullmatch(r"[a-z]+://.+:\d+", scheduler):
         raise InputError(f"--scheduler: {scheduler!r} is no address such as tcp://HOST:8786.")
-
-
-def _written(option: str, file: Path, write: Callable[[], object]) -> None:
-    try:
-        write()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror}); give another file to {option}.") from error
