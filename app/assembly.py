@@ -226,7 +226,7 @@ def mission_controller_of(
             radius_m=aircraft.radius_m,
             clockwise=config.requirement.requirement().side.clockwise,
             by_command=config.planner.guidance == "command",
-            cleared=controller.cleared_first,
+            cleared=controller.surroundings.cleared,
         ),
     )
 

@@ -59,7 +59,6 @@ from sidelong.mission.core.events import (
     MissionChange,
     RoundTripReported,
 )
-from sidelong.mission.core.plan import PanPlanner
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
@@ -357,7 +356,7 @@ class Flight:
     def _pan_limits(self, changes: MissionChanges) -> list[Observer]:
         """Return what plans for the gimbal's pan limits, where the planner can."""
         planner, configured_deg = self._controller.planning.planner, self._config.aircraft.pan_limit_deg
-        if not (isinstance(planner, PanPlanner) and planner.plans_pan_limits):
+        if not getattr(planner, "plans_pan_limits", False):
             return []
         if self._payload is None:
             self._begin(self._request_pan_limits())

@@ -67,9 +67,7 @@ class InputHealth:
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
             tracker.add(admitted)
         if due and now_s > -math.inf:
-            self._health.changes(
-                now_s, tracker.range_source, tracker.gimbal_source, clock_fault=self._door.clock_fault
-            )
+            self._health.changes(now_s, tracker.ranges, tracker.gimbals, self._door.clock_fault)
 
     def checks(self) -> tuple[Check, ...]:
         """Return what is wrong with an input, or that nothing is."""

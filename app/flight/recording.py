@@ -66,7 +66,7 @@ class Recording:
         self._tlog: TlogWriter | None = self._opened(lambda: TlogWriter(folder.tlog, on_trouble))
         self._time = VehicleTime()
         self._journal: JournalWriter | None = None
-        self._begun = False
+        self.begun = False  # the flight, and with it the journal
 
     @property
     def lost(self) -> str:
@@ -97,11 +97,6 @@ class Recording:
         """Let this vehicle's clock be that of the tlog."""
         self._time.system_id = system_id
 
-    @property
-    def begun(self) -> bool:
-        """Whether the flight, and with it the journal, has begun."""
-        return self._begun
-
     def begin(
         self,
         plane: LocalPlane,
@@ -123,7 +118,7 @@ class Recording:
             home_altitude_m=home_altitude_m,
         )
         self._journal = self._opened(lambda: JournalWriter(self._folder.journal, header, self._on_trouble))
-        self._begun = True
+        self.begun = True
 
     def write(self, record: InboundEvent | Output) -> None:
         """Write an event or an output of the core, once the journal is open."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -55,14 +54,19 @@ class Tracker:
     """Pose history, source selection, pairing and track in one interface. Time comes from the readings.
 
     A reading may come late or out of order by a few seconds.
+
+    Attributes:
+        ranges: Which laser is in use, and which were refused as they contradict the track.
+        gimbals: The same of the line of sight.
+        delays: How late laser and gimbal stamp their readings; None while nothing else is known than the setting.
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
         self._poses = PoseHistory()
         self._pairing = Pairing(settings, self._poses)
-        self._ranges = SourceSelector(range_rank, settings.range_source)
-        self._gimbals = SourceSelector(sight_rank, settings.gimbal_source)
+        self.ranges = SourceSelector(range_rank, settings.range_source)
+        self.gimbals = SourceSelector(sight_rank, settings.gimbal_source)
         self._fixes = SourceSelector(sight_rank, settings.fix_source)
         self._beacon = BeaconErrors()
         self._contradicting: dict[Source, Quaternion] = {}  # of refused gimbals: their orientation at that time
@@ -73,7 +77,7 @@ class Tracker:
 
             self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
         self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
-        self._delays: Delays | None = None
+        self.delays: Delays | None = None
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
         self._devices: tuple[Source | None, Source | None] = None, None
         self.sightings = 0
@@ -116,12 +120,12 @@ class Tracker:
     def _estimate_delays(self, fit: DelayFit, reading: PositionReading) -> None:
         """Let the fit of the delays go on; take over what it finds once that is credible."""
         fit.position(reading)
-        devices = self._gimbals.chosen, self._ranges.chosen
+        devices = self.gimbals.chosen, self.ranges.chosen
         if devices != self._devices:
             if None not in self._devices:
                 fit.clear_device()
-                self._delays = self._delays_of.get(devices)
-                self._pairing.set_delays(self._delays)
+                self.delays = self._delays_of.get(devices)
+                self._pairing.set_delays(self.delays)
             self._devices = devices
         found = None if self._suspected else fit.updated(reading.time_s)
         if found is None:
@@ -141,7 +145,7 @@ class Tracker:
             found = replace(found, gimbal_s=used_s[0], range_s=used_s[1])
         else:
             return  # nothing is known better than before
-        self._delays = self._delays_of[devices] = found
+        self.delays = self._delays_of[devices] = found
 
     def _errs_otherwise(self, found: Delays) -> bool:
         """Return whether the payload's errors that were found with the delays differ clearly from those in use."""
@@ -173,14 +177,9 @@ class Tracker:
         """The delays of gimbal and laser as configured."""
         return self._settings.latencies_s
 
-    @property
-    def delays(self) -> Delays | None:
-        """How late laser and gimbal stamp their readings; None while nothing else is known than the setting."""
-        return self._delays
-
     def _add_gimbal(self, reading: GimbalReading) -> None:
         reading = self.as_configured(reading)
-        if not self._gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
+        if not self.gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
             return
         if self._pairing.add_gimbal(reading) and self._delay_fit is not None:
             self._delay_fit.gimbal(reading)
@@ -237,7 +236,7 @@ class Tracker:
         return math.atan2(east, north), max(math.hypot(east, north, height_m), 1.0), sigma_m
 
     def _add_range(self, reading: RangeReading) -> None:
-        if not self._ranges.accepts(reading.source, reading.time_s, lambda: self._measures_track(reading)):
+        if not self.ranges.accepts(reading.source, reading.time_s, lambda: self._measures_track(reading)):
             return
         pointing = reading.sensor_quaternion_wxyz
         # The null rotation is what senders put there who know no better.
@@ -252,7 +251,7 @@ class Tracker:
         if reading.source.message in BEACON_MESSAGES:
             sigma_m = self._beacon.sigma_m(reading.time_s, reading.sigma_m)
             return (Fix(reading.time_s, reading.east_m, reading.north_m, sigma_m),)
-        laser_speaks = reading.time_s - self._ranges.received_s < self._ranges.silent_after_s
+        laser_speaks = reading.time_s - self.ranges.received_s < self.ranges.silent_after_s
         if laser_speaks and self._settings.fix_source is None:
             return ()
         if not self._fixes.accepts(reading.source, reading.time_s):
@@ -293,22 +292,12 @@ class Tracker:
     @property
     def range_source(self) -> Source | None:
         """The laser in use, None before the first."""
-        return self._ranges.chosen
+        return self.ranges.chosen
 
     @property
     def gimbal_source(self) -> Source | None:
         """The gimbal in use, None before the first."""
-        return self._gimbals.chosen
-
-    @property
-    def refused_ranges(self) -> Sequence[Source]:
-        """Lasers that were refused in place of a silent one, as they contradict the track."""
-        return self._ranges.refused
-
-    @property
-    def refused_gimbals(self) -> Sequence[Source]:
-        """The same of gimbals."""
-        return self._gimbals.refused
+        return self.gimbals.chosen
 
     def forget_since(self, time_s: float) -> None:
         """Undo all sightings since a time at which the payload turned out to be wrong.
@@ -347,7 +336,7 @@ class Tracker:
 
         Unknown, hence 0, while the delays are: until the circle changes, one looks like the other.
         """
-        known, delays = self.calibration, self._delays
+        known, delays = self.calibration, self.delays
         if delays is not None and max(delays.gimbal_sigma_s, delays.range_sigma_s) >= _SURE_S:
             return 0.0
         limit_rad = max(

@@ -189,14 +189,7 @@ class StandoffController:
         if now_s == -math.inf:
             return ()
         had_fault = health.payload_fault
-        changes = health.changes(
-            now_s,
-            tracker.range_source,
-            tracker.gimbal_source,
-            tracker.refused_ranges,
-            tracker.refused_gimbals,
-            self.door.clock_fault,
-        )
+        changes = health.changes(now_s, tracker.ranges, tracker.gimbals, self.door.clock_fault)
         if health.payload.jumped_s > self._jumped_s:  # the target or the payload is another one
             self._jumped_s = health.payload.jumped_s
             tracker.restart_delays()
@@ -491,17 +484,6 @@ class StandoffController:
         )
         return near or cleared
 
-    def cleared_first(self, plan: Plan) -> Plan | str:
-        """Check the first circle, which is approached from anywhere, before the target is seen.
-
-        Args:
-            plan: The plan.
-
-        Returns:
-            The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
-        """
-        return self.surroundings.cleared(plan, None, None)
-
     @property
     def _target_m(self) -> tuple[float, float] | None:
         return None if self.estimate is None else (self.estimate.east_m, self.estimate.north_m)
@@ -512,7 +494,7 @@ class StandoffController:
         self.phase, self._own_mode, self._acquired_s = Phase.WATCHING, event.mode, event.time_s
         self.resuming = False
         begun = Plan(event.circle, None, event.time_s)
-        cleared = self.cleared_first(begun)
+        cleared = self.surroundings.cleared(begun)
         plan = begun if isinstance(cleared, str) else cleared
         self.changes.begin(plan, event.circle, event.commanded or event.circle)
         if self.door.two_vehicles is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.sensing.readings import (
@@ -39,18 +39,7 @@ class SensorStatus:
 
     def copy(self) -> SensorStatus:
         """Return what it is now."""
-        return SensorStatus(
-            self.bank_rad,
-            self.heading_rad,
-            self.height_m,
-            self.range_s,
-            self.gimbal_s,
-            self.nis,
-            self.sightings,
-            self.rejected,
-            self.connected,
-            self.delays,
-        )
+        return replace(self)
 
     def note(self, reading: Reading, outcomes: Iterable[SightingOutcome], tracker: Tracker) -> None:
         """Process a reading after the tracker.

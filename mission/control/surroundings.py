@@ -31,15 +31,15 @@ class Surroundings:
     def cleared(
         self,
         plan: Plan,
-        flown_m: float | None,
-        target_m: tuple[float, float] | None,
+        flown_m: float | None = None,
+        target_m: tuple[float, float] | None = None,
         heights: Heights | None = None,
     ) -> Plan | str:
         """Check a plan against fences, ground and other aircraft.
 
         Args:
             plan: The plan.
-            flown_m: Present height above home, m; None if it does not matter.
+            flown_m: Present height above home, m; None if it does not matter, as for the first circle.
             target_m: Target's position (east, north), m; None if unknown.
             heights: Rules for the heights instead of the present ones.
 

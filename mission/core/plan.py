@@ -154,13 +154,4 @@ class WindPlanner(Planner, Protocol):
         """
 
 
-@runtime_checkable
-class PanPlanner(Planner, Protocol):
-    """A planner that can plan for the pan limits of a gimbal."""
-
-    @property
-    def plans_pan_limits(self) -> bool:
-        """Whether it does so for its requirement."""
-
-
 PlannerFactory = Callable[[Aircraft, Requirement], Planner]

@@ -9,10 +9,10 @@ Source: docs/health.md#inputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 
 from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.sources import SourceSelector
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice
 from sidelong.mission.core.inputs import Input, InputReport, InputState
@@ -177,68 +177,38 @@ class Health:
         return ""
 
     def changes(
-        self,
-        now_s: float,
-        laser: Source | None,
-        gimbal: Source | None,
-        refused_lasers: Sequence[Source] = (),
-        refused_gimbals: Sequence[Source] = (),
-        clock_fault: str = "",
+        self, now_s: float, lasers: SourceSelector, gimbals: SourceSelector, clock_fault: str = ""
     ) -> tuple[HealthChanged, ...]:
         """Judge all inputs and return what has changed since the last call.
 
         Args:
             now_s: the vehicle's clock.
-            laser: the source in use, None before the first reading.
-            gimbal: the same of the line of sight.
-            refused_lasers: those that spoke in place of a silent one and contradict the track.
-            refused_gimbals: the same of gimbals.
+            lasers: which laser is in use, and which were refused in place of a silent one.
+            gimbals: the same of the line of sight.
             clock_fault: why the vehicle's clock is not trusted; empty while it is.
         """
         self._evaluate_s = now_s + _EVALUATE_EVERY_S
         if not self._connected:
             return ()
-        changed = self._changes(now_s, {**self.payload.faults(), Input.CLOCK: clock_fault})
-        changed += self._source_changes(now_s, laser, gimbal, refused_lasers, refused_gimbals)
-        if self._is_news:  # displays ask at every event
-            self.reports, self.unknown = self._made_reports(), self._made_unknown()
-            self._is_news = False
-        return changed
-
-    def _changes(self, now_s: float, faults: Mapping[Input, str]) -> tuple[HealthChanged, ...]:
         changed: list[HealthChanged] = []
-        silent_s = self.silent_s
         for kind in _KINDS.values():
             if self._inputs[kind].count:
                 self._rate(self._inputs[kind], now_s)
-                self._judge_age(kind, now_s, silent_s, changed)
-        for kind, fault in faults.items():
-            one = self._inputs[kind]
-            if kind in _OF_PAYLOAD and one.state in (InputState.STALE, InputState.MISSING):
-                continue
-            if fault and one.state is not InputState.INCONSISTENT:
-                changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
-            elif not fault and one.state is InputState.INCONSISTENT:
-                changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
-        return tuple(changed)
-
-    def _source_changes(
-        self,
-        now_s: float,
-        laser: Source | None,
-        gimbal: Source | None,
-        refused_lasers: Sequence[Source],
-        refused_gimbals: Sequence[Source],
-    ) -> tuple[HealthChanged, ...]:
-        changed: list[HealthChanged] = []
-        for kind, source in ((Input.LASER, laser), (Input.GIMBAL, gimbal)):
-            self._judge_source(kind, source, now_s, changed)
-        for kind, refused in ((Input.LASER, refused_lasers), (Input.GIMBAL, refused_gimbals)):
-            for source in refused:
+                self._judge_age(kind, now_s, changed)
+        for kind, fault in {**self.payload.faults(), Input.CLOCK: clock_fault}.items():
+            self._judge_fault(kind, fault, now_s, changed)
+        devices = ((Input.LASER, lasers), (Input.GIMBAL, gimbals))
+        for kind, selector in devices:
+            self._judge_source(kind, selector.chosen, now_s, changed)
+        for kind, selector in devices:
+            for source in selector.refused:
                 if source not in self._refused:
                     self._refused.add(source)
                     text = f"{_device(source)} contradicts the track: it is not used in place of {_WORDS[kind]}"
                     changed.append(HealthChanged(now_s, kind, self._inputs[kind].state, text))
+        if self._is_news:  # displays ask at every event
+            self.reports, self.unknown = self._made_reports(), self._made_unknown()
+            self._is_news = False
         return tuple(changed)
 
     def _made_reports(self) -> tuple[InputReport, ...]:
@@ -255,13 +225,13 @@ class Health:
             one.rated_s, one.rated_count = now_s, one.count
             self._is_news = True
 
-    def _judge_age(self, kind: Input, now_s: float, silent_s: float, changed: list[HealthChanged]) -> None:
+    def _judge_age(self, kind: Input, now_s: float, changed: list[HealthChanged]) -> None:
         one, limit_s = self._inputs[kind], _AGE_MAX_S[kind]
         ticks = self._ticks - one.tick
         age_s = now_s - one.last_s
         # On a vehicle's clock that runs faster than ours a tick is long, so that both have to be over the limit,
         # unless the vehicle's clock stands still.
-        stands = silent_s >= limit_s
+        stands = self.silent_s >= limit_s
         if (age_s > limit_s and ticks > _TICKS_MARGIN) or (stands and ticks > limit_s + _TICKS_MARGIN):
             if one.state is not InputState.STALE:
                 text = _STALE[kind].format(age=max(age_s, float(ticks) if stands else 0.0))
@@ -270,6 +240,15 @@ class Health:
             self._set(kind, InputState.OK, now_s, "")  # the first reading is no news
         elif one.state is InputState.STALE:
             changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} is received again"))
+
+    def _judge_fault(self, kind: Input, fault: str, now_s: float, changed: list[HealthChanged]) -> None:
+        state = self._inputs[kind].state
+        if kind in _OF_PAYLOAD and state in (InputState.STALE, InputState.MISSING):
+            return
+        if fault and state is not InputState.INCONSISTENT:
+            changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
+        elif not fault and state is InputState.INCONSISTENT:
+            changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
 
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
         one = self._inputs[kind]

@@ -8,6 +8,7 @@ import pytest
 
 from sidelong.app.simulation.kinematic import KinematicVehicle
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.inputs import Input, InputState
@@ -31,6 +32,13 @@ from tests.faults.flight_faults import (
 )
 
 BEGIN_S, DURATION_S = 60.0, 150.0
+
+
+def selectors(laser=None):
+    """Return which laser and which gimbal are in use."""
+    lasers, gimbals = SourceSelector(range_rank), SourceSelector(sight_rank)
+    lasers.chosen = laser
+    return lasers, gimbals
 
 
 def with_frozen_yaw(message, _since_s, _rng):
@@ -198,7 +206,7 @@ def test_single_readings_with_other_flags_are_outliers():
 def test_reading_before_the_clock_is_known_is_not_silent_indefinitely():
     health = Health()
     health.received(RangeReading(1.0, 200.0, Source("DISTANCE_SENSOR", 154)), -math.inf)
-    assert health.changes(30.0, None, None) == ()
+    assert health.changes(30.0, *selectors()) == ()
 
 
 def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
@@ -265,7 +273,7 @@ def test_age_counts_by_this_computer_while_the_vehicle_clock_stands_still():
     states = []
     for second in range(8):
         assert health.received(ClockTick(10.0, float(second)), 10.0)
-        states += [one.state for one in health.changes(10.0, None, None)]
+        states += [one.state for one in health.changes(10.0, *selectors())]
     assert states == [InputState.STALE]
     assert not health.is_usable(Input.POSITION)
     assert health.silent_s >= 5.0
@@ -277,9 +285,9 @@ def test_lost_link_is_not_reported_as_silent_inputs():
     health.link_changed(LinkReported(10.0, connected=False), 10.0)
     for second in range(20):
         health.received(ClockTick(10.0, float(second)), 10.0)
-        assert health.changes(10.0, None, None) == ()
+        assert health.changes(10.0, *selectors()) == ()
     health.link_changed(LinkReported(30.0, connected=True), 30.0)
-    assert health.changes(30.0, None, None) == ()
+    assert health.changes(30.0, *selectors()) == ()
 
 
 def test_lost_link_is_a_state_and_ends_with_the_link():
@@ -297,7 +305,7 @@ def test_fleet_that_reports_no_more_is_reported_once():
     health.received(FleetAdvice(10.0, "boat", Role.WANTED, Side.LEFT, None, 100.0, ()), 10.0)
     for second in range(10, 30):
         health.received(ClockTick(float(second), float(second)), float(second))
-        texts += [one.text for one in health.changes(float(second), None, None)]
+        texts += [one.text for one in health.changes(float(second), *selectors())]
     (text,) = texts
     assert text.startswith("no report of the fleet for 6 s")
 
@@ -326,7 +334,7 @@ def test_rate_of_each_input_is_known():
     for k in range(200):
         now_s = 0.1 * k
         health.received(RangeReading(now_s, 200.0 + k, laser), now_s)
-        health.changes(now_s, laser, None)
+        health.changes(now_s, *selectors(laser))
     (report,) = health.reports
     assert report.input is Input.LASER
     assert report.rate_hz == pytest.approx(10.0, rel=0.05)
