@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ssl
-from collections.abc import Callable, Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterator, Mapping
 
 from sidelong.app.config import SharingSection
 from sidelong.app.link.message import Message
@@ -18,14 +17,6 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import TargetFixReading
 
 _COT, _FOLLOW_TARGET, _NMEA = "sharing.cot", "sharing.follow_target", "sharing.nmea"
-
-
-class Latest(Protocol):
-    """What is read of a vehicle: the latest message of each name."""
-
-    def get(self, name: str) -> Message | None: ...
-
-
 Output = CotOutput | FollowTargetOutput | NmeaOutput
 
 
@@ -45,13 +36,13 @@ def outputs(
     sharing: SharingSection,
     plane: LocalPlane,
     home_altitude_m: float,
-    latest: Latest,
+    latest: Mapping[str, Message],
     announce: Callable[[str], None],
 ) -> Iterator[Output]:
     """Yield the displays, each to be stopped at the end; to be called in the running event loop.
 
-    The callback receives the state of the connections. Raises InputError as :func:`check_hosts` and
-    :func:`check_certificates`.
+    ``latest`` holds the vehicle's latest message of each name; the callback receives the state of the connections.
+    Raises InputError as :func:`check_hosts` and :func:`check_certificates`.
     """
     if sharing.cot is not None:
         address = Address.read(sharing.cot, ("udp", "tcp", "tls"))
@@ -102,7 +93,7 @@ async def open_beacon(
     return beacon
 
 
-def height_above_ellipsoid_m(latest: Latest) -> float | None:
+def height_above_ellipsoid_m(latest: Mapping[str, Message]) -> float | None:
     """Return the aircraft's value, None if its receiver does not report the geoid height."""
     gps, position = latest.get("GPS_RAW_INT"), latest.get("GLOBAL_POSITION_INT")
     if gps is None or position is None or not gps.fields.get("alt_ellipsoid"):

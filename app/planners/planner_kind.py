@@ -40,13 +40,10 @@ class PlannerNeeds:
 class PlannerKind(Protocol):
     """One kind of planner. Nothing heavy is imported before ``factory`` and ``is_compiled`` are called."""
 
-    @property
-    def name(self) -> str:
-        """What ``planner.name`` calls it."""
-
-    @property
-    def about(self) -> str:
-        """What it does, in a few words."""
+    name: str
+    """What ``planner.name`` calls it."""
+    about: str
+    """What it does, in a few words."""
 
     def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
         """Return why it cannot keep the requirement with this aircraft, each with the way out."""

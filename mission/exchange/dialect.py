@@ -54,25 +54,16 @@ class ProtocolQuirks:
 class AutopilotDialect(Protocol):
     """One kind of autopilot, as far as the exchange knows it."""
 
-    @property
-    def name(self) -> str:
-        """What people call it, and a journal."""
-
-    @property
-    def quirks(self) -> ProtocolQuirks:
-        """How it treats the mission protocol."""
-
-    @property
-    def mission_mode(self) -> str:
-        """The flight mode, by name, in which it flies a mission."""
-
-    @property
-    def circle_mode(self) -> str:
-        """The flight mode, by name, in which it flies a circle given by one command."""
-
-    @property
-    def min_items(self) -> int:
-        """How long its mission is kept at least, see ``MissionLayout``."""
+    name: str
+    """What people call it, and a journal."""
+    quirks: ProtocolQuirks
+    """How it treats the mission protocol."""
+    mission_mode: str
+    """The flight mode, by name, in which it flies a mission."""
+    circle_mode: str
+    """The flight mode, by name, in which it flies a circle given by one command."""
+    min_items: int
+    """How long its mission is kept at least, see ``MissionLayout``."""
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
         """Return the items at the beginning of every mission.
