@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from importlib.metadata import entry_points
+from typing import Protocol, TypeVar
 
 from sidelong.app.errors import InputError
 
 
-def found(group: str, own: Iterable[str], methods: tuple[str, ...]) -> list[object]:
-    """Return what the entry points of a group name, made where that is a class without arguments.
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+T = TypeVar("T", bound=_Named)
+
+
+def with_plugins(group: str, own: Sequence[T], methods: Sequence[str], taken: Sequence[str] = ()) -> tuple[T, ...]:
+    """Return ``own`` and what the entry points of a group name, made where that is a class without arguments.
 
     Args:
         group: ``sidelong.planners``, ``sidelong.payloads`` or ``sidelong.autopilots``.
-        own: The names that are taken already.
+        own: Those of this distribution.
         methods: What each object needs to have, besides a name.
+        taken: Names that are taken, besides those of ``own``.
 
     Raises:
         InputError: One cannot be loaded, lacks something, or has a name that is taken.
     """
-    taken, objects = set(own), []
+    objects, names = list(own), {*taken, *(one.name for one in own)}
     for point in entry_points(group=group):
         origin = f"{point.dist.name if point.dist is not None else 'a distribution'}: entry point {point.name}"
         try:
@@ -32,8 +42,8 @@ def found(group: str, own: Iterable[str], methods: tuple[str, ...]) -> list[obje
         missing = [name for name in ("name", *methods) if not hasattr(one, name)]
         if missing:
             raise InputError(f"{origin} of {group} lacks {', '.join(missing)}; repair it or uninstall it.")
-        if one.name in taken:
+        if one.name in names:
             raise InputError(f"{origin} of {group}: the name {one.name!r} is taken; rename it or uninstall it.")
-        taken.add(one.name)
+        names.add(one.name)
         objects.append(one)
-    return objects
+    return tuple(objects)

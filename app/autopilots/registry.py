@@ -5,21 +5,15 @@ Other distributions add theirs by the entry point group ``sidelong.autopilots``.
 
 from __future__ import annotations
 
-from typing import cast
-
 from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.px4 import Px4
-from sidelong.app.plugins import found
+from sidelong.app.plugins import with_plugins
 
-_OWN: tuple[Autopilot, ...] = (
-    ArduPlane(),
-    Px4(),
-)
-_METHODS = ("mav_autopilot", "mission_mode", "mode_name", "required_parameters", "limits", "quirks")
-AUTOPILOTS: tuple[Autopilot, ...] = (
-    *_OWN,
-    *cast(list[Autopilot], found("sidelong.autopilots", [one.name for one in _OWN], _METHODS)),
+AUTOPILOTS: tuple[Autopilot, ...] = with_plugins(
+    "sidelong.autopilots",
+    (ArduPlane(), Px4()),
+    ("mav_autopilot", "mission_mode", "mode_name", "required_parameters", "limits", "quirks"),
 )
 
 

@@ -5,14 +5,12 @@ Other distributions add theirs by the entry point group ``sidelong.payloads``, e
 
 from __future__ import annotations
 
-from typing import cast
-
 from sidelong.app.payload.driver import DriverSettings, PayloadDriver
 from sidelong.app.payload.payload_kind import PayloadKind
 from sidelong.app.payload.siyi import SiyiDriver
 from sidelong.app.payload.topotek import TopotekDriver
 from sidelong.app.payload.viewpro import ViewproDriver
-from sidelong.app.plugins import found
+from sidelong.app.plugins import with_plugins
 
 
 def _gremsy(settings: DriverSettings) -> PayloadDriver:
@@ -24,19 +22,13 @@ def _gremsy(settings: DriverSettings) -> PayloadDriver:
 MAVLINK = "mavlink"
 """The value of ``payload.kind`` for a payload that speaks MAVLink itself, or through the autopilot: no driver."""
 
-_OWN: tuple[PayloadKind, ...] = (
+_OWN = (
     PayloadKind("siyi", "SIYI gimbal cameras (ZT30, ZT6, ZR10, A8 mini)", "udp://192.168.144.25:37260", SiyiDriver),
     PayloadKind("viewpro", "Viewpro gimbal cameras (ViewLink)", "tcp://192.168.2.119:2000", ViewproDriver),
     PayloadKind("gremsy", "Gremsy payloads with a laser (VIO, Orus-L)", "udp://192.168.55.1:14566", _gremsy),
     PayloadKind("topotek", "Topotek gimbal cameras", "udp://192.168.144.108:9003", TopotekDriver),
 )
-PAYLOADS: tuple[PayloadKind, ...] = (
-    *_OWN,
-    *cast(
-        list[PayloadKind],
-        found("sidelong.payloads", [MAVLINK, *(kind.name for kind in _OWN)], ("about", "url", "make")),
-    ),
-)
+PAYLOADS = with_plugins("sidelong.payloads", _OWN, ("about", "url", "make"), [MAVLINK])
 KIND_NAMES = (MAVLINK, *(kind.name for kind in PAYLOADS))
 
 

@@ -5,21 +5,15 @@ Other distributions add theirs by the entry point group ``sidelong.planners``.
 
 from __future__ import annotations
 
-from typing import cast
-
 from sidelong.app.planners.paper import Paper
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.predictive import Predictive
-from sidelong.app.plugins import found
+from sidelong.app.plugins import with_plugins
 
-_OWN: tuple[PlannerKind, ...] = (
-    Predictive(),
-    Paper(),
-)
-_METHODS = ("about", "unflyable", "is_compiled", "factory", "make_ready")
-PLANNERS: tuple[PlannerKind, ...] = (
-    *_OWN,
-    *cast(list[PlannerKind], found("sidelong.planners", [one.name for one in _OWN], _METHODS)),
+PLANNERS: tuple[PlannerKind, ...] = with_plugins(
+    "sidelong.planners",
+    (Predictive(), Paper()),
+    ("about", "unflyable", "is_compiled", "factory", "make_ready"),
 )
 PLANNER_NAMES = tuple(planner.name for planner in PLANNERS)
 
