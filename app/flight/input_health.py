@@ -60,9 +60,9 @@ class InputHealth:
                 payload.position(admitted)
             case AttitudeReading():
                 payload.attitude(admitted)
-            case GimbalReading() if tracker.gimbal_source in (None, admitted.source):
+            case GimbalReading() if tracker.gimbals.chosen in (None, admitted.source):
                 payload.gimbal(tracker.as_configured(admitted))
-            case RangeReading() if tracker.range_source in (None, admitted.source):
+            case RangeReading() if tracker.ranges.chosen in (None, admitted.source):
                 payload.range(admitted)
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
             tracker.add(admitted)

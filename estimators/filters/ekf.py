@@ -10,15 +10,13 @@ import math
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.estimators.filters import imm_kernel as kernel
 from sidelong.estimators.filters.imm import TargetImm, seen
 from sidelong.estimators.filters.imm_kernel import EAST, HEIGHT, NORTH, Densities, errors_of
+from sidelong.estimators.filters.measurement_kernel import FloatArray
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.settings import TrackerSettings
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TargetEkf(TargetImm):

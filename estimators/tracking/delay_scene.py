@@ -17,9 +17,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.tracking.band_kernel import add_readings, add_turns, aircraft_at, solve_banded, way_at
+from sidelong.estimators.tracking.band_kernel import (
+    FloatArray,
+    add_readings,
+    add_turns,
+    aircraft_at,
+    solve_banded,
+    way_at,
+)
 
-FloatArray = npt.NDArray[np.float64]
 _Knots = tuple[npt.NDArray[np.intp], FloatArray]  # the knot before each reading, and the share of the one after it
 
 MIN_DELAY_S, MAX_DELAY_S = -1.0, 3.0

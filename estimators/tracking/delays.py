@@ -21,15 +21,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import Quaternion, normalized, rotate, sight_direction
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading
 from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.band_kernel import FloatArray
 from sidelong.estimators.tracking.delay_scene import MAX_DELAY_S, MIN_DELAY_S, STIFF_M, Fit, Scene
-
-FloatArray = npt.NDArray[np.float64]
 
 _WINDOW_S = 300.0
 _SAMPLE_EVERY_S = 0.19  # five of each reading in a second are enough

@@ -289,16 +289,6 @@ class Tracker:
         sigma_m = math.sqrt(float(max(covariance[0, 0], covariance[1, 1])))
         return time_s, float(mean[0]), float(mean[1]), sigma_m
 
-    @property
-    def range_source(self) -> Source | None:
-        """The laser in use, None before the first."""
-        return self.ranges.chosen
-
-    @property
-    def gimbal_source(self) -> Source | None:
-        """The gimbal in use, None before the first."""
-        return self.gimbals.chosen
-
     def forget_since(self, time_s: float) -> None:
         """Undo all sightings since a time at which the payload turned out to be wrong.
 

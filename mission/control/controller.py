@@ -299,13 +299,13 @@ class StandoffController:
             case AttitudeReading():
                 payload.attitude(reading)
             case GimbalReading():
-                if self.tracker.gimbal_source in (None, reading.source):
+                if self.tracker.gimbals.chosen in (None, reading.source):
                     payload.gimbal(self.tracker.as_configured(reading))
-                return not payload.gimbal_fault or reading.source != self.tracker.gimbal_source
+                return not payload.gimbal_fault or reading.source != self.tracker.gimbals.chosen
             case RangeReading():
-                if self.tracker.range_source in (None, reading.source):
+                if self.tracker.ranges.chosen in (None, reading.source):
                     payload.range(reading)
-                return not payload.laser_fault or reading.source != self.tracker.range_source
+                return not payload.laser_fault or reading.source != self.tracker.ranges.chosen
         return True
 
     def _read(self, reading: Reading) -> None:

@@ -54,9 +54,9 @@ class SensorStatus:
                 self.height_m, self.delays = reading.height_m, tracker.delays
             case AttitudeReading():
                 self.bank_rad, self.heading_rad = reading.roll_rad, reading.yaw_rad
-            case RangeReading() if reading.source == tracker.range_source:
+            case RangeReading() if reading.source == tracker.ranges.chosen:
                 self.range_s = max(self.range_s, reading.time_s)
-            case GimbalReading() if reading.source == tracker.gimbal_source:
+            case GimbalReading() if reading.source == tracker.gimbals.chosen:
                 self.gimbal_s = max(self.gimbal_s, reading.time_s)
         for outcome in outcomes:
             self.sightings += 1

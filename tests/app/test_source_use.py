@@ -25,7 +25,7 @@ def used(config: Config, sources: tuple[Source, ...]) -> Source | None:
     tracker = tracker_of(config)
     for tick, source in itertools.product(range(50), sources):
         tracker.add(RangeReading(10.0 + tick / 10.0, 300.0, source))
-    return tracker.range_source
+    return tracker.ranges.chosen
 
 
 @pytest.mark.parametrize("config", [DEFAULT, NAMED], ids=["on its own", "named"])
@@ -54,4 +54,4 @@ def test_gimbals_are_reported_likewise():
     tracker = tracker_of(DEFAULT)
     for source in (GIMBAL_REPEATED, GIMBAL):
         tracker.add(GimbalReading(10.0, (1.0, 0.0, 0.0, 0.0), "earth", source))
-    assert tracker.gimbal_source == GIMBAL
+    assert tracker.gimbals.chosen == GIMBAL

@@ -47,7 +47,7 @@ def test_the_whole_flight(name, request):
     """Drop-outs, outliers, a yaw error unknown beforehand: 2.5 m, 1.5 m once it is learnt, and it is learnt."""
     flown = request.getfixturevalue(name)
     result = Result(flown, flown.readings)
-    assert result.tracker.range_source == PAYLOAD
+    assert result.tracker.ranges.chosen == PAYLOAD
     assert result.rmse_m() <= 2.5
     assert result.rmse_m(after_s=120.0) <= 1.5
     calibration = result.tracker.calibration
@@ -168,6 +168,6 @@ def test_one_source_after_the_other(walk_and_drive):
         if not (isinstance(reading, RangeReading) and reading.source == PAYLOAD and reading.time_s > first_s + 100)
     ]
     result = Result(walk_and_drive, readings)
-    assert result.tracker.range_source.component_id == 1
-    assert result.tracker.range_source.orientation == 100
+    assert result.tracker.ranges.chosen.component_id == 1
+    assert result.tracker.ranges.chosen.orientation == 100
     assert result.errors_m[-1] < 5.0

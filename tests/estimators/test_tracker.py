@@ -103,7 +103,7 @@ def test_a_repetition_by_the_autopilot_and_its_downward_sensor_are_left_aside(cr
             with_traps.append(reading)
     tracker, outcomes = fed(with_traps)
     assert len(outcomes) == 400
-    assert tracker.range_source == Source("DISTANCE_SENSOR", 154, 1, 100)
+    assert tracker.ranges.chosen == Source("DISTANCE_SENSOR", 154, 1, 100)
     assert error_m(tracker, cruise, 39.9) < 2.0
 
 
@@ -235,4 +235,4 @@ def test_a_gimbal_that_looked_elsewhere_replaces_a_silent_one_only_if_it_turns(s
             looks = reading.quaternion_wxyz if follows and reading.time_s > 45.0 else (0.0, 0.0, 0.0, 1.0)
             readings[index] = replace(reading, source=second, quaternion_wxyz=looks)
     tracker, _ = fed(readings, replace(NO_BIAS, lost_after_s=20.0))
-    assert (tracker.gimbal_source == second) is follows
+    assert (tracker.gimbals.chosen == second) is follows
