@@ -51,7 +51,7 @@ MISSIONS = frozenset({Format.PLAN, Format.WAYPOINTS})
 def export(flights: Sequence[Flight], wanted: Format, out: Path) -> None:
     """Write a flight to ``out``, or the tracks of several aircraft that flew together.
 
-    Raises InputError when one has nothing to write in this format or the file cannot be written.
+    Raises InputError when one has nothing to write in this format, OSError when the file cannot be written.
     """
     if wanted in MISSIONS:
         (flight,) = flights
@@ -63,10 +63,7 @@ def export(flights: Sequence[Flight], wanted: Format, out: Path) -> None:
             if len(flight.aircraft) < 2:
                 raise InputError(f"{flight.name} has fewer than two positions, so there is no track to export.")
         text = _TRACK_WRITERS[wanted](flights)
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{out} cannot be written ({error.strerror}); give another file to --out.") from error
+    out.write_text(text, encoding="utf-8")
 
 
 # -- mission items ------------------------------------------------------------------------------------------

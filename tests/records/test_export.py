@@ -166,11 +166,6 @@ def test_a_flight_without_a_target_is_not_animated(written):
         written(Format.SVG, replace(FLIGHT, estimates=[]))
 
 
-def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
-    with pytest.raises(InputError, match="cannot be written"):
-        export([FLIGHT], Format.CSV, tmp_path / "missing" / "out")
-
-
 def test_tracks_of_several_aircraft_are_distinguished(tmp_path):
     several = [replace(FLIGHT, label="north"), replace(FLIGHT, label="south")]
     for wanted, written in ((Format.KML, ">south circle from 40.0 s"), (Format.GPX, "<name>north aircraft</name>")):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -35,6 +36,12 @@ def test_a_log_without_a_laser_has_the_aircrafts_track(tmp_path, wanted):
 def test_its_mission_is_not_there_to_export(tmp_path):
     with pytest.raises(InputError, match="no mission items"):
         write_export(NO_LASER, Format.PLAN, tmp_path / "out")
+
+
+def test_a_place_that_cannot_be_written_is_an_input_error_that_names_it(tmp_path):
+    out = tmp_path / "missing" / "out"
+    with pytest.raises(InputError, match=f"^{re.escape(str(out))}: cannot be written"):
+        write_export(NO_LASER, Format.CSV, out)
 
 
 @pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="GDAL's programs are not installed")
