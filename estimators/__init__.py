@@ -25,33 +25,3 @@ angles: clockwise from north, so a bearing b points along (sin b, cos b) in the 
 Time is the vehicle's own clock in seconds since its boot (``time_s``), because sensors stamp with it, a
 recording keeps it, and a simulation that runs faster than the wall clock stays consistent.
 """
-
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from sidelong.estimators.estimate import TargetEstimate
-    from sidelong.estimators.frames import LocalPlane
-    from sidelong.estimators.sensing.sighting import Sighting
-    from sidelong.estimators.settings import TrackerSettings
-    from sidelong.estimators.tracking.track import Track
-    from sidelong.estimators.tracking.tracker import Tracker
-
-# What a researcher imports from here; each is loaded when it is first used.
-_HOMES = {
-    "LocalPlane": "frames",
-    "Sighting": "sensing.sighting",
-    "TargetEstimate": "estimate",
-    "Track": "tracking.track",
-    "Tracker": "tracking.tracker",
-    "TrackerSettings": "settings",
-}
-__all__ = ["LocalPlane", "Sighting", "TargetEstimate", "Track", "Tracker", "TrackerSettings"]
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -17,20 +17,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sidelong.app.api import FlightError, InputError, Watch, watch
-    from sidelong.estimators import LocalPlane, Sighting, TargetEstimate, Track, Tracker, TrackerSettings
-    from sidelong.mission import (
-        Aircraft,
-        AircraftState,
-        Circle,
-        Decision,
-        PaperPlanner,
-        Plan,
-        Planner,
-        PredictivePlanner,
-        Requirement,
-        Side,
-        Wind,
-    )
+    from sidelong.estimators.estimate import TargetEstimate
+    from sidelong.estimators.frames import LocalPlane
+    from sidelong.estimators.sensing.sighting import Sighting
+    from sidelong.estimators.settings import TrackerSettings
+    from sidelong.estimators.tracking.track import Track
+    from sidelong.estimators.tracking.tracker import Tracker
+    from sidelong.mission.core.circle import Circle
+    from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner
+    from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+    from sidelong.mission.paper.planner import PaperPlanner
+    from sidelong.mission.predictive.planner import PredictivePlanner
 
 __all__ = [
     "Aircraft",
@@ -55,11 +52,24 @@ __all__ = [
     "Wind",
     "watch",
 ]
+_NAMES = {
+    "app.api": ("FlightError", "InputError", "Watch", "watch"),
+    "estimators.estimate": ("TargetEstimate",),
+    "estimators.frames": ("LocalPlane",),
+    "estimators.sensing.sighting": ("Sighting",),
+    "estimators.settings": ("TrackerSettings",),
+    "estimators.tracking.track": ("Track",),
+    "estimators.tracking.tracker": ("Tracker",),
+    "mission.core.circle": ("Circle",),
+    "mission.core.plan": ("AircraftState", "Decision", "Plan", "Planner"),
+    "mission.core.requirement": ("Aircraft", "Requirement", "Side", "Wind"),
+    "mission.paper.planner": ("PaperPlanner",),
+    "mission.predictive.planner": ("PredictivePlanner",),
+}
 
 
 def __getattr__(name: str) -> object:
-    for package in ("estimators", "mission", "app.api"):
-        home = import_module(f"{__name__}.{package}")
-        if name in home.__all__:
-            return getattr(home, name)
+    for home, names in _NAMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{home}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from sidelong import estimators, mission
-from sidelong.mission import AircraftState, Circle, Decision, Plan, Planner, Wind
+import sidelong
+from sidelong import AircraftState, Circle, Decision, Plan, Planner, Sighting, Track, TrackerSettings, Wind
 
 LIBRARY = Path(__file__).resolve().parents[2] / "docs" / "examples.md"
 
 
-@pytest.mark.parametrize("package", [estimators, mission], ids=lambda package: package.__name__)
-def test_what_is_public_is_there(package):
-    assert all(getattr(package, name).__name__ == name for name in package.__all__)
+def test_what_is_public_is_there():
+    assert all(getattr(sidelong, name).__name__ == name for name in sidelong.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'Unknown'"):
+        _ = sidelong.Unknown
 
 
 def test_the_lines_of_the_readme_run(capsys):
@@ -40,8 +41,8 @@ class Circling:
 
 def test_a_planner_of_ones_own_takes_part():
     planner: Planner = Circling()
-    track = estimators.Track(estimators.TrackerSettings())
-    track.add(estimators.Sighting(0.0, 300.0, 0.0, 0.0, 0.8, 0.006, 0.006, 0.0, 0.0))
+    track = Track(TrackerSettings())
+    track.add(Sighting(0.0, 300.0, 0.0, 0.0, 0.8, 0.006, 0.006, 0.0, 0.0))
     state = AircraftState(0.0, 0.0, 0.0, 0.0, 15.0, 0.02)
     decision = planner.decide(state, track.estimate(0.0), Plan(Circle(0.0, 0.0, 50.0, True)), Wind(), 0.5)
     assert decision.plan is not None
