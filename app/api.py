@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.assembly import controller_of
-from sidelong.app.config import Config, check_alone, check_flyable, config_from, load_config, with_values
-from sidelong.app.config_files import check_files
+from sidelong.app.config import Config, config_from, load_config, with_values
+from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.display import Wish
 from sidelong.app.flight.flight import Sharing
@@ -190,7 +190,5 @@ def _settings(config: Config | Path | Mapping[str, Any] | None, url: str | None)
             settings = config_from(config, "config")
     if url is not None:
         settings = with_values(settings, {"link": {"url": url}}, "url")
-    check_alone(settings)
-    check_flyable(settings)
-    check_files(settings)
+    check_single(settings)
     return settings

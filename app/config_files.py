@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from sidelong.app.config import Config, RouteSection
+from sidelong.app.config import Config, RouteSection, check_alone, check_flyable
 from sidelong.app.errors import InputError
 from sidelong.app.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
@@ -21,6 +21,13 @@ class NamedTarget(Protocol):
     name: str
     route: RouteSection | None
     motion: str | None
+
+
+def check_single(config: Config) -> None:
+    """Raise InputError where one aircraft cannot fly this configuration: before any connection or computation."""
+    check_alone(config)
+    check_flyable(config)
+    check_files(config)
 
 
 def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:

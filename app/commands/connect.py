@@ -12,8 +12,8 @@ from rich.table import Table
 from sidelong.app.assembly import tracker_of
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.payload_status import degrees_of, payload_lines, payload_values
-from sidelong.app.config import Config, check_alone, check_flyable, load_config
-from sidelong.app.config_files import check_files
+from sidelong.app.config import Config, load_config
+from sidelong.app.config_files import check_files, check_single
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
@@ -84,9 +84,7 @@ def connect(
         settings = load_config(config, overrides)
         for url in _links(settings):
             checked_url(url)
-        check_alone(settings)
-        check_flyable(settings)
-        check_files(settings)
+        check_single(settings)
         report = run(_report(settings, listen_s))
         write_json(json, report)
         _check_ready([report])

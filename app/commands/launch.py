@@ -23,16 +23,8 @@ from sidelong.app.commands.output import (
 )
 from sidelong.app.commands.radius import warn_of_band, warn_of_settings
 from sidelong.app.commands.report import write_report
-from sidelong.app.config import (
-    DEMONSTRATION,
-    MAX_AIRCRAFT,
-    Config,
-    check_alone,
-    check_flyable,
-    load_config,
-    with_values,
-)
-from sidelong.app.config_files import check_files
+from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, load_config, with_values
+from sidelong.app.config_files import check_files, check_single
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
@@ -249,10 +241,8 @@ def launch(
 
 def _checked(settings: Config, speed: float | None, payload_url: str | None, point_gimbal: bool) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
-    check_alone(settings)
     settings = _with_simulated_payload(settings, speed, payload_url)
-    check_flyable(settings)
-    check_files(settings)
+    check_single(settings)
     _check_input(settings, point_gimbal)
     warn_of_band(settings)
     warn_of_settings(settings)

@@ -14,8 +14,8 @@ import typer
 
 from sidelong.app.commands.options import MAP
 from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
-from sidelong.app.config import Config, check_alone, check_flyable, load_config
-from sidelong.app.config_files import check_files
+from sidelong.app.config import Config, load_config
+from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.plain_text import plain
 from sidelong.app.link.url import checked_url
@@ -54,9 +54,7 @@ def serve(
         raise InputError("sidelong serve needs a vehicle; give --connect URL, or link.url in the configuration.")
     for url in settings.link.connections:
         checked_url(url)
-    check_alone(settings)
-    check_flyable(settings)
-    check_files(settings)
+    check_single(settings)
     address = page_address(view, view_host, view_port, None, None, None, None)
     # The flight modules take a second to load; report a wrong option first.
     from sidelong.app.event_loop import run  # noqa: PLC0415
