@@ -22,10 +22,10 @@ class Link(Protocol):
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send one message. Raises LinkError when it cannot be sent."""
 
-    async def parameter(self, name: str, timeout_s: float = 4.0) -> float | None:
+    async def parameter(self, name: str) -> float | None:
         """Return a parameter's value, or None where the vehicle has none of that name."""
 
-    async def set_parameter(self, name: str, value: float, timeout_s: float = 4.0) -> bool:
+    async def set_parameter(self, name: str, value: float) -> bool:
         """Set a parameter; return whether the vehicle accepted it."""
 
     def reports(self) -> tuple[LinkReport, ...]:

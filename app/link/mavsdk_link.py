@@ -44,7 +44,7 @@ _LOOK_FOR_OTHERS_S = 2.0
 # What other systems on the links are received for: their traffic, requests of a station, and an ally's mission.
 _OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
-_SEND_S = 2.0
+_SEND_S, _PARAMETER_S = 2.0, 4.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
 _OWN_COMPONENT_ID = 190
@@ -197,11 +197,11 @@ class MavsdkLink:
 
     # -- parameters ----------------------------------------------------------------------------------------
 
-    async def parameter(self, name: str, timeout_s: float = 4.0) -> float | None:
+    async def parameter(self, name: str) -> float | None:
         # MAVSDK requires the type: it reports a wrong type immediately, an unknown name after 3 s.
         for read in (self._param.get_param_float, self._param.get_param_int):
             try:
-                return float(await self._bounded(read(name), timeout_s))
+                return float(await self._bounded(read(name), _PARAMETER_S))
             except ParamError as error:
                 if error.result.name not in _WRONG_TYPE:
                     return None
@@ -209,10 +209,10 @@ class MavsdkLink:
                 return None
         return None
 
-    async def set_parameter(self, name: str, value: float, timeout_s: float = 4.0) -> bool:
+    async def set_parameter(self, name: str, value: float) -> bool:
         for write, typed in ((self._param.set_param_float, float), (self._param.set_param_int, round)):
             try:
-                await self._bounded(write(name, typed(value)), timeout_s)
+                await self._bounded(write(name, typed(value)), _PARAMETER_S)
                 return True
             except ParamError as error:
                 if error.result.name not in _WRONG_TYPE:

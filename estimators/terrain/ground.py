@@ -91,17 +91,14 @@ class Ground:
         found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)
         return None if math.isnan(found_m) else found_m
 
-    def sees(
-        self, a_m: tuple[float, float, float], b_m: tuple[float, float, float], clearance_m: float = 0.0
-    ) -> bool:
+    def sees(self, a_m: tuple[float, float, float], b_m: tuple[float, float, float]) -> bool:
         """Return whether the line between two points clears the ground. Voids hide nothing.
 
         Args:
             a_m: (east, north, height) of one point, m.
             b_m: (east, north, height) of the other point, m.
-            clearance_m: Required clearance, m.
         """
-        return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= clearance_m
+        return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= 0.0
 
     def horizon_m(
         self, east_m: float, north_m: float, height_m: float, azimuths: int, rings: int, ring_m: float

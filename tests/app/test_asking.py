@@ -72,7 +72,7 @@ class LossyLink:
     def recent(self):
         return ()
 
-    async def parameter(self, name, timeout_s=4.0):
+    async def parameter(self, name):
         self.slow_reads += 1
         return self._simulation.vehicle.parameters[name]
 
