@@ -48,6 +48,7 @@ from sidelong.app.link.queries import home_of, is_flying, mode_of, pan_limits_ra
 from sidelong.app.link.status_texts import StatusText
 from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
 from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
@@ -344,11 +345,15 @@ class Flight:
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
         """Return the outputs of the flight; ``shared`` stops them."""
+
+        def altitude_m(east_m: float, north_m: float) -> float:
+            return home.altitude_m + self._target_height_m(east_m, north_m)
+
         observers: list[Observer] = []
-        for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
+        for output in outputs(self._config.sharing, plane, altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)
             observers.append(output)
-        observers += self._pointers(plane, home, shared)
+        observers += self._pointers(plane, altitude_m, shared)
         if self._terrain is not None:
             shared.callback(self._terrain.stop)
         return observers
@@ -391,14 +396,21 @@ class Flight:
             if round_trip_s is not None:
                 loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s))
 
-    def _pointers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
+    def _target_height_m(self, east_m: float, north_m: float) -> float:
+        """Return the ground's height above home at a place, 0 where it is not known."""
+        ground = self._collector.ground
+        height_m = math.nan if ground is None else ground.height_m(east_m, north_m)
+        return height_m if math.isfinite(height_m) else 0.0
+
+    def _pointers(self, plane: LocalPlane, altitude_m: AltitudeAt, shared: contextlib.ExitStack) -> list[Observer]:
         """Return what points the gimbal, by the payload's own protocol or by the vehicle."""
         if self._payload is not None and self._sharing.point_gimbal:
-            return [PayloadPointer(self._payload.point, self._heading_rad)]
+            tracker = self._controller.tracker
+            return [PayloadPointer(self._payload.point, self._heading_rad, tracker, self._target_height_m)]
         if not (self._sharing.point_gimbal or self._sharing.turn_payload):
             return []
         always, note = self._sharing.point_gimbal, self._display.note
-        pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, note, always)
+        pointer = GimbalPointer(self._vehicle, plane, altitude_m, note, always)
         shared.callback(pointer.stop)
         return [pointer]
 

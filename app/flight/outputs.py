@@ -11,7 +11,7 @@ from sidelong.app.sharing.address import Address
 from sidelong.app.sharing.beacon import BeaconInput
 from sidelong.app.sharing.contact import ContactBeacon, is_contact
 from sidelong.app.sharing.cot import CotNames, CotOutput
-from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput
+from sidelong.app.sharing.follow import AltitudeAt, FollowTargetOutput, NmeaOutput
 from sidelong.app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import TargetFixReading
@@ -35,14 +35,15 @@ def check_certificates(sharing: SharingSection) -> None:
 def outputs(
     sharing: SharingSection,
     plane: LocalPlane,
-    home_altitude_m: float,
+    target_altitude_m: AltitudeAt,
     latest: Mapping[str, Message],
     announce: Callable[[str], None],
 ) -> Iterator[Output]:
     """Yield the displays, each to be stopped at the end; to be called in the running event loop.
 
     ``latest`` holds the vehicle's latest message of each name; the callback receives the state of the connections.
-    Raises InputError as :func:`check_hosts` and :func:`check_certificates`.
+    target_altitude_m: returns the target's altitude above the sea at a place (east, north). Raises InputError as
+    :func:`check_hosts` and :func:`check_certificates`.
     """
     if sharing.cot is not None:
         address = Address.read(sharing.cot, ("udp", "tcp", "tls"))
@@ -61,10 +62,10 @@ def outputs(
         yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
     if sharing.follow_target is not None:
         udp = DatagramSender(Address.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)
-        yield FollowTargetOutput(udp, plane, home_altitude_m, sharing.follow_target_system_id)
+        yield FollowTargetOutput(udp, plane, target_altitude_m, sharing.follow_target_system_id)
     if sharing.nmea is not None:
         udp = DatagramSender(Address.read(sharing.nmea, ("udp",)), _NMEA)
-        yield NmeaOutput(udp, plane, home_altitude_m)
+        yield NmeaOutput(udp, plane, target_altitude_m)
 
 
 async def open_beacon(

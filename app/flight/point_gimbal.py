@@ -30,19 +30,19 @@ class GimbalPointer:
     """An ``Observer`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
 
     Nothing is sent for a lost track, before the mission or after a yield; a pending command is then cancelled.
-    ground_altitude_m: of the ground under the target, AMSL; always: False sends only while a fleet requires the
-    payload on another target. The callback receives refusals of the vehicle.
+    target_altitude_m: returns the target's altitude above the sea at a place (east, north); always: False sends only
+    while a fleet requires the payload on another target. The callback receives refusals of the vehicle.
     """
 
     def __init__(
         self,
         vehicle: Vehicle,
         plane: LocalPlane,
-        ground_altitude_m: float,
+        target_altitude_m: Callable[[float, float], float],
         announce: Callable[[str], None],
         always: bool = True,
     ) -> None:
-        self._vehicle, self._plane, self._ground_altitude_m = vehicle, plane, ground_altitude_m
+        self._vehicle, self._plane, self._target_altitude_m = vehicle, plane, target_altitude_m
         self._announce, self._always = announce, always
         self._next_s = -math.inf
         self._sending = OneTask()
@@ -68,7 +68,8 @@ class GimbalPointer:
         self._sending.stop()
 
     async def _send(self, estimate: TargetEstimate, east_m: float, north_m: float, range_m: float) -> None:
-        (x, y), z = e7(self._plane.latitude_longitude_deg(east_m, north_m)), self._ground_altitude_m
+        x, y = e7(self._plane.latitude_longitude_deg(east_m, north_m))
+        z = self._target_altitude_m(east_m, north_m)
         try:
             await self._vehicle.link.send("CAMERA_TRACKING_GEO_STATUS", _geo_status(estimate, x, y, z, range_m))
             if not self._points:

@@ -21,14 +21,17 @@ _POSITION_AND_VELOCITY = 0b11
 _COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 _KNOTS_PER_M_S = 3600.0 / 1852.0
 
+AltitudeAt = Callable[[float, float], float]
+
 
 class _Periodic:
     """An ``Observer`` that sends the target once every ``every_s`` of the wall clock; it sends no lost target.
 
     It always sends the target that its aircraft watched first: a follower must not be redirected to another one.
+    altitude_m returns the target's altitude above the sea at a place (east, north).
     """
 
-    def __init__(self, sender: Sender, plane: LocalPlane, altitude_m: float, every_s: float) -> None:
+    def __init__(self, sender: Sender, plane: LocalPlane, altitude_m: AltitudeAt, every_s: float) -> None:
         self._sender, self._plane, self._altitude_m, self._every_s = sender, plane, altitude_m, every_s
         self._next_s = -math.inf
         self._target = ""
@@ -42,30 +45,35 @@ class _Periodic:
         if snapshot.target != self._target:
             return
         self._next_s = now_s + self._every_s
-        self._announce(estimate, snapshot.time_s)
+        position_m = estimate.position_m(snapshot.time_s)
+        self._announce(estimate, snapshot.time_s, position_m, self._altitude_m(*position_m))
 
     def stop(self) -> None:
         self._sender.stop()
 
-    def _announce(self, estimate: TargetEstimate, time_s: float) -> None:
+    def _announce(
+        self, estimate: TargetEstimate, time_s: float, position_m: tuple[float, float], altitude_m: float
+    ) -> None:
         raise NotImplementedError
 
 
 class FollowTargetOutput(_Periodic):
-    """Sends FOLLOW_TARGET of system ``system_id``, which ArduPilot's FOLL_SYSID names. altitude_m: above the sea."""
+    """Sends FOLLOW_TARGET of system ``system_id``, which ArduPilot's FOLL_SYSID names."""
 
-    def __init__(self, sender: Sender, plane: LocalPlane, altitude_m: float, system_id: int) -> None:
+    def __init__(self, sender: Sender, plane: LocalPlane, altitude_m: AltitudeAt, system_id: int) -> None:
         super().__init__(sender, plane, altitude_m, _FOLLOW_EVERY_S)
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=_COMPONENT)
         self._heartbeat_s = -math.inf
 
-    def _announce(self, estimate: TargetEstimate, time_s: float) -> None:
+    def _announce(
+        self, estimate: TargetEstimate, time_s: float, position_m: tuple[float, float], altitude_m: float
+    ) -> None:
         now_s = time.monotonic()
         if now_s >= self._heartbeat_s + _HEARTBEAT_EVERY_S:
             self._heartbeat_s = now_s
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self._send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
-        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*estimate.position_m(time_s))
+        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*position_m)
         sigma_m = math.sqrt(max(float(estimate.covariance[0, 0] + estimate.covariance[1, 1]), 0.0))
         self._send(
             mavlink.MAVLink_follow_target_message(
@@ -73,7 +81,7 @@ class FollowTargetOutput(_Periodic):
                 _POSITION_AND_VELOCITY,
                 round(latitude_deg * 1e7),
                 round(longitude_deg * 1e7),
-                self._altitude_m,
+                altitude_m,
                 [estimate.velocity_north_m_s, estimate.velocity_east_m_s, 0.0],
                 [0.0] * 3,
                 [1.0, 0.0, 0.0, 0.0],
@@ -95,14 +103,16 @@ class NmeaOutput(_Periodic):
         self,
         sender: Sender,
         plane: LocalPlane,
-        altitude_m: float,
+        altitude_m: AltitudeAt,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         super().__init__(sender, plane, altitude_m, _NMEA_EVERY_S)
         self._now = now
 
-    def _announce(self, estimate: TargetEstimate, time_s: float) -> None:
-        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*estimate.position_m(time_s))
+    def _announce(
+        self, estimate: TargetEstimate, time_s: float, position_m: tuple[float, float], altitude_m: float
+    ) -> None:
+        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*position_m)
         now = self._now().astimezone(UTC)
         clock = now.strftime("%H%M%S.") + f"{now.microsecond // 10_000:02d}"
         place = f"{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
@@ -110,7 +120,7 @@ class NmeaOutput(_Periodic):
         dilution = max(estimate.ellipse_95.semi_major_m / 5.0, 0.1)
         self._sender.send(
             _sentence(f"GPRMC,{clock},A,{place},{knots:.2f},{course_deg:.2f},{now:%d%m%y},,,A")
-            + _sentence(f"GPGGA,{clock},{place},1,08,{dilution:.1f},{self._altitude_m:.1f},M,,M,,")
+            + _sentence(f"GPGGA,{clock},{place},1,08,{dilution:.1f},{altitude_m:.1f},M,,M,,")
         )
 
 

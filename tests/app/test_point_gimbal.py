@@ -61,7 +61,7 @@ def shown(link: LoopbackLink, *snapshots) -> list[str]:
     async def run() -> None:
         vehicle = Vehicle(link)
         pump = asyncio.create_task(vehicle.run())
-        pointer = GimbalPointer(vehicle, PLANE, ALTITUDE_M, announced.append)
+        pointer = GimbalPointer(vehicle, PLANE, lambda *_place_m: ALTITUDE_M, announced.append)
         for snapshot in snapshots:
             pointer.show(snapshot)
             for _ in range(50):
@@ -109,7 +109,7 @@ def test_a_yield_gives_up_the_command_under_way(snapshot):
 
     async def run() -> None:
         vehicle = Vehicle(link)
-        pointer = GimbalPointer(vehicle, PLANE, ALTITUDE_M, pytest.fail)
+        pointer = GimbalPointer(vehicle, PLANE, lambda *_place_m: ALTITUDE_M, pytest.fail)
         pointer.show(snapshot)
         for _ in range(50):
             await asyncio.sleep(0)

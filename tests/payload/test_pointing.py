@@ -7,36 +7,80 @@ import pytest
 
 from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.line_of_sight import line_of_sight
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, Source
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.snapshot import Phase
 from tests.faults.flight import FaultedFlight, Scenario
 
-_HEIGHT_M = 100.0
+_HEIGHT_M, _HEADING_RAD = 100.0, 0.7
 
 
 @pytest.fixture(scope="module")
-def snapshot():
+def flight():
     loop = FaultedFlight(Scenario(seed=2, flavour="arduplane", duration_s=30.0))
     loop.fly()
-    return loop.controller.snapshot()
+    return loop
 
 
-def pointed(*snapshots, heading_rad: float | None = 0.7) -> list[tuple[float, float]]:
+@pytest.fixture(scope="module")
+def snapshot(flight):
+    return flight.controller.snapshot()
+
+
+def pointed(
+    *snapshots, heading_rad: float | None = _HEADING_RAD, tracker: Tracker | None = None, ground_m: float = 0.0
+) -> list[tuple[float, float]]:
     commands: list[tuple[float, float]] = []
-    pointer = PayloadPointer(lambda pitch_rad, yaw_rad: commands.append((pitch_rad, yaw_rad)), lambda: heading_rad)
+    pointer = PayloadPointer(
+        lambda pitch_rad, yaw_rad: commands.append((pitch_rad, yaw_rad)),
+        lambda: heading_rad,
+        tracker or Tracker(TrackerSettings()),
+        lambda *_place_m: ground_m,
+    )
     for one in snapshots:
         pointer.show(one)
     return commands
 
 
-def test_gimbal_is_pointed_at_the_estimate_relative_to_the_heading(snapshot):
-    ((pitch_rad, yaw_rad),) = pointed(snapshot)
-    aircraft, (east_m, north_m) = snapshot.aircraft, snapshot.estimate.position_m(snapshot.time_s)
-    level_m = _HEIGHT_M / math.tan(-pitch_rad)
+def missed_m(snapshot, pitch_rad: float, yaw_rad: float, tracker: Tracker, ground_m: float = 0.0) -> float:
+    """Return how far from the estimate a gimbal in the tracker's mount points, on the ground."""
+    source = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+    gimbal = GimbalReading(0.0, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "vehicle", source)
+    attitude = AttitudeReading(0.0, 0.0, 0.0, _HEADING_RAD)
+    sight = line_of_sight(gimbal, attitude, tracker.parent_from_mount)
+    level_m = (_HEIGHT_M - ground_m) / math.tan(sight.depression_rad)
+    bearing_rad = sight.bearing_rad - tracker.calibration.yaw_bias_rad
+    aircraft = snapshot.aircraft
     there_m = (
-        aircraft.east_m + level_m * math.sin(yaw_rad + 0.7),
-        aircraft.north_m + level_m * math.cos(yaw_rad + 0.7),
+        aircraft.east_m + level_m * math.sin(bearing_rad),
+        aircraft.north_m + level_m * math.cos(bearing_rad),
     )
-    assert there_m == pytest.approx((east_m, north_m), abs=0.5)
+    return math.dist(there_m, snapshot.estimate.position_m(snapshot.time_s))
+
+
+@pytest.mark.parametrize(
+    "mount_deg", [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 20.0, -150.0)], ids=str
+)
+def test_gimbal_is_pointed_at_the_estimate_whatever_its_mount(snapshot, mount_deg):
+    roll_rad, pitch_rad, yaw_rad = (math.radians(angle) for angle in mount_deg)
+    tracker = Tracker(TrackerSettings(mount_roll_pitch_yaw_rad=(roll_rad, pitch_rad, yaw_rad)))
+    (command,) = pointed(snapshot, tracker=tracker)
+    assert missed_m(snapshot, *command, tracker) < 0.05
+
+
+def test_gimbal_is_pointed_with_the_yaw_error_that_was_found(flight, snapshot):
+    tracker = flight.controller.tracker
+    (command,), (uncorrected,) = pointed(snapshot, tracker=tracker), pointed(snapshot)
+    assert missed_m(snapshot, *uncorrected, tracker) > 0.15
+    assert missed_m(snapshot, *command, tracker) < 0.05
+
+
+def test_gimbal_is_pointed_at_the_ground_below_the_target(snapshot):
+    (command,) = pointed(snapshot, ground_m=60.0)
+    assert missed_m(snapshot, *command, Tracker(TrackerSettings()), ground_m=60.0) < 0.05
 
 
 def test_gimbal_is_commanded_five_times_a_second_at_most(snapshot):
