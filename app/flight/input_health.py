@@ -61,7 +61,7 @@ class InputHealth:
             case AttitudeReading():
                 payload.attitude(admitted)
             case GimbalReading() if tracker.gimbals.chosen in (None, admitted.source):
-                payload.gimbal(tracker.as_configured(admitted))
+                payload.gimbal(tracker.corrected(admitted))
             case RangeReading() if tracker.ranges.chosen in (None, admitted.source):
                 payload.range(admitted)
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):

@@ -19,7 +19,7 @@ calibrations become observable, which they hardly are for one aircraft alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -171,6 +171,15 @@ class TargetImm:
         mean, covariance = self._combined(kernel.numbers_of(self.state))
         return Biases(mean[TARGET:], covariance[TARGET:, TARGET:])
 
+    def without_errors(self, sightings: Iterable[AnySighting]) -> list[AnySighting]:
+        """Return sightings without the payload's errors.
+
+        Args:
+            sightings: The sightings.
+        """
+        biases = self.biases()
+        return [one.without(*biases.mean[_errors_in(biases, one)].tolist()) for one in sightings]
+
     def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
         mean, covariance = np.empty(size), np.empty((size, size))
         combine(self.state, mean, covariance)
@@ -218,6 +227,12 @@ def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float
     return Biases(np.zeros(4 * len(sigmas)), np.diag(np.square(sigmas).ravel()))
 
 
+def _errors_in(biases: Biases, sighting: AnySighting) -> slice:
+    """Return where the errors of a sighting's payload are."""
+    first = errors_of(sighting.payload, TARGET + biases.mean.size)[0] - TARGET
+    return slice(first, first + ERRORS)
+
+
 def starting_moments(
     settings: TrackerSettings, sighting: AnySighting, biases: Biases
 ) -> tuple[FloatArray, FloatArray]:
@@ -233,12 +248,12 @@ def starting_moments(
     """
     size = TARGET + biases.mean.size
     mean, covariance = np.zeros(size), np.zeros((size, size))
-    first = errors_of(sighting.payload, size)[0] - TARGET
-    own, position, velocity = slice(first, first + ERRORS), [EAST, NORTH, HEIGHT], [VELOCITY_E, VELOCITY_N]
-    to_position = sighting.place_by_measurement
+    own, position, velocity = _errors_in(biases, sighting), [EAST, NORTH, HEIGHT], [VELOCITY_E, VELOCITY_N]
+    seen = sighting.without(*biases.mean[own].tolist())
+    to_position = seen.place_by_measurement
     # What a bias adds to the measurement it adds to the position, and is to be taken off it.
     shift = -to_position @ measurement_by_biases(sighting)
-    mean[position] = np.array((sighting.east_m, sighting.north_m, sighting.height_m)) + shift @ biases.mean[own]
+    mean[position] = seen.east_m, seen.north_m, seen.height_m
     mean[TARGET:] = biases.mean
     covariance[np.ix_(position, position)] = (to_position * np.array(sighting.variances)) @ to_position.T
     covariance[np.ix_(position, position)] += shift @ biases.covariance[own, own] @ shift.T

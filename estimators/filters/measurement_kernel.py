@@ -97,13 +97,10 @@ def linearized(
     yaw, pitch, offset = errors
     curved_m = _CURVED_BEYOND * seen.slant_range_m
     if not seen.is_fix and position_variance_m2 > max(curved_m * curved_m, seen.range_variance_m2):
-        sin_b, cos_b = math.sin(seen.bearing_rad), math.cos(seen.bearing_rad)
-        sin_d, cos_d = math.sin(seen.depression_rad), math.cos(seen.depression_rad)
-        slant = seen.slant_range_m
-        across, down = slant * cos_d * yaw, slant * sin_d * pitch
-        east = seen.aircraft_east_m + (slant - offset) * cos_d * sin_b - across * cos_b - down * sin_b
-        north = seen.aircraft_north_m + (slant - offset) * cos_d * cos_b + across * sin_b - down * cos_b
-        height = seen.aircraft_height_m - (slant - offset) * sin_d - slant * cos_d * pitch
+        bearing, depression, slant = seen.bearing_rad - yaw, seen.depression_rad + pitch, seen.slant_range_m - offset
+        east = seen.aircraft_east_m + slant * math.cos(depression) * math.sin(bearing)
+        north = seen.aircraft_north_m + slant * math.cos(depression) * math.cos(bearing)
+        height = seen.aircraft_height_m - slant * math.sin(depression)
         compared(seen, east, north, height, residual, jacobian)
         for i in range(3):
             residual[i] += (

@@ -16,7 +16,7 @@ Source: docs/explanation/filter.md#measurement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -93,6 +93,15 @@ class Sighting:
         covariance: FloatArray = (jacobian * np.array(self.variances)) @ jacobian.T
         return covariance
 
+    def without(self, yaw_rad: float, pitch_rad: float, range_m: float) -> Sighting:
+        """Return what a payload without these errors would have measured."""
+        return replace(
+            self,
+            slant_range_m=self.slant_range_m - range_m,
+            bearing_rad=self.bearing_rad - yaw_rad,
+            depression_rad=self.depression_rad + pitch_rad,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Fix:
@@ -124,6 +133,10 @@ class Fix:
     def covariance(self) -> FloatArray:
         """Of (east, north), (2, 2), m^2."""
         return np.eye(2) * self.sigma_m**2
+
+    def without(self, yaw_rad: float, pitch_rad: float, range_m: float) -> Fix:
+        """Return itself: it has none of these errors."""
+        return self
 
 
 AnySighting = Sighting | Fix

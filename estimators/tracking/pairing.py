@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
+from collections.abc import Callable
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
@@ -76,6 +77,16 @@ class Pairing:
             self._alone.append(gimbal.time_s)
             del self._alone[:-_WAITING_MAX]
         return True
+
+    def change_gimbals(self, changed: Callable[[GimbalReading], GimbalReading]) -> None:
+        """Change the stored lines of sight.
+
+        Args:
+            changed: Returns what a line of sight becomes.
+        """
+        before, self._gimbals = self._gimbals, History(_SPAN_S)
+        for gimbal in before.since(-math.inf):
+            self._gimbals.add(changed(gimbal))
 
     def add_range(self, reading: RangeReading) -> None:
         """Store a range until it can be paired.

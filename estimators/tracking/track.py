@@ -156,7 +156,7 @@ class Track:
         if self._may_have_moved_to(sighting, before):
             needed = min(needed, _AGREEING_UNSEEN)
         agreeing = self._gated_out = [*self._gated_out, sighting][-needed:]
-        if len(agreeing) == needed and self._one_target_explains(agreeing):
+        if len(agreeing) == needed and self._one_target_explains(ahead.without_errors(agreeing)):
             self._restart(agreeing, ahead.biases())
             return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
         reason = f"innovation squared {nis:.0f} is beyond the gate of {settings.gate_nis:.0f}"
@@ -220,6 +220,7 @@ class Track:
         if unseen_s <= self._settings.coasting_after_s:
             return False
         east_m, north_m = before.moments()[0].tolist()[:2]
+        (sighting,) = before.without_errors([sighting])
         return math.hypot(sighting.east_m - east_m, sighting.north_m - north_m) < self._speed_max_m_s * unseen_s
 
     def _one_target_explains(self, sightings: list[AnySighting]) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.rotations import Quaternion
+from sidelong.estimators.rotations import Quaternion, from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing.beacon import BeaconErrors
 from sidelong.estimators.sensing.line_of_sight import line_of_sight
 from sidelong.estimators.sensing.pose import PoseHistory
@@ -42,6 +43,7 @@ _FOLLOWS_RAD = math.radians(5.0)
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD = math.radians(0.1)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
+_YAW_FOUND_SIGMA_RAD, _YAW_KNOWN_RAD = math.radians(3.0), math.radians(10.0)  # by the motion of the apparent target
 # Of a laser; smaller errors are the filter's alone. Fitted together with a target that turns, they are less sure.
 _RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
@@ -76,6 +78,7 @@ class Tracker:
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
             self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
+        self._yaw_errors_rad: dict[Source, float] = {}  # large ones, which every line of sight is corrected by first
         self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
         self.delays: Delays | None = None
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
@@ -149,7 +152,7 @@ class Tracker:
 
     def _errs_otherwise(self, found: Delays) -> bool:
         """Return whether the payload's errors that were found with the delays differ clearly from those in use."""
-        known = self.calibration
+        known = self._track.calibration
         yaw_sigma_rad = math.hypot(found.yaw_sigma_rad, known.yaw_sigma_rad)
         range_sigma_m = math.hypot(found.range_bias_sigma_m, known.range_sigma_m)
         return (
@@ -178,20 +181,63 @@ class Tracker:
         return self._settings.latencies_s
 
     def _add_gimbal(self, reading: GimbalReading) -> None:
-        reading = self.as_configured(reading)
+        reading = self.corrected(reading)
         if not self.gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
             return
         if self._pairing.add_gimbal(reading) and self._delay_fit is not None:
             self._delay_fit.gimbal(reading)
 
-    def as_configured(self, reading: GimbalReading) -> GimbalReading:
-        """Return a line of sight with the configured frame in place of the frame in its flags.
+    def corrected(self, reading: GimbalReading) -> GimbalReading:
+        """Return a line of sight in the configured frame, if any, and without the large yaw error, if one is known.
 
         Args:
             reading: The line of sight.
         """
         frame = self._settings.gimbal_frame
-        return reading if frame is None or reading.frame == frame else replace(reading, frame=frame)
+        if frame is not None and reading.frame != frame:
+            reading = replace(reading, frame=frame)
+        error_rad = self._yaw_errors_rad.get(reading.source)
+        return reading if error_rad is None else self._turned_back(reading, error_rad)
+
+    def _turned_back(self, reading: GimbalReading, yaw_error_rad: float) -> GimbalReading:
+        turn = from_roll_pitch_yaw(0.0, 0.0, -yaw_error_rad)
+        if reading.frame != "earth":  # about the vertical, not about an axis of the mount
+            w, x, y, z = mount = self._pairing.parent_from_mount
+            turn = multiply(multiply((w, -x, -y, -z), turn), mount)
+        return replace(reading, quaternion_wxyz=multiply(turn, reading.quaternion_wxyz))
+
+    def correct_yaw(self, yaw_error_rad: float) -> bool:
+        """Correct the yaw by a large error that was found in the lines of sight as they are used now.
+
+        The errors and delays that were found before are forgotten, unless they hold the error already.
+
+        Args:
+            yaw_error_rad: The error.
+
+        Returns:
+            Whether the lines of sight change.
+        """
+        source = self.gimbals.chosen
+        if source is None or abs(wrap_rad(yaw_error_rad - self._track.calibration.yaw_bias_rad)) < _YAW_KNOWN_RAD:
+            return False
+        self._yaw_errors_rad[source] = wrap_rad(self._known_yaw_error_rad + yaw_error_rad)
+        self._pairing.change_gimbals(partial(self._turned_back, yaw_error_rad=yaw_error_rad))
+        if self._delay_fit is not None:
+            self._delay_fit.clear_device()
+        self.delays = None
+        self._delays_of.clear()
+        self._pairing.set_delays(None)
+        biases = Biases.prior(self._settings)
+        if biases.covariance[0, 0] > 0.0:
+            biases.covariance[0, 0] += _YAW_FOUND_SIGMA_RAD**2
+        self._track.restart(biases, self._pairing.repeated(self._poses.positions.newest_s - _REPEATED_S))
+        return True
+
+    @property
+    def _known_yaw_error_rad(self) -> float:
+        """The large error that the lines of sight in use are corrected by first."""
+        source = self.gimbals.chosen
+        return 0.0 if source is None else self._yaw_errors_rad.get(source, 0.0)
 
     @property
     def parent_from_mount(self) -> Quaternion:
@@ -312,7 +358,8 @@ class Tracker:
     @property
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
-        return self._track.calibration
+        known = self._track.calibration
+        return replace(known, yaw_bias_rad=wrap_rad(self._known_yaw_error_rad + known.yaw_bias_rad))
 
     @property
     def range_error(self) -> tuple[float, float]:

@@ -68,7 +68,6 @@ from sidelong.mission.core.events import (
     DecisionRecord,
     End,
     Event,
-    HealthChanged,
     LinkReported,
     MissionChange,
     ModeReported,
@@ -183,7 +182,7 @@ class StandoffController:
         commands = self._admitted(admitted)
         return announced + commands if announced else commands
 
-    def _health_changes(self) -> tuple[HealthChanged, ...]:
+    def _health_changes(self) -> tuple[StepOutput, ...]:
         """Return which inputs have changed their state; a payload that agrees again starts a new track."""
         health, tracker, now_s = self.health, self.tracker, self.door.clock.now_s
         if now_s == -math.inf:
@@ -199,6 +198,10 @@ class StandoffController:
             tracker.forget_since(health.payload.wrong_since_s)
         if changes:
             self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
+        yaw_error_rad = health.payload.yaw_error_rad
+        if yaw_error_rad and tracker.correct_yaw(yaw_error_rad):
+            health.payload.yaw_is_corrected()
+            return (*changes, self._mount_news.found(now_s, tracker.calibration.yaw_bias_rad))
         return changes
 
     def _admitted(self, event: Event) -> tuple[StepOutput, ...]:
@@ -300,7 +303,7 @@ class StandoffController:
                 payload.attitude(reading)
             case GimbalReading():
                 if self.tracker.gimbals.chosen in (None, reading.source):
-                    payload.gimbal(self.tracker.as_configured(reading))
+                    payload.gimbal(self.tracker.corrected(reading))
                 return not payload.gimbal_fault or reading.source != self.tracker.gimbals.chosen
             case RangeReading():
                 if self.tracker.ranges.chosen in (None, reading.source):

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Delays
+from sidelong.estimators.frames import wrap_rad
 from sidelong.mission.core.events import Announce
 
 # A shorter gap is not announced: lasers often miss for some seconds.
@@ -57,15 +58,24 @@ class MountNews:
             yaw_rad: The error beyond what is expected; 0: none.
         """
         limit_rad = _YAW_STEP_RAD if self._announced_rad else 0.0
-        if yaw_rad == 0.0 or abs(yaw_rad - self._announced_rad) <= limit_rad:
+        if yaw_rad == 0.0 or abs(wrap_rad(yaw_rad - self._announced_rad)) <= limit_rad:
             self._since_s = math.inf
             return ()
         self._since_s = min(self._since_s, time_s)
-        if time_s - self._since_s < _YAW_LASTS_S:
-            return ()
-        self._announced_rad = yaw_rad
+        return () if time_s - self._since_s < _YAW_LASTS_S else (self.found(time_s, yaw_rad),)
+
+    def found(self, time_s: float, yaw_rad: float) -> Announce:
+        """Return the announcement of an error that is certain.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            yaw_rad: The error.
+        """
+        self._announced_rad, self._since_s = yaw_rad, math.inf
+        if abs(yaw_rad) < _YAW_STEP_RAD:
+            return Announce(time_s, "sensor", "the gimbal's yaw needs no correction any more")
         text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees, and corrected: check its "
-        return (Announce(time_s, "sensor", text + "mounting, or correct sensors.mount_deg"),)
+        return Announce(time_s, "sensor", text + "mounting and its heading, or correct sensors.mount_deg")
 
 
 class RangeNews:

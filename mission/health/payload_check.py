@@ -12,7 +12,8 @@ Rules
    (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.
 4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
 
-While rules 1 to 3 find a fault, the device's readings are not used. An apparent target that jumps farther than it can
+While rules 1 to 3 find a fault, the device's readings are not used; a constant yaw error is corrected instead, if the
+gimbal keeps level. An apparent target that jumps farther than it can
 drive makes the payload suspect for ``SUSPECT_S``, in which rules 1 to 3 come to a result.
 
 Source: docs/health.md#contradictions-of-the-payload.
@@ -116,6 +117,7 @@ class PayloadCheck:
         gimbal_fault: the same of the gimbal.
         sightings_fault: the same of both together, against the track.
         terrain_fault: how the elevation data contradicts laser and gimbal, while these agree with each other.
+        yaw_error_rad: a large constant error of the gimbal's yaw that can be corrected; 0: none is known.
         is_news: whether a fault may have come or gone since ``faults`` was called last.
         wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
     """
@@ -124,6 +126,7 @@ class PayloadCheck:
         self.laser_fault = self.gimbal_fault = self.sightings_fault = self.terrain_fault = ""
         self._off_ground = self._corrected = 0  # judgements, and readings with other flags, in a row
         self.wrong_since_s = math.inf
+        self.yaw_error_rad = 0.0
         self.is_news = False
         self._fit = MotionFit(parent_from_mount)
         self._expect_another_laser()
@@ -316,11 +319,16 @@ class PayloadCheck:
     def _expect_another_gimbal(self) -> None:
         self._sight_repeats, self._yaw_repeats = _Repeats(_SAME_SIGHT), _Repeats(_SAME_SIGHT)
 
+    def yaw_is_corrected(self) -> None:
+        """Judge afresh: from now on the lines of sight come without the yaw error."""
+        self._begin_fit()
+
     def _begin_fit(self) -> None:
         """Judge another device afresh."""
         self._fit.clear()
         self._established = self._verdict = SOUND
         self._frame_fault = self._unit_fault = ""
+        self.yaw_error_rad = 0.0
 
     def _judge(self, flagged: str) -> None:
         verdict = self._fit.verdict(self._established)
@@ -334,12 +342,15 @@ class PayloadCheck:
             return
         self._established = verdict
         self._frame_fault = self._unit_fault = ""
+        self.yaw_error_rad = 0.0
         if verdict.frame is not None:
             self._frame_fault = (
                 f"its frame flags are wrong: they mean {_FRAME_WORDS[flagged]}, but the angles are "
                 f'{_FRAME_WORDS[verdict.frame]}; correct the flags, or set sensors.gimbal_frame = "{verdict.frame}"'
             )
-        elif verdict.is_turned:
+        elif verdict.is_turned and flagged != "body":
+            self.yaw_error_rad, self.is_news = self._fit.yaw_error_rad, True
+        elif verdict.is_turned:  # about which axis is not known
             yaw_deg = math.degrees(self._fit.yaw_error_rad)
             self._frame_fault = (
                 f"its yaw is off by about {yaw_deg:+.0f} degrees: check its mounting and its heading, "
