@@ -193,7 +193,9 @@ class DelayFit:
         gimbal_s, range_s = (best.shared[:2] + self._latencies_s).tolist()
         tan_yaw, range_m = best.shared[2:].tolist()  # the scene is linear in it
         priors = self._sigmas
-        if self._erring is not None:  # of an error that is there, nothing is known before
+        if self._erring is None:
+            range_m = 0.0  # it may be the target's height
+        else:  # of an error that is there, nothing is known before
             priors = np.maximum(priors, abs(best.shared))
         information = best.information / _READINGS_SIGMAS**2 + np.diag((_PRIORS_SIGMAS * priors) ** -2)
         gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, range_sigma_m = np.sqrt(np.diag(np.linalg.inv(information)))

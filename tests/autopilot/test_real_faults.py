@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import math
 import os
 import re
 import signal
@@ -366,25 +367,49 @@ def test_an_input_fault_is_reported_and_the_range_is_kept(flown, watching, fault
     assert nearest_m >= NEAREST_M
 
 
-def test_ranges_1_5_times_the_distance_are_reported_and_corrected(flown, watching):
-    def longer(message):
-        if of_laser(message):
-            yield 0.0, packed(message, current_distance=min(round(1.5 * message.current_distance), 65_535))
-        else:
-            yield from unchanged(message)
+def with_yaw_turned(message):
+    """Return the orientation of a gimbal whose mounting is turned by 90 degrees to the right."""
+    w, x, y, z = message.q
+    half = math.sqrt(0.5)
+    return {"q": [half * (w - z), half * (x - y), half * (y + x), half * (z + w)]}
+
+
+# The messages that change, what becomes of them, the report, and the error in it.
+LARGE_ERRORS = {
+    "ranges 1.5 times the distance": (
+        of_laser,
+        lambda message: {"current_distance": min(round(1.5 * message.current_distance), 65_535)},
+        r"the laser's ranges are about (\S+) times the distance",
+        1.5,
+    ),
+    "yaw off by 90 degrees": (
+        of_gimbal,
+        with_yaw_turned,
+        r"the gimbal's yaw is off by about (\S+) degrees, and corrected",
+        90.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("error", LARGE_ERRORS)
+def test_a_large_error_is_reported_and_corrected(flown, watching, error):
+    changes, fields_of, report, value = LARGE_ERRORS[error]
+
+    def erring(message):
+        yield from [(0.0, packed(message, **fields_of(message)))] if changes(message) else unchanged(message)
 
     watching.wait_for("the target is in sight")
     flown.wait(60.0)
     begin_s = flown.now_s
-    flown.relay.change = longer
-    watching.wait_for("times the distance")
+    flown.relay.change = erring
+    watching.wait_for(report.split(" (")[0])
     after_s = flown.now_s - begin_s
     flown.wait(60.0)
     nearest_m = flown.nearest_m(begin_s)
     assert watching.end()["outcome"] == "interrupted", watching.announced
-    factors = re.findall(r"the laser's ranges are about (\S+) times the distance", watching.announced)
-    print(f"{flown.flavour} ranges 1.5 times: {factors} after {after_s:.0f} s, least true range {nearest_m:.0f} m")
-    assert float(factors[-1]) == pytest.approx(1.5, rel=0.1)
+    found = re.findall(report, watching.announced)
+    print(f"{flown.flavour} {error}: {found} after {after_s:.0f} s, least true range {nearest_m:.0f} m")
+    assert float(found[-1]) == pytest.approx(value, rel=0.1)
     assert nearest_m >= NEAREST_M
 
 
