@@ -15,6 +15,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.core.events import ClockTick, Event
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.health.health import Health
+from sidelong.mission.health.payload_check import yaw_fault
 
 _BAD = (InputState.STALE, InputState.INCONSISTENT)
 _OF_PAYLOAD = (Input.LASER, Input.GIMBAL)
@@ -71,9 +72,9 @@ class InputHealth:
 
     def checks(self) -> tuple[Check, ...]:
         """Return what is wrong with an input, or that nothing is."""
-        wrong = [one for one in self._health.reports if one.state in _BAD]
+        wrong = [(one.input, one.text) for one in self._health.reports if one.state in _BAD]
+        if yaw_error_rad := self._health.payload.yaw_error_rad:
+            wrong.append((Input.GIMBAL, f"the gimbal: {yaw_fault(yaw_error_rad)}; a flight corrects it"))
         if not wrong:
             return (Check("inputs", True, "fresh, and without contradiction"),)
-        return tuple(
-            Check(f"input {one.input}", False, one.text, before_take_off=one.input in _OF_PAYLOAD) for one in wrong
-        )
+        return tuple(Check(f"input {one}", False, text, before_take_off=one in _OF_PAYLOAD) for one, text in wrong)

@@ -351,11 +351,7 @@ class PayloadCheck:
         elif verdict.is_turned and flagged != "body":
             self.yaw_error_rad, self.is_news = self._fit.yaw_error_rad, True
         elif verdict.is_turned:  # about which axis is not known
-            yaw_deg = math.degrees(self._fit.yaw_error_rad)
-            self._frame_fault = (
-                f"its yaw is off by about {yaw_deg:+.0f} degrees: check its mounting and its heading, "
-                "or correct sensors.mount_deg"
-            )
+            self._frame_fault = yaw_fault(self._fit.yaw_error_rad)
         elif verdict != SOUND:
             self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"
 
@@ -393,6 +389,18 @@ class PayloadCheck:
             Input.SIGHTINGS: self.sightings_fault,
             Input.TERRAIN: self.terrain_fault,
         }
+
+
+def yaw_fault(yaw_error_rad: float) -> str:
+    """Return what is wrong with a gimbal whose yaw is off, and what to do.
+
+    Args:
+        yaw_error_rad: The error.
+    """
+    return (
+        f"its yaw is off by about {math.degrees(yaw_error_rad):+.0f} degrees: check its mounting and its heading, "
+        "or correct sensors.mount_deg"
+    )
 
 
 _FRAME_WORDS = {

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from sidelong.app.config import Config
 from sidelong.app.flight.input_health import InputHealth
 from tests.exchange.conftest import Flight
 from tests.faults.flight import FaultedFlight, Scenario
-from tests.faults.flight_faults import GIMBAL, Fault, repeated
+from tests.faults.flight_faults import GIMBAL, Fault, repeated, turned
 
 
 def test_vehicle_on_the_ground_has_sound_inputs_until_its_gimbal_is_silent():
@@ -28,12 +30,17 @@ def test_vehicle_on_the_ground_has_sound_inputs_until_its_gimbal_is_silent():
     assert not inputs.checks()[0].ready
 
 
-def test_frozen_gimbal_of_a_flying_aircraft_is_found():
-    flight = FaultedFlight(Scenario(1, "px4", 60.0), [Fault("frozen", 30.0, math.inf, repeated(GIMBAL, "q"))])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(repeated(GIMBAL, "q"), "frozen"), (turned(90.0), "its yaw is off by about +")],
+    ids=["frozen", "turned"],
+)
+def test_wrong_gimbal_of_a_flying_aircraft_is_found(change, words):
+    flight = FaultedFlight(Scenario(1, "px4", 60.0), [Fault("gimbal", 30.0, math.inf, change)])
     inputs = InputHealth(Config(), flight.vehicle)
     assert flight.run(25.0) is False
     assert inputs.checks()[0].ready
     flight.run(20.0)
     (check,) = inputs.checks()
     assert not check.ready
-    assert "frozen" in check.found
+    assert words in check.found
