@@ -128,7 +128,10 @@ class Scene:
         ranges: FloatArray,
         frame: str,
         noise: tuple[float, float],
+        pitch_sigma_rad: float = 0.0,
     ) -> None:
+        """pitch_sigma_rad: what is unknown of the pitch, by which ranges to the ground err; 0: they are a laser's."""
+        self._pitch_sigma_rad = pitch_sigma_rad
         self._positions, self._frame = positions, frame
         self._yaw_sigma_rad, self._range_sigma_m = noise
         self._angles, self._attitude_s, self._yaw_rate = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
@@ -198,7 +201,10 @@ class Scene:
         toward = way / distance_m[:, None]
         residual = distance_m - self._slant_m * np.sqrt(1.0 - sine * sine) + shared[3]
         closing = -(toward * speed).sum(axis=1)
-        sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
+        if self._pitch_sigma_rad:
+            sigma = self._slant_m / sine * self._pitch_sigma_rad
+        else:
+            sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
         by_shared = np.column_stack([closing, np.ones_like(closing)])
         normal.add(at, toward, 1, by_shared, residual, sigma)
 

@@ -77,6 +77,8 @@ class DelayFit:
         self._sigmas = np.array([delay_s, delay_s, max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M])
         self._may_err = yaw_rad > 0.0  # or the biases are not estimated
         self._noise = settings.yaw_sigma_rad, settings.range_sigma_m
+        self._pitch_sigma_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad)
+        self._on_ground = False  # whether the ranges are those to the ground
         self._parent_from_mount = parent_from_mount
         self._positions, self._attitudes = _Log(5), _Log(4)
         self._gimbals, self._ranges = _Log(4), _Log(2)
@@ -131,13 +133,17 @@ class DelayFit:
                 direction = rotate(self._parent_from_mount, direction)
             self._gimbals.add(time_s, *direction)
 
-    def range(self, time_s: float, slant_range_m: float) -> None:
+    def range(self, time_s: float, slant_range_m: float, on_ground: bool = False) -> None:
         """Take a range, with its own stamp.
 
         Args:
             time_s: Stamp of the reading, vehicle's clock, s.
             slant_range_m: Slant range, m.
+            on_ground: Whether it is where a line of sight meets the ground, in place of a laser's.
         """
+        if on_ground is not self._on_ground:
+            self._on_ground = on_ground
+            self._ranges.clear()
         self._ranges.add(time_s - self._latencies_s[1], slant_range_m)
 
     def updated(self, now_s: float) -> Delays | None:
@@ -184,7 +190,10 @@ class DelayFit:
 
         @functools.cache  # most fits of a moment share a factor
         def scene(factor: float) -> Scene:
-            return Scene(positions, attitudes, gimbals, ranges * (1.0, factor), self.frame, self._noise)
+            pitch_sigma_rad = self._pitch_sigma_rad if self._on_ground else 0.0
+            return Scene(
+                positions, attitudes, gimbals, ranges * (1.0, factor), self.frame, self._noise, pitch_sigma_rad
+            )
 
         best = self._fit_sound(scene(1.0))
         strained = best.scale_m > _TURNS_M or (abs(best.shared) > _STRAINED * self._sigmas).any()
@@ -193,12 +202,14 @@ class DelayFit:
         gimbal_s, range_s = (best.shared[:2] + self._latencies_s).tolist()
         tan_yaw, range_m = best.shared[2:].tolist()  # the scene is linear in it
         priors = self._sigmas
-        if self._erring is None:
+        if self._erring is None or self._on_ground:
             range_m = 0.0  # it may be the target's height
-        else:  # of an error that is there, nothing is known before
+        if self._erring is not None:  # of an error that is there, nothing is known before
             priors = np.maximum(priors, abs(best.shared))
         information = best.information / _READINGS_SIGMAS**2 + np.diag((_PRIORS_SIGMAS * priors) ** -2)
         gimbal_sigma_s, range_sigma_s, yaw_sigma_rad, range_sigma_m = np.sqrt(np.diag(np.linalg.inv(information)))
+        if self._on_ground:
+            range_s, range_sigma_s = self._latencies_s[1], 0.0
         return Delays(
             gimbal_s,
             range_s,
@@ -239,13 +250,13 @@ class DelayFit:
             return scene(factor).solve(self._sigmas, start, scale_m, settled=settled, erring=True)
 
         tried = [(self._factor, fit(self._factor, sound.shared))]
-        if before is None:
+        if before is not None:
+            tried.append((self._factor, fit(self._factor, before.shared, before.scale_m, settled=True)))
+        elif not self._on_ground:
             other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
             tried.append((other, fit(other, sound.shared)))
-        else:
-            tried.append((self._factor, fit(self._factor, before.shared, before.scale_m, settled=True)))
         factor, best = min(tried, key=lambda one: one[1].cost)
-        for _ in range(_FACTOR_STEPS):
+        for _ in range(0 if self._on_ground else _FACTOR_STEPS):
             other = factor - float(best.shared[3]) / range_m
             if abs(best.shared[3]) < _FACTOR_FROM_M or not _FACTORS[0] < other < _FACTORS[1]:
                 break
@@ -254,7 +265,8 @@ class DelayFit:
                 break
             best, factor = another, other
         (tan_yaw, bias_m), off_s = abs(best.shared[2:]), abs(best.shared[:2] - _DELAYS_MIDDLE_S)
-        is_large = tan_yaw > _YAW_MIN_RAD or bias_m > _RANGE_MIN_M or abs(factor - 1.0) > _FACTOR_MIN
+        is_long = not self._on_ground and (bias_m > _RANGE_MIN_M or abs(factor - 1.0) > _FACTOR_MIN)
+        is_large = is_long or tan_yaw > _YAW_MIN_RAD
         is_possible = off_s.max() < _DELAYS_REACH_S and bias_m < _RANGE_SHARE_MAX * factor * range_m
         is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
         evidence = sound.cost - best.cost

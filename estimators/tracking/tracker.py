@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
@@ -24,7 +26,7 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
-from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
+from sidelong.estimators.sensing.sighting import AnySighting, Fix, Sighting, SightingOutcome
 from sidelong.estimators.settings import SourceChoice, TrackerSettings
 from sidelong.estimators.tracking.pairing import Pairing
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
@@ -74,6 +76,7 @@ class Tracker:
         self._contradicting: dict[Source, Quaternion] = {}  # of refused gimbals: their orientation at that time
         self._track = Track(settings)
         self._delay_fit: DelayFit | None = None
+        self._ground_fit: DelayFit | None = None  # the same, where lines of sight without a range tell as much
         if settings.latency_sigma_s > 0.0:
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
@@ -112,13 +115,22 @@ class Tracker:
             case TargetFixReading():
                 made += self._usable_fix(reading)
         if self._pairing.due:
-            made += self._pairing.completed()
+            made += self._completed()
         if not made:
             return ()
         outcomes = tuple(map(self._track.add, made))
         self.sightings += len(outcomes)
         self.rejected += sum(not one.accepted for one in outcomes)
         return outcomes
+
+    def _completed(self) -> list[Sighting]:
+        made = self._pairing.completed()
+        if self._ground_fit is not None:
+            for one in made:
+                if not one.has_range:
+                    stamp_s = one.time_s + self._pairing.gimbal_delay_s
+                    self._ground_fit.range(stamp_s, one.slant_range_m, on_ground=True)
+        return made
 
     def _estimate_delays(self, fit: DelayFit, reading: PositionReading) -> None:
         """Let the fit of the delays go on; take over what it finds once that is credible."""
@@ -316,6 +328,13 @@ class Tracker:
         self._track.stand_on(ground)
         if angles_alone:
             self._pairing.ground = ground
+            # On hills the end of a line of sight moves with their shape, which looks like a delay.
+            self._ground_fit = None if np.ptp(ground.heights_m) else self._delay_fit
+
+    @property
+    def ends_on_ground(self) -> bool:
+        """Whether a line of sight alone counts: it ends on known ground."""
+        return self._pairing.ground is not None
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
         """Return the target predicted to ``now_s``; None before the first sighting.

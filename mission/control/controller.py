@@ -47,6 +47,7 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.tracking.sources import CAMERA_TRACKER
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.alarms import battery_is_low
 from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
@@ -302,14 +303,23 @@ class StandoffController:
             case AttitudeReading():
                 payload.attitude(reading)
             case GimbalReading():
-                if self.tracker.gimbals.chosen in (None, reading.source):
-                    payload.gimbal(self.tracker.corrected(reading))
-                return not payload.gimbal_fault or reading.source != self.tracker.gimbals.chosen
+                return self._is_gimbal_sound(reading)
             case RangeReading():
                 if self.tracker.ranges.chosen in (None, reading.source):
                     payload.range(reading)
                 return not payload.laser_fault or reading.source != self.tracker.ranges.chosen
         return True
+
+    def _is_gimbal_sound(self, reading: GimbalReading) -> bool:
+        payload, tracker = self.health.payload, self.tracker
+        used = tracker.gimbals.chosen
+        if used in (None, reading.source):
+            payload.gimbal(tracker.corrected(reading), tracker.ends_on_ground)
+        elif used.message != CAMERA_TRACKER:
+            return True
+        else:  # the camera's line of sight is made with it
+            payload.gimbal_axis(reading)
+        return not payload.gimbal_fault
 
     def _read(self, reading: Reading) -> None:
         if not self._is_sound(reading):

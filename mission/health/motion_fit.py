@@ -60,6 +60,8 @@ _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
 _LEVEL_SHARE, OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
 _HEIGHT_MIN_M = 25.0
+_PITCH_NOISE_RAD = math.radians(2.0)  # six standard deviations
+_DOWN_MIN, _GROUND_STEPS = 0.02, 4  # how far a line of sight points down, and how its end on hills is found
 _TURN_MIN_RAD = math.radians(35.0)  # the track estimates less than that
 _TURNED_SHARE = 0.25  # as _BETTER_SHARE: this hypothesis is fitted, so it fits a target that turns, too
 _SCALES = 0.8, 1.25  # of a yaw error's fit, which leaves the length of the line of sight free
@@ -154,19 +156,22 @@ class MotionFit:
             position: of the aircraft, of about the same time as the others.
             attitude: of the aircraft.
             gimbal: the line of sight as reported.
-            slant_range_m: as reported.
+            slant_range_m: as reported; NaN: there is no laser, and the line of sight ends on the ground.
             turned_rad: how far the aircraft has turned since the flight began, either way.
         """
         own_m = position.east_m, position.north_m, position.height_m
-        sighted_m = _apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
-        off_level = self._off_level(own_m, sighted_m)
+        sighted_m = self._apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
+        is_ranged = not math.isnan(slant_range_m)
+        off_level = self._off_level(own_m, sighted_m) if is_ranged else 0.0
+        if self._samples and is_ranged is math.isnan(self._samples[-1].range_m):
+            self._samples.clear()
         sample = _Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m, off_level)
         samples, jumped, now_s = self._samples, self._jumped, position.time_s
         self._jumped = None
         self._flagged = self._flagged or gimbal.frame
         jump_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0
         # A wrong frame lets it jump on and on.
-        jumps = jump_m > _JUMP_M and abs(now_s - self.changed_s) > WINDOW_S and self._drove()
+        jumps = jump_m > self._jump_m(sample) and abs(now_s - self.changed_s) > WINDOW_S and self._drove()
         if jumps or gimbal.frame != self._flagged:
             if jumped is None or jumped.gimbal.frame != gimbal.frame:
                 self._jumped = sample  # an outlier, unless the next one is like it
@@ -177,6 +182,14 @@ class MotionFit:
             samples.clear()  # what was before would hide the change
             samples.append(jumped)
         samples.append(sample)
+
+    def _jump_m(self, sample: _Sample) -> float:
+        """Return how far a jump goes: noise of the pitch, too, moves the end of a line of sight on the ground."""
+        if not math.isnan(sample.range_m):
+            return _JUMP_M
+        down_m = max(sample.own_m[2] - sample.sighted_m[2], 1.0)
+        noise_m = _PITCH_NOISE_RAD * math.dist(sample.own_m, sample.sighted_m) ** 2 / down_m
+        return _JUMP_M + noise_m if self.ground is None else math.inf  # on hills it jumps from one to the next
 
     def _drove(self) -> bool:
         """Return whether the apparent target moved until now as slowly as one that drives; True: not known."""
@@ -205,10 +218,8 @@ class MotionFit:
         if not self._samples:
             return None
         last = self._samples[-1]
-        return (
-            (last.sighted_m[0] - last.own_m[0]) / last.range_m,
-            (last.sighted_m[1] - last.own_m[1]) / last.range_m,
-        )
+        range_m = max(math.dist(last.sighted_m, last.own_m), 1.0)
+        return (last.sighted_m[0] - last.own_m[0]) / range_m, (last.sighted_m[1] - last.own_m[1]) / range_m
 
     def verdict(self, established: Verdict = SOUND) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
@@ -228,7 +239,7 @@ class MotionFit:
         off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
         self.off_level = off_level
         unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > OFF_LEVEL_SHARE
-        if unit_is_right:
+        if unit_is_right and not math.isnan(samples[-1].range_m):
             self._level_s = samples[-1].time_s
         as_reported_m = self._residual_as_reported_m()
         if established == SOUND and as_reported_m < _WRONG_M and not unit_is_wrong:
@@ -298,6 +309,19 @@ class MotionFit:
                 for sum_m2, value_m, one_s in zip(off_m2, values_m, since_s, strict=True)
             ]
         return math.sqrt(statistics.median(off_m2))
+
+    def _apparent_m(
+        self, own_m: tuple[float, float, float], range_m: float, direction: tuple[float, float, float]
+    ) -> tuple[float, float, float]:
+        """Return the end of a line of sight (east, north, up), on the ground where there is no range."""
+        east, north, up = direction
+        if math.isnan(range_m):
+            range_m = own_m[2] / max(-up, _DOWN_MIN)
+            if self.ground is not None:
+                for _ in range(_GROUND_STEPS):
+                    ground_m = self.ground(own_m[0] + range_m * east, own_m[1] + range_m * north)
+                    range_m = (own_m[2] - ground_m) / max(-up, _DOWN_MIN)
+        return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
 
     def _off_level(self, own_m: tuple[float, float, float], target_m: tuple[float, float, float]) -> float:
         ground_m = 0.0 if self.ground is None else self.ground(target_m[0], target_m[1])
@@ -375,7 +399,7 @@ class MotionFit:
         positions_m = [
             np.array(
                 [
-                    _apparent_m(one.own_m, one.range_m, self._direction(one.attitude, one.gimbal, verdict.frame))
+                    self._apparent_m(one.own_m, one.range_m, self._direction(one.attitude, one.gimbal, verdict.frame))
                     for one in samples
                 ]
             )
@@ -398,13 +422,6 @@ class MotionFit:
             level * math.cos(sight.bearing_rad),
             -math.sin(sight.depression_rad),
         )
-
-
-def _apparent_m(
-    own_m: tuple[float, float, float], range_m: float, direction: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    east, north, up = direction
-    return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
 
 
 def _motion(samples: Sequence[_Sample]) -> _Motion:

@@ -29,6 +29,7 @@ from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import Quaternion, sight_direction
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.tracking.sources import CAMERA_TRACKER
 from sidelong.mission.core.inputs import Input
 from sidelong.mission.health.motion_fit import (
     FACTORS,
@@ -47,6 +48,7 @@ _MOVES_AGAIN = 3
 _CLOSED_M, _PASSED_RAD = 40.0, 0.25
 _SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
 _MARGIN_S = 1.0
+_LASER_SILENT_S = 10.0  # after that, lines of sight are judged without ranges
 _FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
 _CORRECTED_AFTER = 5  # readings in a row
 _FLYING_M_S = 5.0
@@ -225,11 +227,24 @@ class PayloadCheck:
         if self._range_stays.note(values, reading.time_s, (self._swept_rad / _SWEPT_RAD,)) or news:
             self._settle()
 
-    def gimbal(self, reading: GimbalReading) -> None:
-        """Process a line of sight of the gimbal in use.
+    def gimbal_axis(self, reading: GimbalReading) -> None:
+        """Process the axis of a gimbal, which is not the line of sight if a camera tracks a target off it.
+
+        Args:
+            reading: The axis.
+        """
+        turns, passed = self._turned_rad / _TURNED_RAD, self._passed
+        news = self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, (turns, passed))
+        forward, right, _ = sight_direction(reading.quaternion_wxyz)
+        if self._yaw_repeats.note((math.atan2(right, forward),), reading.time_s, (turns / 2.0, passed / 2.0)) or news:
+            self._settle()
+
+    def gimbal(self, reading: GimbalReading, ends_on_ground: bool = False) -> None:
+        """Process a line of sight in use.
 
         Args:
             reading: The line of sight.
+            ends_on_ground: whether it counts without a range, as it ends on known ground.
         """
         if reading.source != self._gimbal_source:
             self._gimbal_source = reading.source
@@ -240,31 +255,27 @@ class PayloadCheck:
             if self._corrected >= _CORRECTED_AFTER:  # at once: on a straight leg no motion could show it
                 self._begin_fit()
                 self._settle()
-        turns, passed = self._turned_rad / _TURNED_RAD, self._passed
-        news = self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, (turns, passed))
-        forward, right, _ = sight_direction(reading.quaternion_wxyz)
-        if self._yaw_repeats.note((math.atan2(right, forward),), reading.time_s, (turns / 2.0, passed / 2.0)) or news:
-            self._settle()
-        position, attitude, slant = self._position, self._attitude, self._range
-        if (
-            reading.time_s - self._sampled_s < _SAMPLE_EVERY_S
-            or position is None
-            or attitude is None
-            or slant is None
-        ):
-            if reading.time_s < self._sampled_s:  # the clock was set back
+        if reading.source.message != CAMERA_TRACKER:
+            self.gimbal_axis(reading)
+        position, attitude, now_s = self._position, self._attitude, reading.time_s
+        if now_s - self._sampled_s < _SAMPLE_EVERY_S or position is None or attitude is None:
+            if now_s < self._sampled_s:  # the clock was set back
                 self._sampled_s = self._judged_s = -math.inf
             return
-        now_s = reading.time_s
         # Angles relative to north need no attitude, and are used while it is silent.
-        needed = (position, slant) if reading.frame == "earth" else (position, slant, attitude)
+        needed = (position,) if reading.frame == "earth" else (position, attitude)
         if any(abs(now_s - one.time_s) > _FRESH_S for one in needed):
+            return
+        slant, slant_range_m = self._range, math.nan
+        if slant is not None and abs(now_s - slant.time_s) <= _FRESH_S:
+            slant_range_m = slant.slant_range_m
+        elif not ends_on_ground or (slant is not None and abs(now_s - slant.time_s) <= _LASER_SILENT_S):
             return
         self._sampled_s = now_s
         if self._is_stuck or self._is_frozen:
             self._fit.clear()
         else:
-            self._fit.add(position, attitude, reading, slant.slant_range_m, self._turned_rad)
+            self._fit.add(position, attitude, reading, slant_range_m, self._turned_rad)
             self._sweep(self._fit.level_direction)
         if reading.time_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = reading.time_s

@@ -48,6 +48,8 @@ ERRORS = {
     "ranges 100 m too long": (scaled(1.0, 100.0), "the laser's ranges are"),
     "yaw 15 degrees to the left": (turned(-15.0), "the gimbal's yaw is"),
     "yaw 20 degrees to the right": (turned(20.0), "the gimbal's yaw is"),
+    "yaw 40 degrees to the left": (turned(-40.0), "the gimbal's yaw is"),
+    "yaw 90 degrees to the right": (turned(90.0), "the gimbal's yaw is"),
 }
 ERRORS_DURATION_S, CORRECTED_AFTER_S = float(size(540, 150)), 60.0
 SIDE_LOST_MAX = 8.0  # points, on average
