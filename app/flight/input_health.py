@@ -68,7 +68,7 @@ class InputHealth:
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
             tracker.add(admitted)
         if due and now_s > -math.inf:
-            self._health.changes(now_s, tracker.ranges, tracker.gimbals, self._door.clock_fault)
+            self._health.changes(now_s, tracker.ranges, tracker.gimbals, self._door.input_faults)
 
     def checks(self) -> tuple[Check, ...]:
         """Return what is wrong with an input, or that nothing is."""

@@ -19,6 +19,7 @@ from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import has_fix
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.estimators.sensing.readings import IMAGE_TRACKER
 from sidelong.mission.core.requirement import Aircraft
 from sidelong.mission.exchange.dialect import Home
 
@@ -148,6 +149,7 @@ def checks(
             )
             for need in required_parameters
         ),
+        *_camera_checks(vehicle),
         *_source_checks(config, rates),
     )
 
@@ -226,6 +228,15 @@ def _limit_checks(
         lasts=True,
     )
     return (bank, speed)
+
+
+def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:
+    """Require the field of view of a camera that reports the target's place in its image."""
+    if IMAGE_TRACKER not in vehicle.latest:
+        return ()
+    known = [name for name in ("CAMERA_FOV_STATUS", "CAMERA_INFORMATION") if name in vehicle.latest]
+    remedy = "let the camera send CAMERA_FOV_STATUS: without it the target's place in the image is not used"
+    return (Check("field of view", bool(known), ", ".join(known) or "none received", remedy, True),)
 
 
 def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:

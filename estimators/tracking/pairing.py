@@ -19,7 +19,7 @@ from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
 from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.pose import History, PoseHistory
-from sidelong.estimators.sensing.readings import GimbalReading, RangeReading
+from sidelong.estimators.sensing.readings import IMAGE_TRACKER, GimbalReading, RangeReading
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 
@@ -50,6 +50,7 @@ class Pairing:
         self._has_arm = any(settings.lever_arm_body_m)
         self.parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
         self._paired_s, self._begun_s = -math.inf, math.inf
+        self._has_image = False  # a camera's tracker reports the target's place in the image
         self._alone: list[float] = []  # times of lines of sight that go without a range
         self.ground: Ground | None = None
         self.waiting: list[RangeReading] = []
@@ -66,7 +67,9 @@ class Pairing:
         w, x, y, z = gimbal.quaternion_wxyz
         if abs(w * w + x * x + y * y + z * z - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
             return False
-        if self.ground is None:
+        by_image = gimbal.source.message == IMAGE_TRACKER
+        self._has_image |= by_image
+        if self.ground is None or (self._has_image and not by_image):  # nothing keeps the axis on the target
             return True
         # A camera's tracker, or the laser, may begin a little later than the gimbal.
         self._begun_s = min(self._begun_s, gimbal.time_s)

@@ -22,14 +22,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from sidelong.estimators.sensing.readings import Source
+from sidelong.estimators.sensing.readings import IMAGE_TRACKER, Source
 from sidelong.estimators.settings import SourceChoice
 
 _AUTOPILOT_COMPONENT = 1
 LOOKS_DOWN = 25
-CAMERA_TRACKER = "CAMERA_TRACKING_IMAGE_STATUS"
-"""The message of a camera that tracks a target: its line of sight is off the gimbal's axis."""
-
 _CUSTOM_ORIENTATION = 100
 _REFUSED_MAX = 8
 PROVEN_S = 8.0  # the aircraft turns by about half a lap in that time
@@ -62,7 +59,7 @@ def sight_rank(source: Source) -> int | None:
     Returns:
         Lower is better.
     """
-    if source.message == CAMERA_TRACKER:
+    if source.message == IMAGE_TRACKER:
         return -1
     return 2 * (source.message == "DISTANCE_SENSOR") + (source.component_id == _AUTOPILOT_COMPONENT)
 

@@ -46,6 +46,7 @@ _REPEATED_S = 8.0  # of readings that the track is made of again when the delays
 _YAW_SIGMA_MIN_RAD = math.radians(0.1)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
 _YAW_FOUND_SIGMA_RAD, _YAW_KNOWN_RAD = math.radians(3.0), math.radians(10.0)  # by the motion of the apparent target
+_PITCH_SIGMAS = 3.0
 # Of a laser; smaller errors are the filter's alone. Fitted together with a target that turns, they are less sure.
 _RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
@@ -385,6 +386,12 @@ class Tracker:
         """By what the ranges are multiplied, and their bias after that, m; 0 while it is that of a usual laser."""
         bias_m = self.calibration.range_bias_m
         return self._pairing.range_factor, bias_m if abs(bias_m) > _RANGE_UNEXPECTED_M else 0.0
+
+    @property
+    def unexpected_pitch_rad(self) -> float:
+        """The gimbal's pitch error, if it is far beyond what the settings expect; else 0."""
+        error_rad = self.calibration.pitch_bias_rad
+        return error_rad if abs(error_rad) > _PITCH_SIGMAS * self._settings.pitch_bias_sigma_rad else 0.0
 
     @property
     def unexpected_yaw_rad(self) -> float:

@@ -258,7 +258,7 @@ _INPUTS = {
     Input.HEARTBEAT: "check the autopilot; be ready to take over by the transmitter",
     Input.LASER: "the track coasts without it",
     Input.GIMBAL: "the track coasts without it",
-    Input.SIGHTINGS: "check the gimbal's mount and flags, and the units of the laser",
+    Input.SIGHTINGS: "check the gimbal's mount and flags, the laser's unit, and the camera's field of view",
     Input.CLOCK: "check the autopilot; be ready to take over",
     Input.TERRAIN: "fly higher, or check the elevation data",
     Input.NEIGHBOURS: "watch the separation from the other aircraft",

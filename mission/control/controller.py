@@ -39,6 +39,7 @@ from typing import Literal
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.readings import (
+    IMAGE_TRACKER,
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -47,7 +48,6 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.estimators.sensing.sighting import SightingOutcome
-from sidelong.estimators.tracking.sources import CAMERA_TRACKER
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.alarms import battery_is_low
 from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
@@ -189,7 +189,7 @@ class StandoffController:
         if now_s == -math.inf:
             return ()
         had_fault = health.payload_fault
-        changes = health.changes(now_s, tracker.ranges, tracker.gimbals, self.door.clock_fault)
+        changes = health.changes(now_s, tracker.ranges, tracker.gimbals, self.door.input_faults)
         if health.payload.jumped_s > self._jumped_s:  # the target or the payload is another one
             self._jumped_s = health.payload.jumped_s
             tracker.restart_delays()
@@ -315,7 +315,7 @@ class StandoffController:
         used = tracker.gimbals.chosen
         if used in (None, reading.source):
             payload.gimbal(tracker.corrected(reading), tracker.ends_on_ground)
-        elif used.message != CAMERA_TRACKER:
+        elif used.message != IMAGE_TRACKER:
             return True
         else:  # the camera's line of sight is made with it
             payload.gimbal_axis(reading)
@@ -326,7 +326,7 @@ class StandoffController:
             return
         self.sighted = self.tracker.add(reading)
         if self.sighted:
-            self.health.payload.sightings(reading.time_s, self.sighted)
+            self.health.payload.sightings(reading.time_s, self.sighted, lambda: self.tracker.unexpected_pitch_rad)
         self._sensor_status.note(reading, self.sighted, self.tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------

@@ -40,7 +40,7 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
-from sidelong.mission.control.position_check import SILENT_S, PositionCheck
+from sidelong.mission.control.position_check import SILENT_S, PositionCheck, VelocityCheck, length
 from sidelong.mission.core.events import (
     Announce,
     Event,
@@ -48,6 +48,7 @@ from sidelong.mission.core.events import (
     WindReported,
     YieldRequested,
 )
+from sidelong.mission.core.inputs import Input
 
 BRIDGED_S = 3.0
 _FAULT_VALID_S = 30.0  # a link may be silent between two reports
@@ -88,6 +89,7 @@ class Plausibility:
         self.two_vehicles: str | None = None
         self.clock = VehicleClock()
         self.position = PositionCheck()
+        self.velocity = VelocityCheck()
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
         self._displaced = 0  # positions in a row that are of another time, and elsewhere
@@ -166,22 +168,21 @@ class Plausibility:
         if self.position.accepted is None and not possible:
             return None
         self._overtaken |= reading.time_s < self.clock.now_s - _OVERTAKEN_S
+        self.velocity.take(reading)
         was_rejecting = self.position.rejected_since_s is not None
         self._await_after_silence(reading.time_s)
         sound = self._fault(reading.time_s) is None
         taken = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
         if self.position.two_places_m is not None:
-            self._yield_to_two(f"its positions take turns, {_length(self.position.two_places_m)} apart")
+            self._yield_to_two(f"its positions take turns, {length(self.position.two_places_m)} apart")
         elif self.position.slow_places_m is not None:
-            self._suspect_two(f"its positions take turns, {_length(self.position.slow_places_m)} apart")
+            self._suspect_two(f"its positions take turns, {length(self.position.slow_places_m)} apart")
             self.position.slow_places_m = None
         if taken is None:
             return None
         self.dead_reckoned = taken is not reading
         if self.dead_reckoned and not was_rejecting:
-            self._announce(
-                "jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning"
-            )
+            self._announce("jump", "position", f"{self.position.jump}: dead reckoning")
         elif self.position.accepted is reading:
             self._overtaken = self._refused = False
         self._judge(reading.time_s)
@@ -227,11 +228,12 @@ class Plausibility:
         return False
 
     @property
-    def clock_fault(self) -> str:
-        """Why nothing is decided on the vehicle's clock; empty while it is trusted."""
+    def input_faults(self) -> dict[Input, str]:
+        """Why the vehicle's clock and position are not trusted; empty text while they are."""
         off_s = self.clock.in_question_s
         lasts = off_s is not None and self.clock.questioned_for_s > BRIDGED_S
-        return f"it is {_off(off_s)}, nothing is decided on it" if lasts and off_s is not None else ""
+        clock = f"it is {_off(off_s)}, nothing is decided on it" if lasts and off_s is not None else ""
+        return {Input.CLOCK: clock, Input.POSITION: self.velocity.fault}
 
     def _yield_to_two(self, how: str) -> None:
         if self.two_vehicles is None:
@@ -274,7 +276,7 @@ class Plausibility:
             now_s - rejected_since_s > BRIDGED_S or self._overtaken or self._refused
         ):
             # Nothing is bridged from a place whose time is not known.
-            doubt = f"the position jumped by {_length(self.position.jump_m)}"
+            doubt = self.position.jump
         if doubt is not None and self.doubt is None:
             self._announced.append(
                 Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it")
@@ -352,7 +354,3 @@ def _clock_of(reading: Payload) -> str:
 
 def _off(seconds: float) -> str:
     return f"{abs(seconds):.{0 if abs(seconds) >= 10.0 else 1}f} s {'ahead' if seconds > 0.0 else 'behind'}"
-
-
-def _length(metres: float) -> str:
-    return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:.0f} km"

@@ -5,7 +5,8 @@ reckoning; the tolerance is the acceleration that is possible in the time betwee
 by dead reckoning. It uses the reported velocity if that continues the last one, else the last velocity turned by the
 bank angle. If the last accepted reading was the outlier, readings that follow from the one before it are accepted.
 A new position that persists for ``_PROOF_S`` while GPS and EKF report no fault is accepted.
-Positions that alternate between two places come from two vehicles.
+Positions that alternate between two places come from two vehicles. The way between positions has to be that of the
+reported velocities, which the estimation interpolates with.
 
 Source: docs/explanation/input-checks.md#plausibility.
 """
@@ -30,6 +31,7 @@ _CIRCLING_RAD, _OFF_CIRCLE_M = math.radians(12.0), 60.0
 _ODD_S = 1.0  # an accepted reading may prove to be an outlier within this time after the one before it
 _FLYING_M_S = 5.0
 _SETTLED = 5  # consecutive readings before the reference position counts as reliable
+_COMPARED_S, _COMPARED_SLACK_M, _COMPARED_SHARE, _OFF_MAX = 2.0, 8.0, 0.4, 4
 _TURNS_MAX, _TURN_MAX_S, _SLOW_TURNS_MAX, _SLOW_TURN_MAX_S = 20, 0.5, 8, 3.0
 
 
@@ -40,6 +42,7 @@ class PositionCheck:
         accepted: The latest accepted or dead-reckoned position; None before the first one.
         rejected_since_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
         jump_m: How far the first rejected reading was from the reference.
+        jump: What the first rejected reading contradicts, in words.
         two_places_m: Distance of two alternating positions; None while there is one position.
         slow_places_m: The same, if the second position is received seldom.
     """
@@ -48,7 +51,7 @@ class PositionCheck:
         self.accepted: PositionReading | None = None
         self._before: PositionReading | None = None  # the accepted reading before the latest one
         self.rejected_since_s: float | None = None
-        self.jump_m = 0.0
+        self.jump_m, self.jump = 0.0, ""
         self.two_places_m: float | None = None
         self.slow_places_m: float | None = None
         self._slow_turns = 0
@@ -140,6 +143,7 @@ class PositionCheck:
             # After a longer gap a rejected position cannot be explained by drift of dead reckoning.
             self.rejected_since_s = max(last.time_s, reading.time_s - _DRIFTING_MAX_S)
             self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
+            self.jump = _jump(last, reading, self.jump_m)
             in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
             self._turns = self._turns + 1 if agrees and in_turn else 0
             slowly = before is not None and reading.time_s - before.time_s < _SLOW_TURN_MAX_S
@@ -159,6 +163,47 @@ class PositionCheck:
         return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S) and (
             reading.time_s - last.time_s <= SILENT_S or _still_circles(last, reading, bank_rad)
         )
+
+
+class VelocityCheck:
+    """Compares the way between reported positions with the reported velocities, over ``_COMPARED_S`` at a time.
+
+    Attributes:
+        fault: How they contradict each other; empty while they agree.
+    """
+
+    def __init__(self) -> None:
+        self.fault = ""
+        self._since: PositionReading | None = None
+        self._last: PositionReading | None = None
+        self._flown_m = 0.0, 0.0  # by the velocities
+        self._off = 0
+
+    def take(self, reading: PositionReading) -> None:
+        """Process a reading as it was reported.
+
+        Args:
+            reading: The reported position.
+        """
+        since, last, self._last = self._since, self._last, reading
+        if since is None or last is None or not 0.0 <= reading.time_s - last.time_s <= SILENT_S:
+            self._since, self._flown_m = reading, (0.0, 0.0)
+            return
+        half_s = 0.5 * (reading.time_s - last.time_s)
+        east_m = self._flown_m[0] + half_s * (last.velocity_east_m_s + reading.velocity_east_m_s)
+        north_m = self._flown_m[1] + half_s * (last.velocity_north_m_s + reading.velocity_north_m_s)
+        self._flown_m = east_m, north_m
+        if reading.time_s - since.time_s < _COMPARED_S:
+            return
+        moved_m = reading.east_m - since.east_m, reading.north_m - since.north_m
+        limit_m = _COMPARED_SLACK_M + _COMPARED_SHARE * max(math.hypot(*moved_m), math.hypot(east_m, north_m))
+        self._off = self._off + 1 if math.dist(moved_m, self._flown_m) > limit_m else self._off - 1
+        self._off = min(max(self._off, 0), _OFF_MAX)
+        if self._off == _OFF_MAX:
+            self.fault = "it moves otherwise than the reported velocity: check the autopilot and what feeds its EKF"
+        elif self._off == 0:
+            self.fault = ""
+        self._since, self._flown_m = reading, (0.0, 0.0)
 
 
 def _stayed(last: PositionReading, place: PositionReading, passed_s: float) -> bool:
@@ -186,6 +231,32 @@ def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: 
     if abs(climbed_m) > _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (abs(step_s) + reckoned_for_s):
         return False
     return _velocity_follows(last, reading, speed_m_s, reckoned_for_s)
+
+
+def _jump(last: PositionReading, reading: PositionReading, jump_m: float) -> str:
+    """Return which of position, height and velocity has jumped, in words."""
+    step_s = reading.time_s - last.time_s
+    climbed_m = abs(reading.height_m - last.height_m - last.velocity_up_m_s * step_s)
+    speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
+    if jump_m > _SLACK_M + speed_m_s * abs(step_s):
+        return f"the position jumped by {length(jump_m)}"
+    if climbed_m > _CLIMB_SLACK_M:
+        return f"the height jumped by {length(climbed_m)}"
+    if not _velocity_follows(last, reading, speed_m_s, 0.0):
+        changed_m_s = math.hypot(
+            reading.velocity_east_m_s - last.velocity_east_m_s, reading.velocity_north_m_s - last.velocity_north_m_s
+        )
+        return f"the velocity jumped by {changed_m_s:.0f} m/s"
+    return f"the position jumped by {length(jump_m)}"
+
+
+def length(metres: float) -> str:
+    """Return a distance in words.
+
+    Args:
+        metres: The distance, m.
+    """
+    return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:.0f} km"
 
 
 def _still_circles(last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:

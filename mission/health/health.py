@@ -9,6 +9,8 @@ Source: docs/health.md#inputs.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
@@ -46,14 +48,14 @@ _STALE = {
     Input.NEIGHBOURS: "no report of the fleet for {age:.0f} s: the other aircraft are assumed where they were",
 }
 _LINK_LOST = "link lost: the aircraft goes on circling"
-_OF_PAYLOAD = (Input.LASER, Input.GIMBAL)
+_JUDGED_WHILE_FRESH = (Input.POSITION, Input.LASER, Input.GIMBAL)
 _WORDS = {
     Input.POSITION: "the aircraft's position",
     Input.ATTITUDE: "the aircraft's attitude",
     Input.HEARTBEAT: "the autopilot's heartbeat",
     Input.LASER: "the laser",
     Input.GIMBAL: "the gimbal",
-    Input.SIGHTINGS: "laser and line of sight",
+    Input.SIGHTINGS: "the sightings",
     Input.LINK: "the link",
     Input.CLOCK: "the aircraft's clock",
     Input.TERRAIN: "the elevation data",
@@ -177,7 +179,11 @@ class Health:
         return ""
 
     def changes(
-        self, now_s: float, lasers: SourceSelector, gimbals: SourceSelector, clock_fault: str = ""
+        self,
+        now_s: float,
+        lasers: SourceSelector,
+        gimbals: SourceSelector,
+        faults: Mapping[Input, str] = MappingProxyType({}),
     ) -> tuple[HealthChanged, ...]:
         """Judge all inputs and return what has changed since the last call.
 
@@ -185,7 +191,7 @@ class Health:
             now_s: the vehicle's clock.
             lasers: which laser is in use, and which were refused in place of a silent one.
             gimbals: the same of the line of sight.
-            clock_fault: why the vehicle's clock is not trusted; empty while it is.
+            faults: why the vehicle's own inputs are not trusted, by input; empty text while one is.
         """
         self._evaluate_s = now_s + _EVALUATE_EVERY_S
         if not self._connected:
@@ -195,7 +201,7 @@ class Health:
             if self._inputs[kind].count:
                 self._rate(self._inputs[kind], now_s)
                 self._judge_age(kind, now_s, changed)
-        for kind, fault in {**self.payload.faults(), Input.CLOCK: clock_fault}.items():
+        for kind, fault in {**self.payload.faults(), **faults}.items():
             self._judge_fault(kind, fault, now_s, changed)
         devices = ((Input.LASER, lasers), (Input.GIMBAL, gimbals))
         for kind, selector in devices:
@@ -243,7 +249,7 @@ class Health:
 
     def _judge_fault(self, kind: Input, fault: str, now_s: float, changed: list[HealthChanged]) -> None:
         state = self._inputs[kind].state
-        if kind in _OF_PAYLOAD and state in (InputState.STALE, InputState.MISSING):
+        if kind in _JUDGED_WHILE_FRESH and state in (InputState.STALE, InputState.MISSING):
             return
         if fault and state is not InputState.INCONSISTENT:
             changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))

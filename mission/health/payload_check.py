@@ -11,6 +11,9 @@ Rules
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
    (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.
 4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
+   Without a laser, lines of sight that only 5 % of good ones exceed (``_POOR_NIS``) count as rejected: the filter
+   adapts to wrong ones. So does the estimated pitch error: if it stays unexpected for ``_PITCH_LASTS_S``, the ground
+   or the height of the aircraft is wrong.
 
 While rules 1 to 3 find a fault, the device's readings are not used; a constant yaw error is corrected instead, if the
 gimbal keeps level. An apparent target that jumps farther than it can
@@ -23,13 +26,19 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import Quaternion, sight_direction
-from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.readings import (
+    IMAGE_TRACKER,
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+)
 from sidelong.estimators.sensing.sighting import SightingOutcome
-from sidelong.estimators.tracking.sources import CAMERA_TRACKER
 from sidelong.mission.core.inputs import Input
 from sidelong.mission.health.motion_fit import (
     FACTORS,
@@ -59,6 +68,12 @@ _JUMPS = (
     "and what the gimbal points at"
 )
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
+_POOR_NIS = 5.991  # chi-square of the two angles, 95 %
+_PITCH_LASTS_S = 20.0
+_OFF_SIGHT = (
+    "without a laser, they do not fit a target that moves on the ground: check the camera's field of view, its image "
+    "axes and its delay, the gimbal's frame flags, and that the tracker follows the target"
+)
 
 
 _STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
@@ -144,7 +159,8 @@ class PayloadCheck:
         self._agreeing = 0
         self._verdict = self._established = SOUND
         self._frame_fault = self._unit_fault = ""
-        self._rejected: deque[list[int]] = deque()  # second, sightings, rejected
+        self._rejected: deque[list[int]] = deque()  # second, sightings, rejected, without a range
+        self._pitch_off_s = math.inf  # since when the pitch error is unexpected
 
     def stand_on(self, ground: GroundHeight) -> None:
         """Compare heights with this ground.
@@ -255,7 +271,7 @@ class PayloadCheck:
             if self._corrected >= _CORRECTED_AFTER:  # at once: on a straight leg no motion could show it
                 self._begin_fit()
                 self._settle()
-        if reading.source.message != CAMERA_TRACKER:
+        if reading.source.message != IMAGE_TRACKER:
             self.gimbal_axis(reading)
         position, attitude, now_s = self._position, self._attitude, reading.time_s
         if now_s - self._sampled_s < _SAMPLE_EVERY_S or position is None or attitude is None:
@@ -282,39 +298,59 @@ class PayloadCheck:
             self._judge(reading.frame)
             self._settle()
 
-    def sightings(self, time_s: float, outcomes: Sequence[SightingOutcome]) -> None:
+    def sightings(
+        self, time_s: float, outcomes: Sequence[SightingOutcome], pitch_error_rad: Callable[[], float] = lambda: 0.0
+    ) -> None:
         """Process the outcomes of sightings.
 
         Args:
             time_s: Time on the vehicle's clock, s.
             outcomes: What the tracker returned.
+            pitch_error_rad: Returns the gimbal's pitch error, if it is beyond what the settings expect; else 0.
         """
         second = math.floor(time_s)
         is_new = not self._rejected or self._rejected[-1][0] != second
         if is_new:
-            self._rejected.append([second, 0, 0])
+            self._rejected.append([second, 0, 0, 0])
         counts = self._rejected[-1]
         counts[1] += len(outcomes)
         for one in outcomes:
-            counts[2] += not one.accepted
+            by_angles = not one.sighting.has_range
+            counts[2] += not one.accepted or (by_angles and one.nis > _POOR_NIS)
+            counts[3] += by_angles
         if not is_new:
             return
         while self._rejected[0][0] < second - _WINDOW_S or self._rejected[0][0] > second:
             self._rejected.popleft()
-        total = sum(count for _, count, _ in self._rejected)
-        share = sum(count for _, _, count in self._rejected) / total if total >= _SIGHTINGS_MIN else 0.0
+        _, total, rejected, angles = map(sum, zip(*self._rejected, strict=True))
+        share = rejected / total if total >= _SIGHTINGS_MIN else 0.0
         covered = second - self._rejected[0][0] >= 0.8 * _WINDOW_S
         jumps_s = self._fit.jumps_s
         jumps = len(jumps_s) == OFTEN and 0.0 <= time_s - jumps_s[0] < _JUMPS_S
-        if jumps and not self.sightings_fault:
+        by_angles = 2 * angles > total
+        pitch_rad = pitch_error_rad() if by_angles else 0.0
+        self._pitch_off_s = min(self._pitch_off_s, time_s) if pitch_rad else math.inf
+        off_ground = time_s - self._pitch_off_s > _PITCH_LASTS_S
+        if self.sightings_fault:
+            if share < _ACCEPTED_AGAIN and not jumps and not off_ground:
+                self.sightings_fault = ""
+        elif jumps:
             self.sightings_fault = _JUMPS
-        elif share > _REJECTED_SHARE and covered and not self.sightings_fault:
+        elif share > _REJECTED_SHARE and covered:
             self.sightings_fault = (
-                f"{100.0 * share:.0f} % of the sightings of {_WINDOW_S:.0f} s were rejected: laser and line of sight "
-                "do not agree; check the gimbal's frame flags and mounting and the laser's unit"
+                _OFF_SIGHT
+                if by_angles
+                else (
+                    f"{100.0 * share:.0f} % of those of {_WINDOW_S:.0f} s were rejected: laser and line of sight "
+                    "do not agree; check the gimbal's frame flags and mounting and the laser's unit"
+                )
             )
-        elif share < _ACCEPTED_AGAIN and not jumps:
-            self.sightings_fault = ""
+        elif off_ground:
+            self.sightings_fault = (
+                f"without a laser, they look {abs(math.degrees(pitch_rad)):.1f} degrees too "
+                f"{'high' if pitch_rad > 0.0 else 'low'} for a target on the ground: check the heights of home, "
+                "ground and aircraft, the gimbal's pitch and the camera's field of view"
+            )
 
     @property
     def _is_stuck(self) -> bool:

@@ -98,6 +98,13 @@ def test_laser_and_gimbal_are_asked_for_unless_another_station_reports_the_place
     assert [check.name for check in found if "source" in check.name and not check.ready] == missing
 
 
+def test_camera_that_tracks_without_a_known_field_of_view_is_not_ready():
+    tracking = {"CAMERA_TRACKING_IMAGE_STATUS": {"tracking_status": 1}}
+    for messages, ready in ((tracking, [False]), (tracking | {"CAMERA_FOV_STATUS": {}}, [True]), ({}, [])):
+        found = checks(Config(), Silent(**messages), Px4(), NOTHING_READ, None, ())
+        assert [check.ready for check in found if check.name == "field of view"] == ready
+
+
 class Flying:
     """An armed ArduPlane at 100 m, in a mode by its number."""
 

@@ -22,6 +22,7 @@ from tests.faults.flight_faults import (
     Fault,
     flagged,
     later,
+    moved,
     only,
     other_device,
     repeated,
@@ -317,6 +318,47 @@ def test_clock_of_the_aircraft_that_jumps_for_seconds_is_reported():
     assert gone[0] <= BEGIN_S + 5.0
     assert back[1].state is InputState.OK
     assert back[0] <= BEGIN_S + 10.0
+
+
+def velocity(by):
+    return only(("GLOBAL_POSITION_INT",), lambda m, _s, _r: with_fields(m, **by(m.fields["vx"], m.fields["vy"])))
+
+
+@pytest.mark.parametrize(
+    "by",
+    [lambda vx, vy: {"vx": -vx, "vy": -vy}, lambda vx, vy: {"vx": vy, "vy": vx}, lambda vx, vy: {"vx": 0, "vy": 0}],
+    ids=["reversed", "east and north exchanged", "zero"],
+)
+def test_velocity_that_contradicts_the_positions_is_reported(by):
+    """The estimation interpolates positions by it: the target had been 50 m off, without a word."""
+    flown = FaultedFlight(Scenario(1, "px4", 120.0), [Fault("velocity", BEGIN_S, math.inf, velocity(by))]).fly()
+    found_s = [
+        at_s
+        for at_s, one in flown.health
+        if one.input is Input.POSITION and "otherwise than the reported velocity" in one.text
+    ]
+    assert BEGIN_S < found_s[0] <= BEGIN_S + 20.0
+    assert flown.unknown_s >= 0.8 * (120.0 - found_s[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (velocity(lambda vx, vy: {"vx": -vx, "vy": -vy}), "the velocity jumped by 2"),
+        (
+            only(
+                ("GLOBAL_POSITION_INT",),
+                lambda m, _s, _r: with_fields(m, relative_alt=m.fields["relative_alt"] + 50_000),
+            ),
+            "the height jumped by 50 m",
+        ),
+        (only(("GLOBAL_POSITION_INT",), lambda m, _s, _r: moved(m, 300.0, 0.0)), "the position jumped by 30"),
+    ],
+    ids=["velocity", "height", "position"],
+)
+def test_what_has_jumped_is_named(change, words):
+    flown = FaultedFlight(Scenario(1, "px4", 70.0), [Fault("jump", BEGIN_S, math.inf, change)]).fly()
+    assert any(words in text for _, text in flown.announced)
 
 
 @pytest.mark.parametrize(("ground_m", "is_wrong"), [(0.0, False), (-5.0, False), (-120.0, True)])

@@ -11,6 +11,9 @@ import pytest
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.estimators.rotations import sight_direction
 from sidelong.estimators.sensing.readings import GimbalReading
+from sidelong.mission.core.inputs import Input, InputState
+from tests.faults.flight import FaultedFlight, Flown, Scenario
+from tests.faults.flight_faults import Change, Fault, only, repeated, with_fields
 from tests.faulty_payload import FaultyPayload, PayloadFaults
 from tests.messages import message
 
@@ -80,3 +83,77 @@ def test_simulated_image_and_gimbal_show_the_target_together():
         yaw_deg, depression_deg = angles_deg(readings[-1])
         assert yaw_deg == pytest.approx(math.degrees(math.atan2(150.0, -90.0)), abs=1e-6)
         assert depression_deg == pytest.approx(math.degrees(math.atan2(100.0, math.hypot(150.0, 90.0))), abs=1e-6)
+
+
+TRACKER = ("CAMERA_TRACKING_IMAGE_STATUS",)
+BEGIN_S = 30.0
+
+
+def flown_with(change: Change, ground_m: float = 0.0, seed: int = 1) -> Flown:
+    """Fly without a laser over flat ground; ``ground_m``: its true height against home."""
+
+    class Flight(FaultedFlight):
+        def payload(self, rng):
+            payload = FaultyPayload(CAMERA, rng)
+            measure = payload.measure
+            payload.measure = lambda time_s, boot_ms, east_m, north_m, up_m, **how: measure(
+                time_s, boot_ms, east_m, north_m, up_m + ground_m, **how
+            )
+            return payload
+
+    fault = Fault("camera", BEGIN_S, math.inf, change)
+    flat = {"terrain": {"flat": True, "sigma_m": 2.0}}
+    return Flight(Scenario(seed, "px4", 120.0), [fault], configured=flat).fly()
+
+
+def reported(flown: Flown) -> list[tuple[float, str]]:
+    return [
+        (time_s, one.text)
+        for time_s, one in flown.health
+        if one.input is Input.SIGHTINGS and one.state is InputState.INCONSISTENT
+    ]
+
+
+def twice_the_view(message, _since_s, _rng):
+    return with_fields(message, hfov=60.0, vfov=60.0)
+
+
+def mirrored(message, _since_s, _rng):
+    return with_fields(message, point_x=1.0 - message.fields["point_x"])
+
+
+CAMERA_FAULTS = {
+    "twice the field of view": only(("CAMERA_FOV_STATUS",), twice_the_view),
+    "image mirrored": only(TRACKER, mirrored),
+    "place in the image frozen": repeated(TRACKER, "point_x"),
+    "image 1.5 s late": lambda one, _since_s, _rng: iter([(1.5 if one.name in TRACKER else 0.0, one)]),
+}
+
+
+@pytest.mark.parametrize("name", CAMERA_FAULTS)
+def test_camera_that_contradicts_the_ground_is_reported(name):
+    flown = flown_with(CAMERA_FAULTS[name])
+    time_s, text = reported(flown)[0]
+    assert time_s <= BEGIN_S + 60.0
+    assert "the camera's field of view" in text
+    assert flown.unknown_s >= 120.0 - time_s - 1.0
+
+
+def test_ground_at_another_height_is_reported_without_a_laser():
+    flown = flown_with(lambda one, _since_s, _rng: iter([(0.0, one)]), ground_m=-50.0)
+    (_, text), *_ = reported(flown)
+    assert "degrees too low for a target on the ground" in text
+
+
+@pytest.mark.parametrize("ground_m", [-4.0, 4.0])
+def test_camera_over_ground_that_is_off_as_usual_is_not_reported(ground_m):
+    flown = flown_with(lambda one, _since_s, _rng: iter([(0.0, one)]), ground_m)
+    assert not flown.health
+
+
+def test_axis_of_the_gimbal_does_not_replace_a_camera_that_has_lost_the_target():
+    flown = flown_with(only(TRACKER, lambda one, _since_s, _rng: with_fields(one, tracking_status=0)))
+    unseen_s = max(one.unseen_s for one in flown.decided if one.time_s > BEGIN_S)
+    assert unseen_s > 15.0
+    assert any("has not been seen" in text for _, text in flown.announced)
+    assert flown.unknown_s >= 60.0
