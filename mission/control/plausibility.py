@@ -228,12 +228,16 @@ class Plausibility:
         return False
 
     @property
-    def input_faults(self) -> dict[Input, str]:
-        """Why the vehicle's clock and position are not trusted; empty text while they are."""
+    def clock_fault(self) -> str:
+        """Why nothing is decided on the vehicle's clock; empty while it is trusted."""
         off_s = self.clock.in_question_s
         lasts = off_s is not None and self.clock.questioned_for_s > BRIDGED_S
-        clock = f"it is {_off(off_s)}, nothing is decided on it" if lasts and off_s is not None else ""
-        return {Input.CLOCK: clock, Input.POSITION: self.velocity.fault}
+        return f"it is {_off(off_s)}, nothing is decided on it" if lasts and off_s is not None else ""
+
+    @property
+    def input_faults(self) -> dict[Input, str]:
+        """Why the vehicle's clock and position are not trusted; empty text while they are."""
+        return {Input.CLOCK: self.clock_fault, Input.POSITION: self.velocity.fault}
 
     def _yield_to_two(self, how: str) -> None:
         if self.two_vehicles is None:

@@ -58,7 +58,7 @@ OFTEN = 3
 _LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
 _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
-_LEVEL_SHARE, OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
+_LEVEL_SHARE, _OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
 _HEIGHT_MIN_M = 25.0
 _PITCH_NOISE_RAD = math.radians(2.0)  # six standard deviations
 _DOWN_MIN, _GROUND_STEPS = 0.02, 4  # how far a line of sight points down, and how its end on hills is found
@@ -121,7 +121,6 @@ class MotionFit:
         changed_s: When the apparent target jumped, last.
         jumped_s: When it jumped farther than a target can drive, last.
         jumps_s: When it did so, the last times.
-        off_level: How far the target is off the ground, as a share of the aircraft's height over it; NaN: unknown.
         yaw_error_rad: The constant yaw error that fits best; once established, it stays.
     """
 
@@ -129,7 +128,6 @@ class MotionFit:
         self.ground: GroundHeight | None = None
         self.changed_s = self.jumped_s = -math.inf
         self.jumps_s: deque[float] = deque(maxlen=OFTEN)
-        self.off_level = math.nan
         self.yaw_error_rad = 0.0
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
@@ -221,6 +219,16 @@ class MotionFit:
         range_m = max(math.dist(last.sighted_m, last.own_m), 1.0)
         return (last.sighted_m[0] - last.own_m[0]) / range_m, (last.sighted_m[1] - last.own_m[1]) / range_m
 
+    @property
+    def off_ground_m(self) -> float:
+        """How far the target is above or below the elevation data; NaN where there is none."""
+        ground = self.ground
+        if ground is None:
+            return math.nan
+        off_m = [abs(one.sighted_m[2] - ground(one.sighted_m[0], one.sighted_m[1])) for one in self._samples]
+        known_m = [one for one in off_m if not math.isnan(one)]
+        return statistics.median(known_m) if 2 * len(known_m) > len(off_m) else math.nan
+
     def verdict(self, established: Verdict = SOUND) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
 
@@ -237,8 +245,7 @@ class MotionFit:
             return None
         shares = sorted(one.off_level for one in samples)
         off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
-        self.off_level = off_level
-        unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > OFF_LEVEL_SHARE
+        unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > _OFF_LEVEL_SHARE
         if unit_is_right and not math.isnan(samples[-1].range_m):
             self._level_s = samples[-1].time_s
         as_reported_m = self._residual_as_reported_m()

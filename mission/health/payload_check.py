@@ -42,7 +42,6 @@ from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.inputs import Input
 from sidelong.mission.health.motion_fit import (
     FACTORS,
-    OFF_LEVEL_SHARE,
     OFTEN,
     SOUND,
     WINDOW_S,
@@ -79,9 +78,10 @@ _OFF_SIGHT = (
 _STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
 _FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
 _YAW_FROZEN = "its yaw is frozen while the aircraft turns: check its pan motor, its pan limits and its driver"
+_OFF_GROUND_M = 25.0  # six times the usual error of elevation data
 _OFF_GROUND = (
-    "by laser and gimbal the target is far above or below its ground; "
-    "check the tiles, home, and where the laser looks"
+    f"by laser and gimbal the target is more than {_OFF_GROUND_M:.0f} m above or below its ground; "
+    "check the tiles, home, and what the laser meets"
 )
 
 
@@ -403,7 +403,7 @@ class PayloadCheck:
             self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"
 
     def _judge_terrain(self, *, sound: bool) -> None:
-        off = self._fit.ground is not None and sound and self._fit.off_level > OFF_LEVEL_SHARE
+        off = sound and self._fit.off_ground_m > _OFF_GROUND_M
         self._off_ground = self._off_ground + 1 if off else 0
         before = self.terrain_fault
         if self._off_ground >= _CLEARED_AFTER:
