@@ -11,9 +11,10 @@ Rules
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
    (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.
 4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
-   Without a laser, lines of sight that only 5 % of good ones exceed (``_POOR_NIS``) count as rejected: the filter
-   adapts to wrong ones. So does the estimated pitch error: if it stays unexpected for ``_PITCH_LASTS_S``, the ground
-   or the height of the aircraft is wrong.
+   Lines of sight without a range, and fixes of a beacon or camera, count as rejected beyond what only 5 % of good
+   ones exceed (``_POOR_NIS``): the filter adapts to wrong ones. So does the estimated pitch error: if it stays
+   unexpected for ``_PITCH_LASTS_S``, the ground or the height of the aircraft is wrong. Next to other sightings,
+   ``_FIXES_SHARE`` of the fixes is enough.
 
 While rules 1 to 3 find a fault, the device's readings are not used; a constant yaw error is corrected instead, if the
 gimbal keeps level. An apparent target that jumps farther than it can
@@ -38,7 +39,7 @@ from sidelong.estimators.sensing.readings import (
     RangeReading,
     Source,
 )
-from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
 from sidelong.mission.core.inputs import Input
 from sidelong.mission.health.motion_fit import (
     FACTORS,
@@ -66,12 +67,21 @@ _JUMPS = (
     f"the target's position jumped {OFTEN} times in {_JUMPS_S:.0f} s: check what the laser meets instead of it, "
     "and what the gimbal points at"
 )
-_REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
-_POOR_NIS = 5.991  # chi-square of the two angles, 95 %
+_REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 20
+_FIXES_SHARE, _FIXES_MIN = 0.5, 10  # of fixes next to other sightings
+_POOR_NIS = 5.991  # chi-square of two numbers, 95 %
 _PITCH_LASTS_S = 20.0
 _OFF_SIGHT = (
     "without a laser, they do not fit a target that moves on the ground: check the camera's field of view, its image "
     "axes and its delay, the gimbal's frame flags, and that the tracker follows the target"
+)
+_OFF_FIXES = (
+    "the positions that beacon or camera report do not fit one another: check that one device alone reports, and "
+    "that its error is as large as it states"
+)
+_OFF_BEACON = (
+    "the position that beacon or camera report is not where the payload sees the target: check which target each of "
+    "them follows, and how late the beacon is"
 )
 
 
@@ -83,6 +93,14 @@ _OFF_GROUND = (
     f"by laser and gimbal the target is more than {_OFF_GROUND_M:.0f} m above or below its ground; "
     "check the tiles, home, and what the laser meets"
 )
+
+
+_KINDS = 3
+_RANGED, _ANGLES, _FIX = range(_KINDS)
+
+
+def _kind(sighting: AnySighting) -> int:
+    return _FIX if isinstance(sighting, Fix) else _RANGED if sighting.has_range else _ANGLES
 
 
 class _Repeats:
@@ -159,7 +177,7 @@ class PayloadCheck:
         self._agreeing = 0
         self._verdict = self._established = SOUND
         self._frame_fault = self._unit_fault = ""
-        self._rejected: deque[list[int]] = deque()  # second, sightings, rejected, without a range
+        self._rejected: deque[list[int]] = deque()  # second, sightings of each kind, rejected of each kind
         self._pitch_off_s = math.inf  # since when the pitch error is unexpected
 
     def stand_on(self, ground: GroundHeight) -> None:
@@ -311,40 +329,42 @@ class PayloadCheck:
         second = math.floor(time_s)
         is_new = not self._rejected or self._rejected[-1][0] != second
         if is_new:
-            self._rejected.append([second, 0, 0, 0])
+            self._rejected.append([second, *(2 * _KINDS * [0])])
         counts = self._rejected[-1]
-        counts[1] += len(outcomes)
         for one in outcomes:
-            by_angles = not one.sighting.has_range
-            counts[2] += not one.accepted or (by_angles and one.nis > _POOR_NIS)
-            counts[3] += by_angles
+            kind = _kind(one.sighting)
+            counts[1 + kind] += 1
+            counts[1 + _KINDS + kind] += not one.accepted or (kind != _RANGED and one.nis > _POOR_NIS)
         if not is_new:
             return
         while self._rejected[0][0] < second - _WINDOW_S or self._rejected[0][0] > second:
             self._rejected.popleft()
-        _, total, rejected, angles = map(sum, zip(*self._rejected, strict=True))
-        share = rejected / total if total >= _SIGHTINGS_MIN else 0.0
+        _, *numbers = map(sum, zip(*self._rejected, strict=True))
+        given, rejected = numbers[:_KINDS], numbers[_KINDS:]
+        total, fixes = sum(given), given[_FIX]
+        share = sum(rejected) / total if total >= _SIGHTINGS_MIN else 0.0
+        off_fixes = _FIXES_MIN <= fixes < total and rejected[_FIX] > _FIXES_SHARE * fixes
         covered = second - self._rejected[0][0] >= 0.8 * _WINDOW_S
         jumps_s = self._fit.jumps_s
         jumps = len(jumps_s) == OFTEN and 0.0 <= time_s - jumps_s[0] < _JUMPS_S
-        by_angles = 2 * angles > total
+        by_angles = 2 * given[_ANGLES] > total
         pitch_rad = pitch_error_rad() if by_angles else 0.0
         self._pitch_off_s = min(self._pitch_off_s, time_s) if pitch_rad else math.inf
         off_ground = time_s - self._pitch_off_s > _PITCH_LASTS_S
         if self.sightings_fault:
-            if share < _ACCEPTED_AGAIN and not jumps and not off_ground:
+            if share < _ACCEPTED_AGAIN and not jumps and not off_ground and not off_fixes:
                 self.sightings_fault = ""
         elif jumps:
             self.sightings_fault = _JUMPS
-        elif share > _REJECTED_SHARE and covered:
+        elif covered and (off_fixes or (share > _REJECTED_SHARE and fixes)):
+            self.sightings_fault = _OFF_FIXES if fixes == total else _OFF_BEACON
+        elif covered and share > _REJECTED_SHARE:
             self.sightings_fault = (
-                _OFF_SIGHT
-                if by_angles
-                else (
-                    f"{100.0 * share:.0f} % of those of {_WINDOW_S:.0f} s were rejected: laser and line of sight "
-                    "do not agree; check the gimbal's frame flags and mounting and the laser's unit"
-                )
+                f"{100.0 * share:.0f} % of those of {_WINDOW_S:.0f} s were rejected: laser and line of sight "
+                "do not agree; check the gimbal's frame flags and mounting and the laser's unit"
             )
+            if by_angles:
+                self.sightings_fault = _OFF_SIGHT
         elif off_ground:
             self.sightings_fault = (
                 f"without a laser, they look {abs(math.degrees(pitch_rad)):.1f} degrees too "
