@@ -171,8 +171,8 @@ class MotionFit:
         # A wrong frame lets it jump on and on.
         jumps = jump_m > self._jump_m(sample) and abs(now_s - self.changed_s) > WINDOW_S and self._drove()
         if jumps or gimbal.frame != self._flagged:
-            if jumped is None or jumped.gimbal.frame != gimbal.frame:
-                self._jumped = sample  # an outlier, unless the next one is like it
+            if jumped is None or jumped.gimbal.frame != gimbal.frame or jumped.range_m == slant_range_m:
+                self._jumped = sample  # an outlier, unless the next one is like it, with a range of its own
                 return
             if jump_m > _JUMP_M:
                 self._change(jumped.time_s, jump_m)

@@ -148,6 +148,22 @@ def test_laser_that_meets_the_background_again_and_again_is_reported():
     )
 
 
+def test_single_wrong_ranges_of_a_slow_laser_are_no_jumps_of_the_target():
+    """At 1 Hz, two lines of sight are paired with each of them."""
+    count = 0
+
+    def slow(message, _since_s, _rng):
+        nonlocal count
+        count += 1
+        far_cm = 6000 if count % 160 == 0 else 0
+        far = with_fields(message, current_distance=message.fields["current_distance"] + far_cm)
+        return far if count % 10 == 0 else None
+
+    flown = FaultedFlight(Scenario(3, "arduplane", 200.0), [Fault("slow", 0.0, math.inf, only(LASER, slow))]).fly()
+    assert not flown.health
+    assert flown.unknown_s <= 3.0
+
+
 def test_aircraft_that_does_not_follow_its_plans_is_reported(monkeypatch):
     begin_leg = KinematicVehicle._begin_leg
 
