@@ -29,6 +29,9 @@ _KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out 
 # Longer predictions go by steps, so that the motion models can mix on the way; the longest take this many steps.
 _STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
+RESTARTED = "restarted where the rejected sightings agree"
+"""Reason of a sighting with which the track has moved elsewhere."""
+
 FilterStart = Callable[..., "TargetImm"]
 """Makes a filter from (settings, first sighting, biases, ground or None)."""
 
@@ -158,7 +161,7 @@ class Track:
         agreeing = self._gated_out = [*self._gated_out, sighting][-needed:]
         if len(agreeing) == needed and self._one_target_explains(ahead.without_errors(agreeing)):
             self._restart(agreeing, ahead.biases())
-            return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
+            return SightingOutcome(sighting, True, nis, RESTARTED)
         reason = f"innovation squared {nis:.0f} is beyond the gate of {settings.gate_nis:.0f}"
         return self._rejected(sighting, nis, reason)
 

@@ -57,7 +57,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.control.surroundings import Surroundings
-from sidelong.mission.control.target_news import DelayNews, MountNews, RangeNews, TargetNews
+from sidelong.mission.control.target_news import DelayNews, JumpNews, MountNews, RangeNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
@@ -145,7 +145,7 @@ class StandoffController:
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
         self._news, self._delay_news = TargetNews(), DelayNews(tracker.latencies_s)
-        self._mount_news, self._range_news = MountNews(), RangeNews()
+        self._mount_news, self._range_news, self._jump_news = MountNews(), RangeNews(), JumpNews()
         self._jumped_s = -math.inf  # when the apparent target jumped, as far as the tracker knows
         self._sensor_status = SensorStatus()
         self._wind = Wind()
@@ -327,6 +327,7 @@ class StandoffController:
         self.sighted = self.tracker.add(reading)
         if self.sighted:
             self.health.payload.sightings(reading.time_s, self.sighted, lambda: self.tracker.unexpected_pitch_rad)
+            self._jump_news.note(self.sighted)
         self._sensor_status.note(reading, self.sighted, self.tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
@@ -345,9 +346,11 @@ class StandoffController:
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
+            before = self.estimate
             self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
             if self.estimate is not None:
                 announced = self._news.announce(self.time_s, self.estimate)
+            announced += self._jump_news.announce(self.time_s, before, self.estimate)
             announced += self._delay_news.announce(self.time_s, self.tracker.delays)
             announced += self._mount_news.announce(self.time_s, self.tracker.unexpected_yaw_rad)
             announced += self._range_news.announce(self.time_s, *self.tracker.range_error)

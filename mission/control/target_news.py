@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import StrEnum
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.tracking.track import RESTARTED
 from sidelong.mission.core.events import Announce
 
 # A shorter gap is not announced: lasers often miss for some seconds.
@@ -16,6 +19,7 @@ _DELAY_STEP_S = 0.1  # a smaller change of a delay is not announced
 _YAW_STEP_RAD = math.radians(5.0)  # nor of the gimbal's mounting
 _YAW_LASTS_S = 30.0
 _FACTOR_STEP, _RANGE_STEP_M = 0.05, 10.0
+_JUMP_M = 30.0
 
 
 class DelayNews:
@@ -105,6 +109,40 @@ class RangeNews:
         return (
             Announce(time_s, "sensor", f"the laser's ranges {text if errors else 'need no correction any more'}"),
         )
+
+
+class JumpNews:
+    """Announces that the track has moved elsewhere: the payload may follow another target."""
+
+    def __init__(self) -> None:
+        self._restarted = False
+
+    def note(self, outcomes: Sequence[SightingOutcome]) -> None:
+        """Process the outcomes of sightings.
+
+        Args:
+            outcomes: What the tracker returned.
+        """
+        self._restarted |= any(one.reason == RESTARTED for one in outcomes)
+
+    def announce(
+        self, time_s: float, before: TargetEstimate | None, estimate: TargetEstimate | None
+    ) -> tuple[Announce, ...]:
+        """Return an announcement if the track has moved elsewhere since the last call.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            before: Estimate at the last call.
+            estimate: Present estimate.
+        """
+        restarted, self._restarted = self._restarted, False
+        if not restarted or before is None or estimate is None:
+            return ()
+        jump_m = math.hypot(estimate.east_m - before.east_m, estimate.north_m - before.north_m)
+        if jump_m < _JUMP_M:
+            return ()
+        text = f"the target's position jumped by {jump_m:.0f} m: check that the payload follows the right target"
+        return (Announce(time_s, "track", text),)
 
 
 class _Sight(StrEnum):

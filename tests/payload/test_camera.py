@@ -139,6 +139,17 @@ def test_camera_that_contradicts_the_ground_is_reported(name):
     assert flown.unknown_s >= 120.0 - time_s - 1.0
 
 
+def test_camera_that_locks_on_another_target_is_reported():
+    """At the left edge of the image instead of its middle: about 60 m away."""
+
+    def elsewhere(message, _since_s, _rng):
+        return with_fields(message, point_x=message.fields["point_x"] - 0.35)
+
+    announced = flown_with(only(TRACKER, elsewhere)).announced
+    at_s = [time_s for time_s, text in announced if "check that the payload follows the right target" in text]
+    assert at_s[0] == pytest.approx(BEGIN_S, abs=10.0)
+
+
 def test_ground_at_another_height_is_reported_without_a_laser():
     flown = flown_with(lambda one, _since_s, _rng: iter([(0.0, one)]), ground_m=-50.0)
     (_, text), *_ = reported(flown)
