@@ -56,7 +56,7 @@ _DRIFT_M_S = 10.0  # drift of positions reported during a GPS or EKF fault
 _AWAITED_S = 5.0  # timeout for GPS and EKF reports after a telemetry gap
 _REPEATED_AFTER_S = 30.0
 _SOURCES_MAX = 32
-_REPEATS_S = 20.0
+_REPEATS_S, _BEACON_SILENT_S = 20.0, 60.0
 _DISPLACED_MIN = 3
 _OVERTAKEN_S = 1.0
 _BOOT_S = 4.0  # an autopilot that booted longer ago than this was silent and has moved
@@ -100,7 +100,9 @@ class Plausibility:
         self._good_s: dict[str, float] = {}
         self._awaited_s: dict[str, float] = {}  # by source without a report since a telemetry gap: since when
         self._sources: dict[tuple[type, Source], SourceClock] = {}
-        self._repeated: dict[Source, tuple[tuple[float, float], float]] = {}  # of beacons: position, since when
+        self._beacon: Source | None = None  # the one in use, and when it was received last
+        self._beacon_s = self._repeated_s = -math.inf
+        self._repeated = math.nan, math.nan  # its position, since the time above
         self._announced_s: dict[str, float] = {}
         self._announced: list[Announce] = []
         self._yield: YieldRequested | None = None
@@ -306,6 +308,8 @@ class Plausibility:
         if self.vehicle_silent:  # its clock stands still: nothing to compare a payload's clock with
             return None
         if isinstance(reading, TargetFixReading) and reading.source.message in BEACON_MESSAGES:
+            if not self._is_of_first_beacon(reading.source):
+                return None
             self._note_repeated(reading)
         if reading.time_s == 0.0:
             return replace(reading, time_s=self.clock.now_s)
@@ -328,21 +332,28 @@ class Plausibility:
             return None
         return reading if time_s == reading.time_s else replace(reading, time_s=time_s)
 
+    def _is_of_first_beacon(self, source: Source) -> bool:
+        """Return whether the beacon is the one in use: the mean of two targets is where neither of them is."""
+        now_s = self.clock.now_s
+        if self._beacon not in (None, source) and now_s - self._beacon_s < _BEACON_SILENT_S:
+            name = f"{source.message} {source.sensor_id or ''}".strip()
+            self._announce(name, "sensor", f"a second beacon ({name}, component {source.component_id}) is not used")
+            return False
+        self._beacon, self._beacon_s = source, now_s
+        return True
+
     def _note_repeated(self, fix: TargetFixReading) -> None:
         """Report a beacon that repeats a position to the last digit: it may be an old one."""
         place, now_s = (fix.east_m, fix.north_m), self.clock.now_s
-        before, since_s = self._repeated.get(fix.source, ((math.nan, math.nan), now_s))
-        if place != before:
-            since_s = now_s
-        elif now_s - since_s >= _REPEATS_S:
-            since_s = math.inf  # once
+        if place != self._repeated:
+            self._repeated, self._repeated_s = place, now_s
+        elif now_s - self._repeated_s >= _REPEATS_S:
+            self._repeated_s = math.inf  # once
             text = (
                 f"the beacon has reported the same position for {_REPEATS_S:.0f} s: the target stands, or the beacon "
                 "repeats its last position"
             )
             self._announce("repeated", "sensor", text)
-        if fix.source in self._repeated or len(self._repeated) < _SOURCES_MAX:
-            self._repeated[fix.source] = place, since_s
 
     def _credible(self, reading: Payload) -> bool:
         match reading:

@@ -484,3 +484,18 @@ def test_this_many_sources_and_no_more_are_kept(flown):
     for component in range(200):
         flown.give(replace(laser(109.95), source=Source("DISTANCE_SENSOR", component, 1)))
     assert len({reading.source for reading in flown.of(RangeReading)}) <= 32
+
+
+def test_second_beacon_is_reported_and_not_used_while_the_first_is_received(flown):
+    """The mean of two targets is where neither of them is."""
+    for second in range(110, 200):
+        flown.fly(float(second), second + 1.0)
+        numbers = (1, 2) if second < 125 else (2,)
+        for number in numbers:
+            place = Source("TARGET_ABSOLUTE", 1, number)
+            flown.give(TargetFixReading(second + 0.5, 80.0 * number, float(second), 2.0, place))
+    used = [one.source.sensor_id for one in flown.of(TargetFixReading)]
+    assert used[:15] == 15 * [1]
+    assert 10 <= len(used[15:]) <= 20
+    assert set(used[15:]) == {2}
+    assert "a second beacon (TARGET_ABSOLUTE 2, component 1) is not used" in flown.announced
