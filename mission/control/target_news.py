@@ -79,7 +79,8 @@ class MountNews:
         if abs(yaw_rad) < _YAW_STEP_RAD:
             return Announce(time_s, "sensor", "the gimbal's yaw needs no correction any more")
         text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees, and corrected: check its "
-        return Announce(time_s, "sensor", text + "mounting and its heading, or correct sensors.mount_deg")
+        text += "mounting and the aircraft's heading, or correct sensors.mount_deg"
+        return Announce(time_s, "sensor", text)
 
 
 class RangeNews:

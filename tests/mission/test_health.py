@@ -454,7 +454,7 @@ def test_wrong_mounting_of_the_gimbal_is_reported():
     """On a steady circle it looks like late stamps; the first change of circle shows the difference."""
     flown = FaultedFlight(Scenario(1, "px4", 260.0), [Fault("mount", 0.0, math.inf, turned(20.0))]).fly()
     (text,) = [text for _, text in flown.announced if text.startswith("the gimbal's yaw is off by about")]
-    assert "+20 degrees, and corrected: check its mounting and its heading, or correct sensors.mount_deg" in text
+    assert "+20 degrees, and corrected: check its mounting and the aircraft's heading, or correct" in text
 
 
 @pytest.mark.parametrize("begin_s", [0.0, BEGIN_S])
