@@ -288,10 +288,17 @@ def run(
 def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], paths: Sequence[Path]) -> None:
     for writer, path in zip(writers, paths, strict=False):
         try:
-            file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), waits)
+            opened = stack.enter_context(open(path, "w", encoding="utf-8", opener=_opened_at_once))  # noqa: SIM115
         except OSError as error:
             refuse("--truth", f"{path} cannot be written: {error.strerror}")
-        writer.on_truth = file.write
+        writer.on_truth = TruthFile(opened, waits).write
+
+
+def _opened_at_once(path: str, flags: int) -> int:
+    """Open a file, where a pipe without a reader is an error instead of a wait."""
+    opened = os.open(path, flags | os.O_NONBLOCK, 0o666)
+    os.set_blocking(opened, True)
+    return opened
 
 
 def _accompany(

@@ -104,6 +104,8 @@ def read_truth(path: Path) -> Truth:
     rows: dict[float, list[float]] = {}
     names: dict[float, str] = {}
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise InputError(f"{path} is no file; give a CSV file with the true track.")
         if path.stat().st_size > _FILE_MAX_BYTES:
             raise InputError(
                 f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; give the truth of a shorter flight."

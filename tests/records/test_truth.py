@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 
 import pytest
@@ -74,3 +75,9 @@ def test_another_table_is_an_input_error(tmp_path):
         read_truth(path)
     with pytest.raises(InputError, match="cannot be read"):
         read_truth(tmp_path / "missing.csv")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe is no file; give a CSV file"):
+        read_truth(tmp_path / "pipe")

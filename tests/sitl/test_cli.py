@@ -1,5 +1,7 @@
 """The command line: what it refuses, and in which words."""
 
+import os
+
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -59,6 +61,13 @@ def test_a_wrong_option_is_named_in_one_sentence(invoke, arguments):
     assert own in result.output or of_typer in result.output
     assert "Traceback" not in result.output
     assert "ready" not in result.output
+
+
+def test_a_pipe_that_no_program_reads_is_refused(invoke, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    result = invoke("--truth", str(tmp_path / "pipe"), "--duration", "1")
+    assert result.exit_code == 2
+    assert "pipe cannot be written: No such device or address" in " ".join(result.output.split())
 
 
 def test_help_has_an_example(invoke):
