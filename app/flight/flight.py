@@ -55,6 +55,7 @@ from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import (
     AlarmReported,
+    Announce,
     ControlAcquired,
     Event,
     MissionChange,
@@ -297,7 +298,7 @@ class Flight:
         try:
             await self._resume()
         except InputError as refusal:
-            self._display.note(f"resume refused: {refusal}")
+            self._display.say(Announce(self._telemetry.now_s, "refused", f"resume refused: {refusal}"))
 
     async def _resume(self) -> None:
         """Check the vehicle again after a yield, then ask the core to take it over.

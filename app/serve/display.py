@@ -16,13 +16,23 @@ _PRINTED = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", 
 class ServiceDisplay:
     """Of one watch.
 
+    Args:
+        log: Receives a line for people.
+        changed: Called when the flight is in another phase.
+        refused: Receives why a resumption is refused.
+
     Attributes:
         request: Passes on an operator's wish, None before the flight takes any.
         snapshot: The latest one.
     """
 
-    def __init__(self, log: Callable[[str], object], changed: Callable[[], object]) -> None:
-        self._log, self._changed = log, changed
+    def __init__(
+        self,
+        log: Callable[[str], object],
+        changed: Callable[[], object],
+        refused: Callable[[str], object],
+    ) -> None:
+        self._log, self._changed, self._refused = log, changed, refused
         self.request: Callable[[Wish], None] | None = None
         self.snapshot: Snapshot | None = None
         self._vehicle: Callable[[], VehicleStatus] | None = None
@@ -47,7 +57,9 @@ class ServiceDisplay:
         self._changed()
 
     def say(self, announcement: Announce) -> None:
-        if announcement.kind in _PRINTED:
+        if announcement.kind == "refused":
+            self._refused(announcement.text)
+        elif announcement.kind in _PRINTED:
             self._log(announcement.text)
 
     def show(self, snapshot: Snapshot) -> None:

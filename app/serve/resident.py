@@ -271,7 +271,7 @@ class Resident:
             return
         self._wanted.clear()
         self._watches += 1
-        display = ServiceDisplay(self._noted, self._follow)
+        display = ServiceDisplay(self._log, self._follow, self._refused)
         self._display = display
         self._become(State.WATCHING, "the watch begins")
         try:
@@ -334,13 +334,10 @@ class Resident:
 
     # -- what others receive ------------------------------------------------------------------------------
 
-    def _noted(self, text: str) -> None:
-        """Take a message of the watch. A refused resumption is shown to the person who asked for it."""
-        if text.startswith("resume refused"):
-            self._become(self._state, text)
-            self._inform_station(text)
-        else:
-            self._log(text)
+    def _refused(self, text: str) -> None:
+        """Show a refused resumption to the person who asked for it."""
+        self._become(self._state, text)
+        self._inform_station(text)
 
     def _follow(self) -> None:
         """Take the state from the flight."""

@@ -39,6 +39,7 @@ STYLES = {
     "link": "red",
     "yield": "bold red",
     "operator": "yellow",
+    "refused": "yellow",
     "end": "bold",
     "alarm": "bold red",
     "clear": "green",

@@ -282,6 +282,7 @@ class Announce:
         "yield",
         "plan",
         "operator",
+        "refused",
         "end",
         "position",
         "sensor",

@@ -166,7 +166,7 @@ class MissionController:
     def _resume(self, request: TakeoverRequested) -> None:
         objection = self.controller.resume_objection()
         if objection:
-            self._outbox.report(Announce(request.time_s, "operator", f"resume refused: {objection}"))
+            self._outbox.report(Announce(request.time_s, "refused", f"resume refused: {objection}"))
             return
         self.controller.resume()
         self._silent = False
