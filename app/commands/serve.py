@@ -67,6 +67,11 @@ def serve(
     def log(text: str) -> None:
         console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
+    obstacle = "" if address is None else address.obstacle
+    if address is not None and obstacle:  # its network may come up later
+        where = f"{address.host}:{address.port}"
+        log(f"the live map cannot be served at {where} now ({obstacle}); watches go on without it")
+
     async def live() -> None:
         loop, stopped = asyncio.get_running_loop(), asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import socket
 import sys
@@ -24,7 +25,8 @@ class Address:
 
     opens_browser: whether to open a browser on this desktop.
     map: background map file. cert, key: PEM files of the server's certificate and its key; with them the page
-    is served over TLS. Raises InputError for an empty host, and for one file without the other.
+    is served over TLS. Raises InputError for an empty host, a number that is no IPv4 address, and one file without
+    the other.
     """
 
     host: str = LOOPBACK[0]
@@ -37,6 +39,13 @@ class Address:
     def __post_init__(self) -> None:
         if not self.host.strip():
             raise InputError("--view-host is empty; give an address of this machine, or leave it out for loopback.")
+        if set(self.host) <= set("0123456789.") or ":" in self.host:
+            try:
+                ipaddress.IPv4Address(self.host)
+            except ValueError as error:
+                raise InputError(
+                    f"--view-host: {self.host} is not an IPv4 address; give one of this machine, or 0.0.0.0 for all."
+                ) from error
         if (self.cert is None) != (self.key is None):
             raise InputError("--view-cert and --view-key belong together; give both, as PEM files.")
         for path in (self.cert, self.key):
@@ -47,6 +56,18 @@ class Address:
     def is_local(self) -> bool:
         """Whether only this machine can reach it."""
         return self.host in LOOPBACK
+
+    @property
+    def obstacle(self) -> str:
+        """Why the page cannot be served now, '' if it can."""
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((self.host, self.port))
+                probe.listen()  # two may bind a port, one may listen
+            except OSError as error:
+                return error.strerror or str(error)
+        return ""
 
     @property
     def scheme(self) -> str:

@@ -331,7 +331,15 @@ def test_a_certificate_that_is_none_is_reported(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [{"host": ""}, {"host": " "}, {"cert": Path("a")}, {"cert": Path("a"), "key": Path("b")}]
+    "options",
+    [
+        {"host": ""},
+        {"host": " "},
+        {"host": "999.0.0.1"},
+        {"host": "::1"},
+        {"cert": Path("a")},
+        {"cert": Path("a"), "key": Path("b")},
+    ],
 )
 def test_an_address_that_cannot_be_is_reported(options):
     with pytest.raises(InputError, match=r"--view-host|--view-cert|PEM"):

@@ -15,7 +15,9 @@ from shutil import which
 from types import SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
+from sidelong.app.cli import app
 from sidelong.app.commands import serve
 from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
@@ -34,7 +36,7 @@ from sidelong.app.serve.triggers import Triggers
 from sidelong.app.view.address import Address
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm
-from sidelong.mission.core.events import ModeReported
+from sidelong.mission.core.events import Announce, ModeReported
 from tests.messages import heartbeat, message
 
 DEPLOYMENT = Path(__file__).resolve().parents[2] / "docs" / "deployment"
@@ -317,7 +319,7 @@ def test_a_fault_is_shown_until_a_check_fails(tmp_path):
 def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
     resident = Watched(tmp_path, None)
     resident._become(State.WATCHING, "")
-    display = resident._display = ServiceDisplay(print, lambda: None)
+    display = resident._display = ServiceDisplay(print, lambda: None, print)
     alarm = Alarm("link", "nothing received from the aircraft for 3 s", "check radio and antenna", 0.0)
     display.connected(lambda: VehicleStatus(alarms=(alarm,)))
     assert str(resident.status) == "watching: nothing received from the aircraft for 3 s"
@@ -327,7 +329,7 @@ def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
 
 def test_a_watch_goes_on_without_a_map_that_cannot_be_served(free_port):
     announced: list[str] = []
-    display = ServiceDisplay(print, lambda: None)
+    display = ServiceDisplay(print, lambda: None, print)
 
     async def show(address):
         async with serve._on_map(Config(), address, announced.append, display) as shown:
@@ -339,6 +341,17 @@ def test_a_watch_goes_on_without_a_map_that_cannot_be_served(free_port):
         assert asyncio.run(show(Address("127.0.0.1", taken.getsockname()[1]))) is display
     (text,) = announced
     assert text.startswith("the watch goes on without the live map: the page cannot be shown on 127.0.0.1:")
+
+
+def test_a_map_that_cannot_be_served_is_reported_at_the_start(monkeypatch):
+    async def ended(*_arguments):
+        pass
+
+    monkeypatch.setattr(Resident, "run", ended)
+    arguments = ["serve", "--connect", "udpin://127.0.0.1:1", "--view", "--view-host"]
+    far, here = (CliRunner().invoke(app, [*arguments, host]).output for host in ("192.0.2.1", "127.0.0.1"))
+    assert "the live map cannot be served at 192.0.2.1:8420 now (Cannot assign requested address)" in far
+    assert "192.0.2.1" not in here
 
 
 def test_a_run_that_is_deleted_while_it_is_measured_stops_no_rotation(tmp_path, monkeypatch):
@@ -354,6 +367,7 @@ def test_a_refused_resumption_is_in_the_status_and_sent_to_the_ground_station(tm
     resident, sent = Watched(tmp_path, None), []
     monkeypatch.setattr(resident, "_inform_station", sent.append)
     resident._become(State.YIELDED, "the flight mode was changed to MANUAL")
-    resident._noted("resume refused: the aircraft is on the ground")
+    display = ServiceDisplay(print, lambda: None, resident._refused)
+    display.say(Announce(0.0, "refused", "resume refused: the aircraft is on the ground"))
     assert str(resident.status) == "yielded: resume refused: the aircraft is on the ground"
     assert sent[-1] == "resume refused: the aircraft is on the ground"
