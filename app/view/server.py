@@ -47,7 +47,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _BODY_MAX_BYTES, _BODY_WITHIN_S = 1024, 5.0
-_PAGES_MAX = 50  # streams of states
+_PAGES_MAX, _OF_ONE_CLIENT_MAX = 50, 16  # streams of states; fewer than a client has connections
 _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
 _UNSENT_MAX = 50  # states; a browser that is further behind must reconnect
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
@@ -125,7 +125,7 @@ class Server:
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
         self._history = History(aircraft=max(len(fleet), 1))
-        self._pages: set[asyncio.Queue[bytes | None]] = set()
+        self._pages: dict[asyncio.Queue[bytes | None], str] = {}  # the clients of the streams
         self._requests = Allowances(burst=300.0, rate_s=50.0)
         self._pictures = Allowances(burst=2000.0, rate_s=300.0)
         self._guesses = Allowances(burst=10.0, rate_s=0.2)
@@ -158,7 +158,7 @@ class Server:
             try:
                 page.put_nowait(event)
             except asyncio.QueueFull:
-                self._pages.discard(page)
+                del self._pages[page]
                 while not page.empty():
                     page.get_nowait()
                 page.put_nowait(None)
@@ -234,19 +234,20 @@ class Server:
         return _shown(_content(self._shade))
 
     async def _events(self, request: Request) -> Response:
-        if len(self._pages) >= _PAGES_MAX:
-            return PlainTextResponse("too many pages are open", 503)
-        return StreamingResponse(self._stream(), media_type="text/event-stream")
+        client, clients = _client(request), list(self._pages.values())
+        if len(clients) >= _PAGES_MAX or clients.count(client) >= _OF_ONE_CLIENT_MAX:
+            return PlainTextResponse("too many live maps are open; close one and load this page again", 503)
+        return StreamingResponse(self._stream(client), media_type="text/event-stream")
 
-    async def _stream(self) -> AsyncIterator[bytes]:
+    async def _stream(self, client: str) -> AsyncIterator[bytes]:
         page: asyncio.Queue[bytes | None] = asyncio.Queue(_UNSENT_MAX)
-        self._pages.add(page)
+        self._pages[page] = client
         try:
             yield _event(self._history.update() | {"restart": True})
             while (event := await page.get()) is not None:
                 yield event
         finally:
-            self._pages.discard(page)
+            self._pages.pop(page, None)
 
     async def _pressed(self, request: Request) -> Response:
         # A page of another origin can neither send this content type unasked nor leave out or forge its Origin.

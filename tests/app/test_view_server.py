@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import socket
+from contextlib import ExitStack
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPCookieProcessor, OpenerDirector, Request, build_opener, urlopen
@@ -95,6 +96,21 @@ def test_a_page_that_opens_late_is_reported_what_was_before(shown):
     assert len(update["trail"]) == pytest.approx(120, abs=2)
     assert update["state"]["phase"] == "watching"
     assert update["state"]["target"]["quality"] == "good"
+
+
+def test_a_client_with_many_open_maps_learns_why_it_sees_no_other():
+    with ExitStack() as stack:
+        shown = stack.enter_context(display_at("127.0.0.1"))
+        streams = [stack.enter_context(urlopen(f"{shown.url}events")) for _ in range(16)]
+        for stream in streams:
+            assert stream.readline()
+        assert status(shown.url) == 200
+        with pytest.raises(HTTPError) as refused:
+            urlopen(f"{shown.url}events")
+        assert (refused.value.code, refused.value.read()) == (
+            503,
+            b"too many live maps are open; close one and load this page again",
+        )
 
 
 def test_a_foreign_name_for_this_machine_is_refused(shown):

@@ -28,6 +28,7 @@ let state = null;
 let startS = 0;
 let heardAt = performance.now();
 let over = false;
+let refusal = ""; // why the server sends this page no states
 let drawn = true;
 let answered = 0;
 let pending = null; // the unanswered request: {text, since}
@@ -55,7 +56,7 @@ function receive(update) {
   plots.add(update.series ?? []);
   for (const [timeS, kind, text] of update.announcements) {
     say(timeS, kind, text);
-    if (kind === "operator" && !update.restart) answer(text);
+    if (["operator", "refused"].includes(kind) && !update.restart) answer(text);
   }
   if (update.state) state = update.state;
   if (update.fleet) state = fleet.take(update.fleet) ?? state;
@@ -307,9 +308,10 @@ setInterval(() => {
   byId("day").textContent = timeOfDay(new Date());
   const silent = performance.now() - heardAt;
   const news = byId("news");
-  news.hidden = !over && silent < SILENT_MS;
+  news.hidden = !over && !refusal && silent < SILENT_MS;
   news.textContent = over
     ? "The flight's program has ended; this is how things stood last."
+    : refusal ? `Nothing is shown here: ${refusal}.`
     : `No message from the flight's program for ${Math.round(silent / 1000)} s; what is shown is old.`;
   if (over) buttons();
 }, 250);
@@ -438,6 +440,11 @@ byId("engineers").addEventListener("toggle", () => plots.draw(state?.name));
 buttons();
 const stream = new EventSource("events");
 stream.onmessage = (event) => receive(JSON.parse(event.data));
-stream.onerror = () => {
+stream.onerror = async () => {
   if (over) stream.close(); // the server has ended: do not reconnect
+  else if (stream.readyState === EventSource.CLOSED) { // refused: a stream does not say why
+    const answer = await fetch("events");
+    if (answer.ok) location.reload();
+    else refusal = await answer.text();
+  }
 };
