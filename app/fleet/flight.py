@@ -16,9 +16,10 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import combinations
 
 from sidelong.app.analysis.truth import truth_if_whole
 from sidelong.app.assembly import controller_of
@@ -48,6 +49,7 @@ from sidelong.app.link.signing import signing_time
 from sidelong.app.link.transport import Transport
 from sidelong.app.records.journal import Header, JournalWriter
 from sidelong.app.records.run_folder import FleetFolder
+from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.requirement import Side
@@ -55,6 +57,8 @@ from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet.events import TargetRouteGiven
 
 _POLL_S = 0.1
+_SAME_CLOCK_S, _SAME_PLACE_M = 5.0, 10.0  # of one vehicle by two links, one of which may be slow
+_FLEET_WITHIN_M = 100_000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +232,7 @@ class FleetFlight:
             check_route(route, own_ids)
         done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
         self._go_on_with(done)
+        check_apart(self._aircraft)
         for one in self._aircraft[1:]:
             one.flight.share_plane(self._aircraft[0].flight.plane)
 
@@ -400,6 +405,28 @@ class FleetFlight:
         if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
             return InputError(reasons)
         return FlightError(f"{reasons} Now {described}.")
+
+
+def check_apart(aircraft: Iterable[FleetAircraft]) -> None:
+    """Raise InputError where two links lead to one vehicle, or two aircraft are too far apart for one flight."""
+    for one, other in combinations(aircraft, 2):
+        vehicles = one.session.vehicle, other.session.vehicle
+        a, b = (vehicle.latest["GLOBAL_POSITION_INT"].fields for vehicle in vehicles)
+        place = LocalPlane(a["lat"] * 1e-7, a["lon"] * 1e-7)
+        apart_m = math.hypot(*place.east_north_m(b["lat"] * 1e-7, b["lon"] * 1e-7))
+        passed_s = abs(a["time_boot_ms"] - b["time_boot_ms"]) * 1e-3
+        flown_m = math.hypot(a["vx"], a["vy"]) * 1e-2 * passed_s
+        same_id = vehicles[0].system_id == vehicles[1].system_id
+        if same_id and passed_s < _SAME_CLOCK_S and apart_m < flown_m + _SAME_PLACE_M:
+            raise InputError(
+                f"aircraft {one.name!r} and {other.name!r} are one vehicle by its id, clock and position: "
+                "give each aircraft the link of its own vehicle, and each vehicle its own system id."
+            )
+        if apart_m > _FLEET_WITHIN_M:
+            raise InputError(
+                f"aircraft {one.name!r} and {other.name!r} are {apart_m / 1e3:.0f} km apart: a fleet flies within "
+                f"{_FLEET_WITHIN_M / 1e3:.0f} km; check the link and the home of both."
+            )
 
 
 def target_options(fleet: FleetFile) -> list[str]:

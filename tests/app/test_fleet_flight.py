@@ -8,7 +8,8 @@ import pytest
 
 from sidelong.app.errors import InputError
 from sidelong.app.fleet import flight
-from sidelong.app.fleet.flight import FleetFlight
+from sidelong.app.fleet.flight import FleetFlight, check_apart
+from tests.messages import message
 
 
 @pytest.fixture
@@ -50,3 +51,33 @@ def test_a_fault_of_ours_is_not_hidden(fleet):
     make, _ = fleet
     with pytest.raises(ZeroDivisionError):
         make(flies=True)._go_on_with([ZeroDivisionError(), None])
+
+
+def flying(name, system_id=1, boot_ms=60_000, lat=474_000_000, lon=85_000_000, vx=0):
+    fields = {"time_boot_ms": boot_ms, "lat": lat, "lon": lon, "vx": vx, "vy": 0}
+    latest = {"GLOBAL_POSITION_INT": message("GLOBAL_POSITION_INT", system=system_id, **fields)}
+    return SimpleNamespace(
+        name=name, session=SimpleNamespace(vehicle=SimpleNamespace(system_id=system_id, latest=latest))
+    )
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"system_id": 2},
+        {"boot_ms": 90_000},  # side by side, with one id, on links of their own
+        {"lat": 474_010_000},
+    ],
+)
+def test_two_vehicles_are_a_fleet(other):
+    check_apart([flying("plane"), flying("wing", **other)])
+
+
+def test_one_vehicle_by_two_links_is_no_fleet():
+    with pytest.raises(InputError, match="aircraft 'plane' and 'wing' are one vehicle by its id, clock and position"):
+        check_apart([flying("plane", vx=1500), flying("wing", boot_ms=61_000, lat=474_001_350, vx=1500)])
+
+
+def test_a_fleet_on_two_continents_is_refused():
+    with pytest.raises(InputError, match=r"'plane' and 'wing' are \d+ km apart: a fleet flies within 100 km"):
+        check_apart([flying("plane"), flying("wing", 2, lat=-353_632_621, lon=1_491_652_370)])
