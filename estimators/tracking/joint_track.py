@@ -120,7 +120,7 @@ class JointTrack:
             self._wrong_s.clear()
             return
         group = agreeing(alive, [payload for payload in alive if payload not in self._refused])
-        for payload, estimate in alive.items():
+        for payload in alive:
             if payload in group:
                 self._wrong_s.pop(payload, None)
                 since_s = self._right_s.setdefault(payload, time_s)
@@ -130,9 +130,15 @@ class JointTrack:
             self._right_s.pop(payload, None)
             since_s = self._wrong_s.setdefault(payload, time_s)
             if payload not in self._refused and time_s - since_s >= _REFUSED_AFTER_S:
-                off_m = min(apart_m(estimate, alive[other]) for other in group)
-                self._refused[payload] = f"it sees the target {off_m:.0f} m from where the others do"
+                self._refused[payload] = self._contradiction(payload, group, alive)
         self._follow(group, alive, time_s)
+
+    def _contradiction(self, payload: int, group: Sequence[int], alive: Mapping[int, TargetEstimate]) -> str:
+        off_m = min(apart_m(alive[payload], alive[other]) for other in group)
+        if len(group) > 1:
+            return f"it sees the target {off_m:.0f} m from where the others do"
+        surer = self._names[group[0]]
+        return f"it sees the target {off_m:.0f} m from where {surer} does; either may be wrong: check both payloads"
 
     def _follow(self, group: Sequence[int], alive: Mapping[int, TargetEstimate], time_s: float) -> None:
         """Restart the filter if it has followed a payload that is excluded now."""

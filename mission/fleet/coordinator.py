@@ -398,6 +398,9 @@ class FleetCoordinator:
             for payload, reason in track.refused.items():
                 if payload not in before:
                     self._say(payload, f"its sightings are left out: {reason}")
+            for payload in before:
+                if payload not in track.refused:
+                    self._say(payload, "its sightings are used again")
             self._refused[name] = dict(track.refused)
 
     def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:

@@ -80,6 +80,13 @@ def test_a_bad_payload_is_left_out_with_its_reason_and_taken_in_again():
     assert not track.refused
 
 
+def test_of_two_that_contradict_each_other_neither_is_called_right():
+    track, _ = watched(("west", "south"), 45.0, south=(30.0, 60.0))
+    ((name, reason),) = track.refused.items()
+    (other,) = {"west", "south"} - {name}
+    assert f"m from where {other} does; either may be wrong: check both payloads" in reason
+
+
 def test_a_payload_that_is_wrong_from_the_start_spoils_nothing_once_two_others_agree():
     _, errors = watched(("south", "west", "east"), 40.0, south=(0.0, 60.0))
     assert max(errors[15:]) < 2.0

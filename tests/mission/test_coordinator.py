@@ -227,6 +227,19 @@ def test_the_one_left_takes_the_required_side_when_the_other_falls_silent():
     assert any(announced.text == "is back" for announced in fleet.announced)
 
 
+def test_sightings_that_are_left_out_are_announced_and_so_is_their_return():
+    fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", EAST, 0.0, 160.0), Vehicle("c", EAST, 0.0, 220.0))
+    fleet.fly(20.0)
+    fleet.vehicles["c"].shift_m = 60.0
+    fleet.fly(15.0)
+    fleet.vehicles["c"].shift_m = 0.0
+    fleet.fly(40.0)
+    announced = [one.text for one in fleet.announced if one.name == "c" and "sightings" in one.text]
+    left_out = r"its sightings are left out: it sees the target \d+ m from where the others do"
+    assert re.fullmatch(left_out, announced[0])
+    assert announced[1:] == ["its sightings are used again"]
+
+
 @pytest.mark.parametrize("off_s", [-11.0, 11.0])
 def test_a_clock_that_is_set_wrong_for_a_while_is_no_silence(off_s):
     fleet = pair()
