@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import gc
-import signal
 import sys
 import traceback
 from difflib import get_close_matches
@@ -17,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.link.plain_text import plain
-from sidelong.app.shutdown import INTERRUPTED, exit_process, handle_next, interrupt_dropped
+from sidelong.app.shutdown import INTERRUPTED, exit_process, handle_next, heed_interrupts, interrupt_dropped
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -161,9 +160,7 @@ def _options(
 
 def main() -> NoReturn:
     """Run the command line and end the process with the exit code of :func:`run`."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
-            signal.signal(number, signal.default_int_handler)
+    heed_interrupts()
     sys.unraisablehook = handle_next
     exit_process(run())
 

@@ -68,6 +68,13 @@ def fails_with(alongside: asyncio.Task[None]) -> Iterator[None]:
         alongside.remove_done_callback(cancel)
 
 
+def heed_interrupts() -> None:
+    """Let a signal that asks the program to end raise KeyboardInterrupt, unless it is ignored, as nohup has it."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+
+
 def handle_next(unraisable: sys.UnraisableHookArgs) -> None:
     """Serve as ``sys.unraisablehook``: an interrupt that came where Python drops exceptions comes again.
 

@@ -34,6 +34,7 @@ from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
+from sidelong.app.shutdown import heed_interrupts
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
@@ -233,6 +234,7 @@ def launch(
         _announce(ended, json)
         if ended.reason is not None:
             raise ended.reason
+        heed_interrupts()
         if mcap:
             _write_mcap(ended.folder.path)
         if report:

@@ -2,7 +2,7 @@
 
 | | nothing commanded yet | flying to the first circle, or tracking | shutting down |
 | --- | --- | --- | --- |
-| INT, TERM, HUP | aborted at once | shut down, exit code 130 | asked to wait, with a time limit |
+| INT, TERM, HUP | aborted at once | shut down, exit code 130 | asked to wait, with a time limit; then ignored |
 | the simulated vehicle ends | failed, exit code 1 | shut down, exit code 1 | ignored |
 | first circle unreachable, or internal error | failed, exit code 1 | shut down, exit code 1 | exit code 1 |
 | output cannot be written | refused for a record, exit code 2 | reported; the flight continues | reported |
@@ -70,7 +70,12 @@ class Life:
                 yield
             finally:
                 for number in heeded:
-                    signal.signal(number, signal.default_int_handler)
+                    signal.signal(number, self._signalled_late)
+
+    def _signalled_late(self, _number: int, _frame: object) -> None:
+        """Let the records of a flight be completed, and its summary be written: that takes a moment."""
+        if not self._begun():
+            raise KeyboardInterrupt
 
     @contextlib.contextmanager
     def computing(self) -> Iterator[None]:

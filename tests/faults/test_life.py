@@ -86,6 +86,26 @@ def test_the_error_of_a_library_that_was_broken_off_is_not_reported():
             signal.signal(number, handler)
 
 
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_signal_that_comes_after_a_flight_does_not_take_its_summary_away(begun):
+    async def flown() -> str:
+        with Life(lambda: begun, print).heeding_signals():
+            pass
+        signal.raise_signal(signal.SIGINT)
+        return "summary"
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        if begun:
+            assert asyncio.run(flown()) == "summary"
+        else:
+            with pytest.raises(KeyboardInterrupt):
+                asyncio.run(flown())
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "sidelong.app", *SHORT, "--duration", "900", "--out", str(tmp_path)],
