@@ -9,7 +9,8 @@ duplicates and steps back in time:
   only once that link has caught up;
 - answers, and what other components send, are passed on from any link, the copies of the others are not.
 
-The link in use is left when it is silent, or clearly worse than another for some seconds. One that brings nothing of
+The link in use is left when it is silent, or clearly worse than another for some seconds, as when nothing that is
+sent on it is answered. One that brings nothing of
 the autopilot's, as from a payload with a link of its own, is never used. Pure: time is an argument.
 """
 
@@ -44,6 +45,7 @@ _ANSWERS = frozenset(
 _SILENT_S, _SPARSE_SILENT_S, _SPARSE_BYTES_S = 1.0, 3.5, 200.0
 _FRESH_S = 0.5
 _WORSE_BY, _WORSE_FOR_S = 0.15, 3.0
+_UNANSWERED_S = 3.0  # some questions may be lost
 _COPY_WITHIN_S, _TIMED_COPY_WITHIN_S = 1.0, 10.0
 _STEP_BACK_S = 5.0  # as in telemetry: the vehicle has rebooted
 _AHEAD_S, _AHEAD_PER_S, _BEHIND_S = 5.0, 1.5, 10.0
@@ -184,4 +186,5 @@ class LinkMerger:
 
 
 def _badness(measured: Measured) -> float:
-    return (measured.loss or 0.0) + (measured.round_trip_s or 0.0)
+    unanswered_s = max(measured.unanswered_s - _UNANSWERED_S, 0.0)
+    return (measured.loss or 0.0) + (measured.round_trip_s or 0.0) + unanswered_s

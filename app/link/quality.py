@@ -20,7 +20,8 @@ class Measured:
     """A link over the last 5 s. None: not known.
 
     loss: of the frames towards us, 0..1; round_trip_s: median; rssi, remote_rssi: of a SiK radio, in its own units;
-    silent_s: since the last frame; received_bytes_s, sent_bytes_s: bytes per second.
+    silent_s: since the last frame; received_bytes_s, sent_bytes_s: bytes per second. unanswered_s: since the last
+    answer to our questions, or since the first question: while it grows, nothing that is sent may arrive.
     """
 
     silent_s: float
@@ -30,6 +31,7 @@ class Measured:
     sent_bytes_s: float
     rssi: int | None = None
     remote_rssi: int | None = None
+    unanswered_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,7 @@ class LinkQuality:
         self._seconds: deque[_Counts] = deque([_Counts(now_s)])
         self._next: dict[tuple[int, int], int] = {}
         self._round_trips_s: deque[float] = deque(maxlen=_DELAYS_KEPT)
+        self._answered_s: float | None = None  # or first asked
         self._rssi: tuple[int, int] | tuple[None, None] = (None, None)
 
     def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
@@ -98,9 +101,15 @@ class LinkQuality:
         for counts in (self.whole, self._second(now_s)):
             counts.sent_bytes += size
 
-    def answered(self, round_trip_s: float) -> None:
+    def asked(self, now_s: float) -> None:
+        """Note that a question was sent, as is done each second."""
+        if self._answered_s is None:
+            self._answered_s = now_s
+
+    def answered(self, round_trip_s: float, now_s: float) -> None:
         """Take the time that a question and its answer took."""
         self._round_trips_s.append(round_trip_s)
+        self._answered_s = now_s
 
     def radio(self, rssi: int, remote_rssi: int) -> None:
         """Store the signal strengths that the radio reports."""
@@ -127,6 +136,7 @@ class LinkQuality:
             sent_bytes_s=sum(one.sent_bytes for one in several) / span_s,
             rssi=self._rssi[0],
             remote_rssi=self._rssi[1],
+            unanswered_s=0.0 if self._answered_s is None else now_s - self._answered_s,
         )
 
     def _second(self, now_s: float) -> _Counts:

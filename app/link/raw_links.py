@@ -288,7 +288,7 @@ class RawLinks:
         asked_s = link.asked.pop(int.from_bytes(frame.payload.ljust(16, b"\0")[8:16], "little"), None)
         if asked_s is None:
             return False
-        link.quality.answered(now_s - asked_s)
+        link.quality.answered(now_s - asked_s, now_s)
         return True
 
     # -- other ---------------------------------------------------------------------------------------------
@@ -316,6 +316,7 @@ class RawLinks:
         asked = self._links[index].asked
         with self._lock:
             asked[stamp] = now_s
+            self._links[index].quality.asked(now_s)
             while len(asked) > 32:
                 del asked[next(iter(asked))]
         self._send_on(index, Frame(dialect.MAVLink_timesync_message(0, stamp).pack(self._packer)))

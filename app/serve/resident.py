@@ -254,7 +254,8 @@ class Resident:
         vehicle, name = session.vehicle, session.autopilot.name
         self._vehicle = f"{name}, system {vehicle.system_id}"
         own = session.autopilot.mission_mode, session.autopilot.circle_mode
-        if self._triggers is None:  # one for all sessions: a switch that is up stays up
+        # One for all sessions with a vehicle: a switch that is up stays up.
+        if self._triggers is None or self._triggers.system_id != vehicle.system_id:
             self._triggers = Triggers(self._config.control, vehicle.system_id, own)
         vehicle.bystanders.append(self._on_message)
         if self._config.control.rc_channel is not None:

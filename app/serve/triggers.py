@@ -24,10 +24,10 @@ _REPEATED_S = 2.0  # a command that is not acknowledged comes again
 
 
 class Triggers:
-    """Requests to one vehicle: ``take`` every message received from the vehicle and from other stations."""
+    """Requests to one vehicle, ``system_id``: ``take`` every message received from it and from other stations."""
 
     def __init__(self, config: ControlSection, system_id: int, own_modes: tuple[str, ...] = ()) -> None:
-        self._config, self._system_id, self._own_modes = config, system_id, own_modes
+        self._config, self.system_id, self._own_modes = config, system_id, own_modes
         self._up: bool | None = None
         self._mode: str | None = None
         self._commanded: tuple[float, Request] | None = None
@@ -37,7 +37,7 @@ class Triggers:
         config = self._config
         if message.name in _COMMANDS and config.aux_function is not None:
             return self._aux(message, config.aux_function)
-        if message.system_id != self._system_id or message.component_id != AUTOPILOT_COMPONENT:
+        if message.system_id != self.system_id or message.component_id != AUTOPILOT_COMPONENT:
             return None
         if message.name == "RC_CHANNELS" and config.rc_channel is not None:
             return self._switch(int(message.fields.get(f"chan{config.rc_channel}_raw") or 0))
@@ -63,7 +63,7 @@ class Triggers:
 
     def _aux(self, message: Message, function: int) -> Request | None:
         fields = message.fields
-        if int(fields["command"]) != _DO_AUX_FUNCTION or int(fields["target_system"]) not in (0, self._system_id):
+        if int(fields["command"]) != _DO_AUX_FUNCTION or int(fields["target_system"]) not in (0, self.system_id):
             return None
         level = float(fields["param2"])
         if int(fields["param1"]) != function or level not in (_LOW, _HIGH):

@@ -144,8 +144,8 @@ def test_what_is_remembered_is_bounded():
     assert len(merger._passed) < 6000
 
 
-def measured(silent_s=0.05, loss=0.0, round_trip_s=0.1, received_bytes_s=2000.0):
-    return Measured(silent_s, loss, round_trip_s, received_bytes_s, 100.0)
+def measured(silent_s=0.05, loss=0.0, round_trip_s=0.1, received_bytes_s=2000.0, unanswered_s=0.5):
+    return Measured(silent_s, loss, round_trip_s, received_bytes_s, 100.0, unanswered_s=unanswered_s)
 
 
 @pytest.mark.parametrize(
@@ -160,6 +160,9 @@ def measured(silent_s=0.05, loss=0.0, round_trip_s=0.1, received_bytes_s=2000.0)
         (measured(loss=0.1), measured(), None),
         (measured(loss=0.3), measured(), 3.0),
         (measured(round_trip_s=0.6), measured(), 3.0),
+        (measured(unanswered_s=2.9), measured(), None),
+        (measured(unanswered_s=3.5), measured(), 3.0),  # it is received, and receives nothing of ours
+        (measured(unanswered_s=60.0), measured(unanswered_s=60.0), None),
     ],
 )
 def test_the_link_in_use_is_left_when_it_is_silent_or_clearly_worse(present, other, changes_after_s):
@@ -215,7 +218,18 @@ def test_delay_is_the_median_and_silence_is_since_the_last_frame():
     quality = LinkQuality(0.0)
     assert quality.measured(5.0) == Measured(5.0, None, None, 0.0, 0.0)
     for round_trip_s in (0.1, 0.1, 3.0):
-        quality.answered(round_trip_s)
+        quality.answered(round_trip_s, 6.0)
     quality.frame((1, 1), 0, 40, 6.0)
     assert quality.measured(6.5).round_trip_s == 0.1
     assert quality.measured(6.5).silent_s == 0.5
+
+
+def test_questions_without_an_answer_are_noticed():
+    quality = LinkQuality(0.0)
+    assert quality.measured(5.0).unanswered_s == 0.0  # nothing was asked
+    for second in range(5, 10):
+        quality.asked(float(second))
+    assert quality.measured(9.0).unanswered_s == 4.0
+    quality.answered(0.1, 9.5)
+    quality.asked(10.0)
+    assert quality.measured(10.5).unanswered_s == 1.0

@@ -316,6 +316,19 @@ def test_a_fault_is_shown_until_a_check_fails(tmp_path):
         assert resident.status.state is state
 
 
+def test_a_vehicle_with_another_system_id_is_obeyed(tmp_path, monkeypatch):
+    resident = Watched(tmp_path, None)
+    resident._config = config_from({"link": {"url": "udpin://127.0.0.1:1"}, "control": {"aux_function": 300}}, "test")
+    asked: list[str] = []
+    monkeypatch.setattr(resident, "request", lambda request, _who: asked.append(request))
+    autopilot = SimpleNamespace(name="ArduPlane", mission_mode="AUTO", circle_mode="GUIDED")
+    for number, system_id in enumerate((VEHICLE, 3)):
+        vehicle = SimpleNamespace(system_id=system_id, bystanders=[])
+        resident._join(SimpleNamespace(vehicle=vehicle, autopilot=autopilot))
+        vehicle.bystanders[0](aux(2.0, 10.0 * number, target=system_id))
+    assert asked == ["watch", "watch"]
+
+
 def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
     resident = Watched(tmp_path, None)
     resident._become(State.WATCHING, "")
