@@ -82,7 +82,8 @@ class Resident:
         self._config, self._out, self._log = config, out, log
         self._sharing, self._decorate = sharing, decorate
         self._state, self._reason = State.WAITING, "not connected yet"
-        self._vehicle = self._run = self._records = ""
+        self._vehicle = self._run = self._unwritten = ""
+        self._recording: Recording | None = None  # of the present watch
         self._watches, self._disk_bytes = 0, 0
         self._wanted = asyncio.Event()  # a watch was requested, and the vehicle is ready
         self._display: ServiceDisplay | None = None
@@ -104,6 +105,11 @@ class Resident:
             round(self._disk_bytes / 1e6, 1),
             self._records,
         )
+
+    @property
+    def _records(self) -> str:
+        """Why the records of the present or last watch are incomplete, '' if they are not."""
+        return self._unwritten if self._recording is None else self._recording.lost
 
     async def run(self, stopped: asyncio.Event, socket_path: Path) -> None:
         """Serve until ``stopped``.
@@ -291,25 +297,26 @@ class Resident:
 
     async def _flown(self, display: ServiceDisplay) -> FlightEnded:
         folder = self._run_folder()
-        self._folder, self._run, self._records = folder.path, str(folder.path), ""
-        recording = Recording(folder, self._config, self._log, required=False)
+        self._folder, self._run, self._unwritten = folder.path, str(folder.path), ""
+        recording = self._recording = Recording(folder, self._config, self._log, required=False)
         life = self._life = Life(lambda: recording.begun, self._log)
-        async with self._decorate(display) as shown:
-            with contextlib.closing(recording):
-                ended = await fly_single(
-                    self._config,
-                    None,
-                    folder,
-                    recording,
-                    shown,
-                    self._sharing,
-                    life,
-                    self._log,
-                    self._controller,
-                    self._join,
-                )
-            self._records = recording.lost
-        return ended
+        try:
+            async with self._decorate(display) as shown:
+                with contextlib.closing(recording):
+                    return await fly_single(
+                        self._config,
+                        None,
+                        folder,
+                        recording,
+                        shown,
+                        self._sharing,
+                        life,
+                        self._log,
+                        self._controller,
+                        self._join,
+                    )
+        finally:
+            self._unwritten, self._recording = recording.lost, None
 
     def _controller(self) -> StandoffController:
         controller = controller_of(self._config, announce=self._log)
@@ -329,7 +336,7 @@ class Resident:
         try:
             ended.folder.write_summary(ended.summary.as_json())
         except OSError as error:
-            self._records = self._records or f"the summary cannot be written ({error.strerror})"
+            self._unwritten = self._unwritten or f"the summary cannot be written ({error.strerror})"
         if self._records:
             self._log(f"the records are incomplete: {self._records}")
 

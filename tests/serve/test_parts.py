@@ -329,6 +329,24 @@ def test_a_vehicle_with_another_system_id_is_obeyed(tmp_path, monkeypatch):
     assert asked == ["watch", "watch"]
 
 
+def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, monkeypatch):
+    async def flown(_config, _duration_s, folder, recording, *_rest):
+        shown.append(resident.status.records)
+        folder.journal.symlink_to("/dev/full")
+        recording.begin(LocalPlane(47.4, 8.5), (47.4, 8.5))
+        shown.append(resident.status.records)
+        raise FlightError("the link is lost")
+
+    shown: list[str] = []
+    monkeypatch.setattr("sidelong.app.serve.resident.fly_single", flown)
+    resident = Resident(Config(), tmp_path, lambda _text: None)
+    resident._wanted.set()
+    asyncio.run(resident._watch_once())
+    assert shown[0] == ""
+    assert "takes no records" in shown[1]
+    assert resident.status.records == shown[1]
+
+
 def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
     resident = Watched(tmp_path, None)
     resident._become(State.WATCHING, "")
