@@ -24,6 +24,8 @@ from sidelong.estimators.tracking.track import Track
 _COMPARED_EVERY_S = 1.0
 # A payload is excluded, or included again, only after this time of contradiction or agreement.
 _REFUSED_AFTER_S, _ACCEPTED_AFTER_S = 3.0, 10.0
+# One that several others contradicted is not used in a short silence of all of them.
+_ALONE_AFTER_S = 10.0
 # Squared distance from the best accepted payload at which the filter restarts: it followed a faulty payload.
 _REJECTED = 50.0
 
@@ -46,6 +48,8 @@ class JointTrack:
         self._wrong_s: dict[int, float] = {}  # since when a payload contradicts the others
         self._right_s: dict[int, float] = {}  # since when one that was left out agrees again
         self._refused: dict[int, str] = {}
+        self._outvoted: set[int] = set()  # left out by several others
+        self._trusted_s = -float("inf")  # when one that is not left out was seen last
         self._fed: set[int] = set()
         self._latest: dict[int, AnySighting] = {}
         self._compared_s = -float("inf")
@@ -115,8 +119,14 @@ class JointTrack:
             for payload, track in enumerate(self._own)
             if (estimate := track.estimate(time_s)) is not None and estimate.quality is TrackQuality.GOOD
         }
+        if any(payload not in self._refused for payload in alive):
+            self._trusted_s = time_s
         if len(alive) < 2:
-            self._refused.clear()
+            if time_s - self._trusted_s >= _ALONE_AFTER_S:
+                self._outvoted.clear()
+            self._refused = {
+                payload: self._refused[payload] for payload in self._refused if payload in self._outvoted
+            }
             self._wrong_s.clear()
             return
         group = agreeing(alive, [payload for payload in alive if payload not in self._refused])
@@ -126,11 +136,14 @@ class JointTrack:
                 since_s = self._right_s.setdefault(payload, time_s)
                 if payload in self._refused and time_s - since_s >= _ACCEPTED_AFTER_S:
                     del self._refused[payload]
+                    self._outvoted.discard(payload)
                 continue
             self._right_s.pop(payload, None)
             since_s = self._wrong_s.setdefault(payload, time_s)
             if payload not in self._refused and time_s - since_s >= _REFUSED_AFTER_S:
                 self._refused[payload] = self._contradiction(payload, group, alive)
+                if len(group) > 1:
+                    self._outvoted.add(payload)
         self._follow(group, alive, time_s)
 
     def _contradiction(self, payload: int, group: Sequence[int], alive: Mapping[int, TargetEstimate]) -> str:

@@ -80,6 +80,19 @@ def test_a_bad_payload_is_left_out_with_its_reason_and_taken_in_again():
     assert not track.refused
 
 
+@pytest.mark.parametrize(("silent_s", "used"), [(8.0, False), (20.0, True)])
+def test_a_payload_that_others_contradicted_is_not_used_in_a_short_silence_of_all_others(silent_s, used):
+    track, _ = watched(("west", "south", "east"), 50.0, south=(30.0, 60.0))
+    rng, errors = np.random.default_rng(4), []
+    for k in range(round(silent_s * 5)):
+        time_s = 50.0 + k / 5
+        track.add("south", sighting(rng, "south", time_s, 60.0))
+        now = track.estimate(time_s)
+        errors.append(math.hypot(now.east_m - VELOCITY[0] * time_s, now.north_m - VELOCITY[1] * time_s))
+    assert (max(errors) > 30.0) is used
+    assert ("south" in track.refused) is not used
+
+
 def test_of_two_that_contradict_each_other_neither_is_called_right():
     track, _ = watched(("west", "south"), 45.0, south=(30.0, 60.0))
     ((name, reason),) = track.refused.items()
