@@ -362,7 +362,8 @@ class FleetFlight:
         start_s = math.inf
         while coordination.now_s < start_s + self._duration_s:
             await asyncio.sleep(_POLL_S)
-            if start_s == math.inf and all(one.settled for one in self._aircraft):
+            clock_known = math.isfinite(coordination.now_s)
+            if start_s == math.inf and clock_known and all(one.settled for one in self._aircraft):
                 start_s = coordination.now_s
         self._over.set()
 

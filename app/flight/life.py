@@ -126,10 +126,10 @@ class Life:
 
 def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Snapshot, simulated: bool) -> str:
     """Return what the aircraft does now that this program leaves off, as the end of a sentence."""
-    if snapshot.phase is Phase.YIELDED:
-        does = "a pilot or another station flies the aircraft"
-    elif not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
+    if not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
         does = "the aircraft is not armed"
+    elif snapshot.phase is Phase.YIELDED:
+        does = "a pilot or another station flies the aircraft"
     elif mode_of(vehicle) not in (autopilot.mission_mode, autopilot.circle_mode):
         flies, mode = is_flying(vehicle), mode_of(vehicle)
         does = f"the aircraft flies on in {mode}" if flies else f"the aircraft is armed on the ground in {mode}"

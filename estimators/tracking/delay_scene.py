@@ -33,6 +33,7 @@ STIFF_M = 0.1
 """Size of the target's turns (second difference of the knots) in a path that is nearly straight."""
 
 _KNOT_S = 2.0
+_NEAR_M = 0.01  # no direction is known of a nearer target
 _FREEDOM = 4.0  # of Student's distribution
 _STIFFEST_M, _STIFF_ITERATIONS = 0.02, 3
 _ITERATIONS_MAX, _SETTLED_S = 12, 0.002
@@ -191,14 +192,15 @@ class Scene:
             turning += ahead_m * np.interp(time_s, self._attitude_s, self._yaw_rate)
         residual = way[:, 0] * north - way[:, 1] * east + ahead_m * shared[2]
         across, by_shared = np.column_stack([north, -east]), np.column_stack([turning, ahead_m])
-        normal.add(at, across, 0, by_shared, residual, self._yaw_sigma_rad * ahead_m)
+        sigma = self._yaw_sigma_rad * np.where(abs(ahead_m) < _NEAR_M, _NEAR_M, ahead_m)
+        normal.add(at, across, 0, by_shared, residual, sigma)
 
     def _add_ranges(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
         time_s = self._range_s - shared[1]
         sine = np.interp(time_s, self._sight_s - shared[0], self._directions(self._sight_s - shared[0])[1])
         way, speed, at = self._way(path, time_s)
         distance_m = np.hypot(way[:, 0], way[:, 1])
-        toward = way / distance_m[:, None]
+        toward = way / np.maximum(distance_m, _NEAR_M)[:, None]
         residual = distance_m - self._slant_m * np.sqrt(1.0 - sine * sine) + shared[3]
         closing = -(toward * speed).sum(axis=1)
         if self._pitch_sigma_rad:

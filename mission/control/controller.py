@@ -521,6 +521,8 @@ class StandoffController:
         self._mode = event.mode
         if self.phase.in_control and event.mode != self._own_mode:
             return self._yield(event.time_s, f"the flight mode was changed to {event.mode}")
+        if self.phase.in_control and not event.armed:
+            return self._yield(event.time_s, "the motors were disarmed")
         return ()
 
     def _yield(self, time_s: float, reason: str) -> tuple[StepOutput, ...]:

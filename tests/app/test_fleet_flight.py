@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -51,6 +54,26 @@ def test_a_fault_of_ours_is_not_hidden(fleet):
     make, _ = fleet
     with pytest.raises(ZeroDivisionError):
         make(flies=True)._go_on_with([ZeroDivisionError(), None])
+
+
+def test_the_duration_runs_from_when_the_clock_is_known(monkeypatch):
+    monkeypatch.setattr(flight, "_POLL_S", 0.0)
+    reads = itertools.count()
+
+    class Clock:
+        @property
+        def now_s(self):
+            return -math.inf if (read := next(reads)) < 4 else 100.0 + read
+
+    async def flown():
+        made = object.__new__(FleetFlight)
+        made._aircraft = [SimpleNamespace(settled=True)]
+        made._duration_s, made._over = 20.0, asyncio.Event()
+        await made._until_over(Clock())
+        return made._over.is_set()
+
+    assert asyncio.run(flown())
+    assert next(reads) > 20
 
 
 def flying(name, system_id=1, boot_ms=60_000, lat=474_000_000, lon=85_000_000, vx=0):

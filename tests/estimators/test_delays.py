@@ -9,6 +9,7 @@ import pytest
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.delay_scene import Scene
 from sidelong.estimators.tracking.delays import DelayFit
 from sidelong.estimators.tracking.tracker import Tracker
 
@@ -180,3 +181,15 @@ def test_clock_that_is_set_back_begins_the_fit_again():
             fit.range(one.time_s, one.slant_range_m)
     fit.range(10.0, 200.0)
     assert fit.fit(280.0) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_target_straight_below_has_no_direction():
+    time_s = np.arange(0.0, 60.0, 0.5)
+    still, level = np.zeros((len(time_s), 4)), np.zeros((len(time_s), 3))
+    down = np.column_stack([time_s, level + np.array((0.0, 0.0, 1.0))])
+    ranges = np.column_stack([time_s, np.full(len(time_s), 100.0)])
+    scene = Scene(
+        np.column_stack([time_s, still]), np.column_stack([time_s, level]), down, ranges, "earth", (0.01, 1.0)
+    )
+    assert np.isfinite(scene.solve(np.ones(4), np.zeros(4), settled=False).cost)

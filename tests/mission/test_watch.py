@@ -287,6 +287,14 @@ def test_a_changed_mode_yields_at_once_and_for_good():
     assert controller.phase is Phase.YIELDED
 
 
+def test_disarmed_motors_yield():
+    controller = make(Scripted([THERE] * 5))
+    engaged(controller, 3.0)
+    (yielded,) = controller.step(ModeReported(3.0, "AUTO", armed=False))
+    assert yielded == Yield(3.0, "the motors were disarmed")
+    assert not kinds(fly(controller, 5.0, 20.0), UploadPlan, ActivatePlan)
+
+
 def test_a_ready_plan_does_not_depart_after_a_yield():
     controller = make(Scripted([THERE], ahead_s=5.0))
     (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
