@@ -86,6 +86,7 @@ _REASSIGN_COST_S = 15.0
 _TURNED_AFTER = 3  # sightings
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
+_USED_AGAIN_AFTER_S = 10.0  # two payloads that contradict each other are both used for moments
 _REASSIGN_AFTER_S = 5.0  # how long the gain has to last
 _STEP_MAX_S = 2.0  # a smaller step of a clock hardly moves mission time; clocks that agree differ by less
 _NO_ROUTE = RouteGiven(0.0, (), (), lap=False, tolerance_m=1.0, speed_m_s=None, direction="either")
@@ -140,7 +141,7 @@ class FleetCoordinator:
         self._estimates: Mapping[str, TargetEstimate | None] = {}  # as of the last second
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._proximity = Proximity()
-        self._refused: dict[str, Mapping[str, str]] = {}
+        self._refused_s: dict[str, float] = {}  # when the sightings of a payload were left out last
         self._routes: dict[str, RouteGiven] = {}
         self._asked: set[str] = set()
         self._gains_since_s = math.inf  # another assignment to the targets
@@ -393,15 +394,15 @@ class FleetCoordinator:
             self._out.append(Tell(vehicle.member.name, own))
 
     def _announce_refusals(self) -> None:
-        for name, track in self._tracks.items():
-            before = self._refused.get(name, {})
+        for track in self._tracks.values():
             for payload, reason in track.refused.items():
-                if payload not in before:
+                if payload not in self._refused_s:
                     self._say(payload, f"its sightings are left out: {reason}")
-            for payload in before:
-                if payload not in track.refused:
-                    self._say(payload, "its sightings are used again")
-            self._refused[name] = dict(track.refused)
+                self._refused_s[payload] = self._now_s
+        for payload, refused_s in list(self._refused_s.items()):
+            if self._now_s - refused_s >= _USED_AGAIN_AFTER_S:
+                del self._refused_s[payload]
+                self._say(payload, "its sightings are used again")
 
     def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         """Give the aircraft out to the targets that are seen, as evenly as can be."""

@@ -240,6 +240,21 @@ def test_sightings_that_are_left_out_are_announced_and_so_is_their_return():
     assert announced[1:] == ["its sightings are used again"]
 
 
+def test_a_payload_that_is_used_for_a_moment_is_not_announced_again():
+    fleet = pair()
+    fleet.fly(20.0)
+    fleet.vehicles["b"].shift_m = 60.0
+    for _ in range(5):  # in each short silence of both it is open again which one is right
+        fleet.fly(10.0)
+        for one in fleet.vehicles.values():
+            one.sees = False
+        fleet.fly(2.0)
+        for one in fleet.vehicles.values():
+            one.sees = True
+    announced = [(one.name, "left out" in one.text) for one in fleet.announced if "sightings" in one.text]
+    assert announced == [("a", True), ("b", True), ("a", False), ("a", True), ("b", False), ("b", True), ("a", False)]
+
+
 @pytest.mark.parametrize("off_s", [-11.0, 11.0])
 def test_a_clock_that_is_set_wrong_for_a_while_is_no_silence(off_s):
     fleet = pair()

@@ -282,6 +282,14 @@ def test_the_ekf_of_a_restarted_autopilot_recovers_without_a_jump():
 # -- the place ---------------------------------------------------------------------------------------------
 
 
+def test_a_jump_of_the_height_is_reported_with_its_size(flown):
+    def fallen(event):
+        return replace(event, height_m=0.0) if isinstance(event, PositionReading) else event
+
+    flown.fly(110.0, 115.0, fallen)
+    assert "the height jumped by 100 m" in flown.announced[0]
+
+
 @pytest.mark.parametrize("jump_m", [100.0, -1500.0, 10_000.0, 15_000_000.0])
 @pytest.mark.parametrize("length_s", [0.1, 1.5, 10.0])
 def test_a_jump_of_the_position_is_bridged_and_then_rejected(flown, jump_m, length_s):
