@@ -24,6 +24,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
     ControlAcquired,
+    HealthChanged,
     NavigationReported,
     PlanStatus,
     StepOutput,
@@ -126,8 +127,9 @@ def require_sightings(sightings: int, log: Log) -> None:
 def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
     """Yield the announcements among the commands."""
     for command in commands:
-        if isinstance(command, Announce) and command.kind != "plan":
-            yield command
+        announced = command.announcement if isinstance(command, HealthChanged) else command
+        if isinstance(announced, Announce) and announced.kind != "plan":
+            yield announced
 
 
 @dataclass(frozen=True, slots=True)

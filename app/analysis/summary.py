@@ -144,6 +144,7 @@ class SummaryCollector:
         self._estimated: list[Moment] = []
         self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
         self.judged_s = -math.inf  # time of the latest estimate that was taken
+        self._blind_s = -math.inf  # time of the latest snapshot without an estimate
         self._departures_s: list[float] = []
         self._position_age_s = 0.0  # at the end
         self.input_times = InputTimes()  # how long each input was not ok
@@ -157,6 +158,8 @@ class SummaryCollector:
         self.input_times.note(snapshot.health)
         self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
+        if estimate is None:
+            self._blind_s = snapshot.time_s
         if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
             return  # a target that was never detected cannot be scored
         self.judged_s = estimate.time_s
@@ -215,7 +218,7 @@ class SummaryCollector:
         """Return what there is to judge since ``start_s``, and by what it is judged."""
         if truth is None or plane is None or not self._estimated:
             return [one for one in self._estimated if one.time_s >= start_s], "estimate"
-        return truth.moments(plane, start_s, self._estimated[-1].time_s, _TRUTH_STEP_S), "truth"
+        return truth.moments(plane, start_s, max(self.judged_s, self._blind_s), _TRUTH_STEP_S), "truth"
 
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
         """Score from the first moment in the band after ``start_s``."""
@@ -225,7 +228,8 @@ class SummaryCollector:
         if source == "truth" or not moments:
             return score(judged, source, self._departures_s)
         known = np.array([one.known for one in moments])
-        return score(judged, source, self._departures_s, moments[-1].time_s + self._position_age_s, known)
+        end_s = max(moments[-1].time_s, self._blind_s) + self._position_age_s
+        return score(judged, source, self._departures_s, end_s, known)
 
 
 def summarise(

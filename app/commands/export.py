@@ -9,11 +9,14 @@ from typing import Annotated, NamedTuple
 import typer
 
 from sidelong.app.assembly import tracker_of
+from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_name
 from sidelong.app.commands.output import checked_file, console, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.export import MISSIONS, Format
 from sidelong.app.records.export import export as write
+from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.klv import KlvLog
 from sidelong.app.records.log import open_log
 from sidelong.app.records.log_context import LogContext
@@ -100,9 +103,17 @@ class _Aircraft(NamedTuple):
 def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
     with share_progress(f"reading {name or source.name}") as progress:
         flown = read_flight(source, config=config, progress=progress, target_needed=False)
-    # A run folder's tlog holds what its journal lacks: the autopilot, home and the time of day.
-    context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
-    return _Aircraft(name, source, flown, context)
+    return _Aircraft(name, source, flown, _context(source))
+
+
+def _context(source: Path) -> LogContext:
+    if not source.is_dir():
+        return LogContext.of(open_log(source))
+    run = RunFolder.open(source)
+    if run.tlog.is_file():  # it has the time of day, which the journal lacks
+        return LogContext.of(open_log(run.tlog))
+    header = JournalReader(run.journal, JOURNAL_TYPES).header
+    return LogContext(autopilot_by_name(header.autopilot) or AUTOPILOTS[0], None, header.home_altitude_m)
 
 
 def _write_mcap(aircraft: list[_Aircraft], out: Path) -> None:

@@ -298,10 +298,10 @@ class _Judged:
 
     def follow(self, steps: Iterable[Replayed]) -> None:
         for step in steps:
-            if step.estimate is not None and step.estimate.time_s > self.collector.judged_s:
+            if step.estimate is None or step.estimate.time_s > self.collector.judged_s:
                 snapshot = step.snapshot()
                 self.collector.observe(snapshot)
-                if self.first_estimate_s is None:
+                if self.first_estimate_s is None and step.estimate is not None:
                     self.first_estimate_s = snapshot.time_s
             if self.engaged_s is None and isinstance(step.event, ControlAcquired):
                 self.engaged_s = step.event.time_s

@@ -81,12 +81,8 @@ class _Folder:
                 folder = cls(parent / (stamp if attempt == 1 else f"{stamp}-{attempt}"))
                 with contextlib.suppress(FileExistsError):
                     folder.path.mkdir()
-                    return folder.prepared()
+                    return folder
         raise AssertionError("unreachable: counting does not end")
-
-    def prepared(self) -> Self:
-        """Return the folder with the subfolders that are written into. Raises OSError."""
-        return self
 
     def read_summary(self) -> dict[str, Any]:
         """Return the summary; raises InputError when the run did not get as far as writing one."""
@@ -112,11 +108,6 @@ class RunFolder(_Folder):
     tlog = _File("flight.tlog")
     truth = _File("truth.csv")
     links = _File("links.csv")
-    plans = _File("plans")
-
-    def prepared(self) -> Self:
-        self.plans.mkdir(parents=True)
-        return self
 
     def truncated(self) -> str:
         """Return why the journal ends before the flight did, '' if it does not."""
@@ -149,8 +140,10 @@ class FleetFolder(_Folder):
 
     def make(self, name: str) -> RunFolder:
         """Make an aircraft's run folder. Raises InputError when it cannot be made."""
+        folder = RunFolder(self.path / name)
         with _making(self.path):
-            return RunFolder(self.path / name).prepared()
+            folder.path.mkdir(parents=True)
+        return folder
 
 
 @contextlib.contextmanager

@@ -134,6 +134,7 @@ class HistoryBuilder:
         self.positions: list[PositionReading] = []
         self._estimates: list[TargetEstimate] = []
         self._targets: list[str] = []  # of each estimate
+        self._known: list[bool] = []  # whether the inputs of each estimate were sound
         self._target = ""
         self.sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
@@ -190,6 +191,7 @@ class HistoryBuilder:
             if estimate is not None:
                 self._estimates.append(estimate)
                 self._targets.append(self._target)
+                self._known.append(not self._sensing.unknown)
                 progress = None if self._follower is None else self._follower.update(estimate)
                 if progress is not None:
                     self._progress.append((estimate.time_s, progress))
@@ -226,7 +228,7 @@ class HistoryBuilder:
             tuple(self._estimates),
             tuple(targets),
             tuple(self.sightings),
-            moments or _estimated_moments(self._estimates, targets, aircraft, start_s),
+            moments or _estimated_moments(self._estimates, targets, self._known, aircraft, start_s),
             bool(moments),
             truth,
             plane,
@@ -258,7 +260,7 @@ def _track(positions: list[PositionReading]) -> AircraftTrack:
 
 
 def _estimated_moments(
-    estimates: list[TargetEstimate], targets: list[str], aircraft: AircraftTrack, start_s: float
+    estimates: list[TargetEstimate], targets: list[str], known: list[bool], aircraft: AircraftTrack, start_s: float
 ) -> tuple[Moment, ...]:
     return tuple(
         Moment.by_estimate(
@@ -266,7 +268,8 @@ def _estimated_moments(
             float(np.interp(one.time_s, aircraft.time_s, aircraft.north_m)),
             one,
             target,
+            sound,
         )
-        for one, target in zip(estimates, targets, strict=True)
+        for one, target, sound in zip(estimates, targets, known, strict=True)
         if one.time_s >= start_s
     )

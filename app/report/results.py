@@ -20,11 +20,17 @@ _SUMMARY = TypeAdapter(Summary)
 def summary_of(history: History, outcome: str) -> Summary:
     """Return the summary of a flight that left none: it was cut off, or it is another system's log."""
     asked, changes = history.requirements, history.plan_changes
-    judged = judge_moments(from_band(history.moments, asked), asked)
+    moments = from_band(history.moments, asked)
+    judged = judge_moments(moments, asked)
     departures_s = [change.departed_s for change in changes if change.departed_s is not None]
     errors = estimate_errors(history)
+    if history.judged_by_truth:
+        scored = score(judged, "truth", departures_s)
+    else:
+        known = np.array([one.known for one in moments], dtype=bool)
+        scored = score(judged, "estimate", departures_s, history.end_s, known)
     return Summary(
-        **asdict(score(judged, "truth" if history.judged_by_truth else "estimate", departures_s)),
+        **asdict(scored),
         uploads=len(changes),
         upload_failures=sum(bool(change.failed) for change in changes),
         sightings=len(history.sightings),

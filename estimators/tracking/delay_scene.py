@@ -201,7 +201,7 @@ class Scene:
         way, speed, at = self._way(path, time_s)
         distance_m = np.hypot(way[:, 0], way[:, 1])
         toward = way / np.maximum(distance_m, _NEAR_M)[:, None]
-        residual = distance_m - self._slant_m * np.sqrt(1.0 - sine * sine) + shared[3]
+        residual = distance_m - self._slant_m * np.sqrt(np.maximum(1.0 - sine * sine, 0.0)) + shared[3]
         closing = -(toward * speed).sum(axis=1)
         if self._pitch_sigma_rad:
             sigma = self._slant_m / sine * self._pitch_sigma_rad
@@ -232,7 +232,7 @@ class Scene:
         time_s, sight_s = self._range_s - shared[1], self._sight_s - shared[0]
         bearing, sine = self._directions(sight_s)
         bearing, sine = np.interp(time_s, sight_s, np.unwrap(bearing)), np.interp(time_s, sight_s, sine)
-        level_m = self._slant_m * np.sqrt(1.0 - sine * sine)
+        level_m = self._slant_m * np.sqrt(np.maximum(1.0 - sine * sine, 0.0))
         aircraft, _ = aircraft_at(self._positions, time_s)
         place = aircraft + level_m[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
         knots_s = self._begin_s + _KNOT_S * np.arange(self._knots)

@@ -121,7 +121,8 @@ class StandoffSettings:
 class StandoffController:
     """The mission's whole state. ``settings`` holds aircraft and requirement as they are now.
 
-    ``sighted``: the sightings that the last step completed.
+    ``sighted``: the sightings that the last step completed. ``admitted``: its event as it passed the plausibility
+    check, None if it was rejected.
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class StandoffController:
         self.decision: Decision | None = None
         self.estimate: TargetEstimate | None = None
         self.sighted: tuple[SightingOutcome, ...] = ()
+        self.admitted: Event | None = None
         self.aircraft: AircraftState | None = None  # as it was last reported
         self.door = Plausibility(_WIND_MAX_SHARE * settings.aircraft.airspeed_m_s)
         self.health = Health(tracker.parent_from_mount)
@@ -174,6 +176,7 @@ class StandoffController:
         self.sighted = ()
         announced: tuple[StepOutput, ...]
         admitted, announced = self.door.admit(event)
+        self.admitted = admitted
         due = self.health.received(event, self.door.clock.now_s)
         if due:
             announced += self._health_changes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import math
 import shutil
 from dataclasses import replace
@@ -14,8 +15,10 @@ import pytest
 
 from sidelong.app.analysis.score import Moment
 from sidelong.app.assembly import tracker_of
+from sidelong.app.commands.export import write_export
 from sidelong.app.commands.report import write_report
 from sidelong.app.errors import InputError
+from sidelong.app.records.export import Format
 from sidelong.app.report import series
 from sidelong.app.report.history import AircraftTrack, HistoryBuilder
 from sidelong.app.report.page import report_page
@@ -24,6 +27,8 @@ from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.route.progress import RouteProgress
 from sidelong.mission.route.route import route_of
+from tests.command_line import sidelong
+from tests.logs import dataflash_pieces
 
 FIGURES = [
     "path",
@@ -146,6 +151,27 @@ def test_a_journal_cut_in_mid_line_still_makes_a_report(run_folder, tmp_path):
     journal.write_bytes(data[: len(data) // 2])
     flown = read_flight(copy)
     assert flown.history.end_s - flown.history.start_s == pytest.approx(150.0, abs=15.0)
+
+
+def test_time_with_a_frozen_gimbal_is_unknown_in_replay_and_report_alike(tmp_path):
+    log, result = tmp_path / "frozen.bin", tmp_path / "summary.json"
+    log.write_bytes(b"".join(dataflash_pieces()))
+    replayed = sidelong("replay", log, "--json", result)
+    assert "the gimbal: its orientation is frozen" in replayed.stdout
+    summary, reported = json.loads(result.read_text()), read_flight(log).summary
+    assert summary["duration_s"] == pytest.approx(29.0, abs=1.0)
+    assert summary["time_in_band"] < 0.3
+    assert reported.sightings == summary["sightings"]
+    assert reported.time_in_band == pytest.approx(summary["time_in_band"], abs=0.05)
+    assert reported.time_unknown == pytest.approx(summary["time_unknown"], abs=0.05)
+
+
+def test_tracks_of_a_run_without_its_tlog_can_be_exported(run_folder, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run_folder, copy, ignore=shutil.ignore_patterns("flight.tlog"))
+    write_export(copy, Format.GEOJSON, tmp_path / "out.geojson")
+    names = [one["properties"]["name"] for one in json.loads((tmp_path / "out.geojson").read_text())["features"]]
+    assert names[:2] == ["aircraft", "target"]
 
 
 def test_the_command_writes_page_and_figures(run_folder, tmp_path):

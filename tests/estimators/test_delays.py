@@ -112,6 +112,16 @@ def test_large_errors_of_yaw_and_range_are_found_together_with_the_delays(yaw_de
     assert found.gimbal_s == pytest.approx(0.5, abs=0.15)
 
 
+def test_a_target_straight_below_the_aircraft_gives_no_warning():
+    tracker, down = Tracker(TrackerSettings()), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0)
+    with np.errstate(all="raise"):
+        for now_s in np.arange(0.0, 40.0, 0.1).tolist():
+            tracker.add(PositionReading(now_s, 0.0, 11.0 * now_s, HEIGHT_M, 0.0, 11.0, 0.0))
+            tracker.add(AttitudeReading(now_s, 0.0, 0.0, 0.0))
+            tracker.add(GimbalReading(now_s, down, "earth", GIMBAL))
+            tracker.add(RangeReading(now_s, HEIGHT_M, LASER))
+
+
 def test_no_large_errors_are_sought_where_the_biases_are_not_estimated():
     fit_of = TrackerSettings(yaw_bias_sigma_rad=0.0)
     assert fed(fit_of, 0.0, 0.0, factor=1.5).range_error == (1.0, 0.0)

@@ -92,7 +92,7 @@ def test_a_ground_stations_command_requests_once():
 
 
 def made(parent, name, size):
-    (parent / name / "plans").mkdir(parents=True)
+    (parent / name).mkdir(parents=True)
     (parent / name / "journal.jsonl").write_bytes(b"x" * size)
     return parent / name
 
