@@ -42,14 +42,6 @@ PRESETS = {
     "skywalker-x8": Preset(
         "Skywalker X8, foam flying wing of 2.1 m", f"{_ARDUPILOT}/SkyWalkerX8.param", 16.0, 50.0, 35.0
     ),
-    "striver-mini": Preset(
-        "MakeFlyEasy Striver Mini, VTOL of 2.1 m",
-        f"{_ARDUPILOT}/QuadPlanes/MFE_StriverMini.param",
-        23.0,
-        120.0,
-        55.0,
-        1200.0,
-    ),
     "arduplane-sitl": Preset(
         "the stock ArduPlane simulation", "ArduPilot Tools/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
     ),

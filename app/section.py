@@ -5,7 +5,7 @@ from __future__ import annotations
 from difflib import get_close_matches
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails
 
 from sidelong.app.errors import InputError
@@ -19,6 +19,14 @@ class Section(BaseModel):
     """A table of a file: no key but its own, no value that is not finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _is_no_switch(cls, value: Any, info: ValidationInfo) -> Any:
+        kind = cls.model_fields[info.field_name or ""].annotation
+        if isinstance(value, bool) and bool not in (kind, *get_args(kind)):
+            raise ValueError(f"{str(value).lower()} is not allowed here; true and false are for switches")
+        return value
 
 
 def validated(kind: type[Model], values: Any, name: str) -> Model:
@@ -34,7 +42,8 @@ def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
     problem = error.errors()[0]
     where = ".".join(f"{part!s:.40}" for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        return f"unknown key {where}; known there: {', '.join(_known_keys(kind, problem['loc']))}."
+        known = _known_keys(kind, problem["loc"])
+        return f"unknown key {where}; known there: {', '.join(known)}{_meant(kind, str(problem['loc'][-1]), known)}."
     if problem["type"] == "value_error":
         return f"{where + ': ' if where else ''}{_cut(str(problem['ctx']['error']))}."
     if problem["type"] == "missing":
@@ -44,6 +53,15 @@ def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
         return f"{given}: a table belongs there; write [{where}], and its keys below."
     message = problem["msg"][0].lower() + problem["msg"][1:]
     return f"{given}: {message}{_nearest(problem)}."
+
+
+def _meant(kind: type[BaseModel], key: str, known: list[str]) -> str:
+    """Return which key is probably meant by an unknown one, '' if none is like it."""
+    tables = [name for name in kind.model_fields if key in _known_keys(kind, (name, key))]
+    alike = get_close_matches(key, known, n=1)
+    if tables:
+        return f"; {key} belongs to [{tables[0]}]"
+    return f"; the nearest is {alike[0]}" if alike else ""
 
 
 def _cut(text: str, longest: int = 400) -> str:
@@ -69,4 +87,4 @@ def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[
         found = model.model_fields[part].annotation if isinstance(part, str) else model
         of_many = get_args(found)  # a list of sections, or a section that may be missing
         model = of_many[0] if of_many else found
-    return list(model.model_fields)
+    return list(getattr(model, "model_fields", ()))

@@ -19,7 +19,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.study.flight_kernel import advance as advance_flight
-from sidelong.app.study.prediction import FLIGHT_S, predict
+from sidelong.app.study.prediction import FLIGHT_S, is_studied, predict
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
@@ -131,7 +131,9 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     values: dict[str, Any] = {"planner": settings.planner.name, "prediction": None}
     if settings.planner.name == _PAPER:
         values |= _paper_values(settings, airspeeds_m_s)
-    if not reasons:
+    if not reasons and not is_studied(settings):
+        console.print(f"planner {settings.planner.name}: its own limits are kept; simulated flights do not fly it")
+    elif not reasons:
         if not is_cached(advance_flight):
             console.print("compiling the simulated flights, once for this version of the program: up to a minute")
         prediction = predict(settings, table_progress(console.print))
@@ -139,6 +141,8 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         console.print(f"predicted from {prediction.flights} simulated flights of {FLIGHT_S / 60.0:.0f} minutes:")
         console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
         console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
+        if not settings.simulation.laser:
+            console.print("  these flights have a laser; without one, expect about 1 point less on side", soft_wrap=True)
         if prediction.time_within_pan_limits is not None:
             console.print(f"  time within the pan limits  {prediction.time_within_pan_limits}", soft_wrap=True)
         reasons = prediction.shortcoming(settings)

@@ -38,8 +38,10 @@ class ExternalController:
             side: The required side, left or right.
 
         Raises:
-            InputError: The program cannot be started.
+            InputError: The command is empty, or the program cannot be started.
         """
+        if not command.strip():
+            raise InputError("--controller: the command is empty; give a program and its arguments.")
         self._command, self._curvature_max_per_m = command, curvature_max_per_m
         self._constant = f"{range_m[0]:g},{range_m[1]:g},{side}\n"
         self._rows, self._wait_s, self._answers = 0, _START_S, b""
@@ -47,7 +49,7 @@ class ExternalController:
             self._process = subprocess.Popen(
                 shlex.split(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
             )
-        except (OSError, ValueError, IndexError) as error:
+        except (OSError, ValueError) as error:
             raise InputError(f"--controller: {command!r} cannot be started ({error}); give a command.") from error
         self._send(",".join(COLUMNS) + "\n")
 
@@ -132,4 +134,4 @@ class ExternalController:
         return self._error(f"ended (exit code {code})", "read rows until its input ends")
 
     def _error(self, what: str, remedy: str) -> InputError:
-        return InputError(f"--controller: {self._command!r} {what} after {self._rows} rows; it has to {remedy}.")
+        return InputError(f"--controller: {self._command!r} {what} after row {self._rows}; it has to {remedy}.")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sidelong.app.config import Config, with_values
+from sidelong.app.errors import InputError
 from sidelong.app.study.design import configured, designs
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
@@ -121,8 +122,19 @@ class Prediction:
         return {"flights": self.flights, "flight_s": FLIGHT_S, "in_doubt": bool(self.doubt()), **shown}
 
 
+def is_studied(config: Config) -> bool:
+    """Return whether a study flies the configured planner: it does not know those of other distributions."""
+    return config.planner.name in tuple(PlannerName)
+
+
 def studied(config: Config) -> StudySettings:
-    """Return the study whose flights predict what a configuration achieves."""
+    """Return the study whose flights predict what a configuration achieves.
+
+    Raises:
+        InputError: A study does not fly its planner.
+    """
+    if not is_studied(config):
+        raise InputError(f"a study does not fly planner.name = {config.planner.name!r} of another distribution")
     planner, answer = PlannerName(config.planner.name), AUTOPILOTS[config.simulation.autopilot]
     base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S)
     (design,) = designs(base, configured(config), [])

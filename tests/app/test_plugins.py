@@ -69,6 +69,13 @@ def test_what_other_distributions_add_is_configured_like_our_own(python):
     assert ran.stdout.split() == ["cautious", "udp://192.168.0.9:1", "Fork", "ArduPlane"], ran.stderr
 
 
+def test_check_judges_a_planner_of_another_distribution_by_its_own_limits(python):
+    ran = python(POINTS, "-m", "sidelong.app", "check", "--planner", "cautious")
+    assert ran.returncode == 0, ran.stderr
+    assert "planner cautious: its own limits are kept; simulated flights do not fly it" in ran.stdout
+    assert "feasible" in ran.stdout
+
+
 @pytest.mark.parametrize(
     ("points", "words"),
     [

@@ -69,6 +69,17 @@ def test_launch_warns_of_what_check_refuses(tmp_path, monkeypatch, share, refuse
     assert any("sidelong check refuses this configuration" in note for note in notes) is refused
 
 
+def test_check_states_that_its_flights_have_a_laser_where_the_payload_has_none(tmp_path, monkeypatch):
+    share = Share.of([0.97, 0.98, 0.99])
+    monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: Prediction(3, share, share))
+    path = tmp_path / "mission.toml"
+    for laser, stated in (("true", False), ("false", True)):
+        path.write_text(f"[simulation]\nlaser = {laser}\n[terrain]\nflat = true\n")
+        output = CliRunner().invoke(app, ["check", str(path)]).output
+        assert ("these flights have a laser" in output) is stated
+        assert "feasible" in output
+
+
 def test_with_figures_of_eight_a_launch_leaves_the_prediction_to_check():
     notes = []
     flying.warn_of_prediction(Config.model_validate({"aircraft": {"pan_limit_deg": 120.0}}), notes.append)

@@ -121,6 +121,21 @@ def test_an_unknown_key(tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize(
+    ("table", "line", "words"),
+    [
+        ("requirement", "range_mn_m = 100", "unknown key requirement.range_mn_m; known there: range_min_m, "),
+        ("requirement", "range_mn_m = 100", "; the nearest is range_min_m."),
+        ("requirement", "airspeed_m_s = 15", "; airspeed_m_s belongs to [aircraft]."),
+        ("sensors", "latency_s = true", "sensors.latency_s: true is not allowed here"),
+    ],
+)
+def test_a_key_or_value_that_is_meant_otherwise(tmp_path, table, line, words):
+    config = tmp_path / "mission.toml"
+    config.write_text(f"[{table}]\n{line}\n")
+    assert words in refused("check", config)
+
+
 def test_a_circle_tighter_than_the_aircraft_flies(tmp_path):
     config = tmp_path / "mission.toml"
     config.write_text("[aircraft]\nradius_m = 15\nairspeed_m_s = 22\n")
