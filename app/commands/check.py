@@ -142,7 +142,9 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
         console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
         if not settings.simulation.laser:
-            console.print("  these flights have a laser; without one, expect about 1 point less on side", soft_wrap=True)
+            console.print(
+                "  these flights have a laser; without one, expect about 1 point less on side", soft_wrap=True
+            )
         if prediction.time_within_pan_limits is not None:
             console.print(f"  time within the pan limits  {prediction.time_within_pan_limits}", soft_wrap=True)
         reasons = prediction.shortcoming(settings)
