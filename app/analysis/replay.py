@@ -24,12 +24,14 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
     ControlAcquired,
+    End,
     HealthChanged,
     NavigationReported,
     PlanStatus,
     StepOutput,
     UploadPlan,
     WindReported,
+    Yield,
 )
 from sidelong.mission.exchange.mission_controller import DERIVED, UNSEEN, InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
@@ -127,9 +129,15 @@ def require_sightings(sightings: int, log: Log) -> None:
 def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
     """Yield the announcements among the commands."""
     for command in commands:
-        announced = command.announcement if isinstance(command, HealthChanged) else command
-        if isinstance(announced, Announce) and announced.kind != "plan":
-            yield announced
+        match command:
+            case Announce() if command.kind != "plan":
+                yield command
+            case HealthChanged():
+                yield command.announcement
+            case Yield():
+                yield Announce(command.time_s, "yield", f"yielded: {command.reason}")
+            case End():
+                yield Announce(command.time_s, "end", f"ended: {command.reason}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,10 @@ def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
 
 def _context(source: Path) -> LogContext:
     if not source.is_dir():
-        return LogContext.of(open_log(source))
+        context = LogContext.of(open_log(source))
+        if context.warning:
+            console.print(f"{source.name}: {context.warning}", soft_wrap=True)
+        return context
     run = RunFolder.open(source)
     if run.tlog.is_file():  # it has the time of day, which the journal lacks
         return LogContext.of(open_log(run.tlog))

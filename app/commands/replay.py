@@ -180,8 +180,12 @@ def _replay_log(
 ) -> Summary:
     from sidelong.app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
     from sidelong.app.records.log import open_log  # noqa: PLC0415
+    from sidelong.app.records.log_context import LogContext  # noqa: PLC0415
 
     log = open_log(path)
+    warning = LogContext.of(log).warning
+    if warning:
+        console.print(f"{path.name}: {warning}", soft_wrap=True)
     telemetry = Telemetry()
     controller = controller_of(settings, table_progress(console.print), console.print)
 
@@ -200,8 +204,8 @@ def _replay_log(
     require_sightings(controller.tracker.sightings, log)
     result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))
-    # Nothing was uploaded here: what the planner would have sent counts as moves.
-    return replace(result, moves=result.uploads, uploads=0, upload_failures=0)
+    console.print(f"plans proposed: {result.uploads}; a log of another program flies none of them", soft_wrap=True)
+    return replace(result, uploads=0, upload_failures=0)
 
 
 def _replay_run(
@@ -245,6 +249,8 @@ def _replay_run(
         console.print(f"{steps.compared} decisions and commands compared: {steps.sameness()}", soft_wrap=True)
     elif steps.difference is not None and not quiet:
         console.print(Text(f"first difference from the flight {steps.difference}"))
+    if settings != flown:
+        console.print("the summary is of the path as flown: other values change only what is decided", soft_wrap=True)
     if truth is None and folder.truth.is_file():
         truth = read_truth(folder.truth)
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s

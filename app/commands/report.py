@@ -60,6 +60,13 @@ def write_report(
         _write_fleet(FleetFolder(run), out)
         return
     require_recording(run)
+    if run.is_file():
+        from sidelong.app.records.log import open_log  # noqa: PLC0415  # a run of ours is read without
+        from sidelong.app.records.log_context import LogContext  # noqa: PLC0415
+
+        warning = LogContext.of(open_log(run)).warning
+        if warning:
+            console.print(f"{run.name}: {warning}", soft_wrap=True)
     # Only a report needs matplotlib, which takes a second to load.
     from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
     from sidelong.app.report.sources import read_flight  # noqa: PLC0415

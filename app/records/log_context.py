@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from statistics import median
@@ -13,22 +15,37 @@ from sidelong.app.records.log import Log
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
 _AUTOPILOT_COMPONENT = 1
 _DATED_S = 1e9  # a smaller one was not counted from 1970
+_RESTARTED_MS = 10_000  # a stamp that is earlier by less was overtaken on the way
 _STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 
 
 @dataclass(frozen=True, slots=True)
 class LogContext:
-    """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown."""
+    """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown.
+
+    restarts: how often the vehicle's clock began again: the log then holds several flights.
+    """
 
     autopilot: Autopilot = AUTOPILOTS[0]
     booted: datetime | None = None
     home_altitude_m: float | None = None
+    restarts: int = 0
+
+    @property
+    def warning(self) -> str:
+        """What keeps the results from being those of one flight, in a sentence; '' if nothing does."""
+        if not self.restarts:
+            return ""
+        flights = f"the vehicle's clock starts again in it ({self.restarts + 1} flights)"
+        return f"warning: {flights}, and the results mix them; give a log of one flight"
 
     @staticmethod
     def of(log: Log) -> LogContext:
         """Return the context of the log. Raises InputError when it cannot be read."""
         autopilot, home_m, reckoned_m = AUTOPILOTS[0], None, None
         boots_s: list[float] = []
+        restarts: Counter[int] = Counter()
+        latest_ms: dict[int, float] = {}
         for message in log.messages(_NAMES):
             fields = message.fields
             if message.component_id != _AUTOPILOT_COMPONENT:
@@ -38,9 +55,14 @@ class LogContext:
             elif message.name == "HOME_POSITION":
                 home_m = fields["altitude"] * 1e-3
             elif message.name == "GLOBAL_POSITION_INT":
+                system, stamp_ms = message.system_id, fields["time_boot_ms"]
+                restarts[system] += stamp_ms < latest_ms.get(system, -math.inf) - _RESTARTED_MS
+                latest_ms[system] = stamp_ms
                 if reckoned_m is None and fields["lat"]:
                     reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
                 if len(boots_s) < _STAMPS and message.received_s > _DATED_S:
                     boots_s.append(message.received_s - fields["time_boot_ms"] * 1e-3)
         booted = datetime.fromtimestamp(median(boots_s), UTC) if boots_s else None
-        return LogContext(autopilot, booted, reckoned_m if home_m is None else home_m)
+        return LogContext(
+            autopilot, booted, reckoned_m if home_m is None else home_m, max(restarts.values(), default=0)
+        )

@@ -8,6 +8,7 @@ import math
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -161,9 +162,20 @@ def test_time_with_a_frozen_gimbal_is_unknown_in_replay_and_report_alike(tmp_pat
     summary, reported = json.loads(result.read_text()), read_flight(log).summary
     assert summary["duration_s"] == pytest.approx(29.0, abs=1.0)
     assert summary["time_in_band"] < 0.3
+    assert summary["moves"] == reported.moves == 0
     assert reported.sightings == summary["sightings"]
     assert reported.time_in_band == pytest.approx(summary["time_in_band"], abs=0.05)
     assert reported.time_unknown == pytest.approx(summary["time_unknown"], abs=0.05)
+
+
+def test_a_log_of_two_flights_is_named_by_each_command(tmp_path):
+    flight = (Path(__file__).parents[1] / "data" / "no-laser-vtol.tlog").read_bytes()
+    for flights, warned in ((1, False), (2, True)):
+        log = tmp_path / f"{flights}.tlog"
+        log.write_bytes(flights * flight)
+        for command in ("replay", "report", "export"):
+            words = sidelong(command, log).stdout
+            assert (f"{flights}.tlog: warning: the vehicle's clock starts again in it (2 flights)" in words) is warned
 
 
 def test_tracks_of_a_run_without_its_tlog_can_be_exported(run_folder, tmp_path):

@@ -58,6 +58,13 @@ def test_a_replay_decides_the_same_to_the_last_bit(flown, tmp_path):
         assert replayed[key] == pytest.approx(summary[key], abs=2e-3)
 
 
+def test_a_replay_with_another_value_states_that_the_path_is_as_flown(flown):
+    run, _ = flown
+    stated = "the summary is of the path as flown"
+    assert stated in sidelong("replay", run, "--set", "aircraft.radius_m=80", "--quiet").stdout
+    assert stated not in sidelong("replay", run, "--quiet").stdout
+
+
 def test_the_recorded_tlog_replays_like_a_foreign_one(flown, tmp_path):
     run, _ = flown
     done = sidelong(
