@@ -36,18 +36,18 @@ class TlogWriter(Appender):
 
 def _frames(path: Path, progress: Progress = unseen) -> Iterator[tuple[float, Frame]]:
     """Yield the whole frames with their stamps, s; where a stamp is not credible, that of the frame before."""
-    received_s, at, count = 0.0, 0, 0
+    received_s, at, end, count = 0.0, 0, 0, 0
     with mapped(path) as data:
         while found := _MARKER.search(data, at):
             frame = frame_at(data, found.start())
             if frame is None:
                 at = found.start() + 1
                 continue
-            if found.start() >= _STAMP.size:
+            if found.start() >= end + _STAMP.size:  # else these bytes are of the frame before
                 (stamp_us,) = _STAMP.unpack_from(data, found.start() - _STAMP.size)
                 received_s = stamp_us * 1e-6 if _STAMP_MIN_US < stamp_us < _STAMP_MAX_US else received_s
             yield received_s, frame
-            at = found.start() + len(frame.data)
+            at = end = found.start() + len(frame.data)
             count += 1
             if count % _PROGRESS_FRAMES == 0:
                 progress(at / len(data))

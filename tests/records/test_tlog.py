@@ -152,6 +152,13 @@ def test_a_stamp_that_is_none_takes_the_time_of_the_frame_before(tmp_path, sende
     assert received == [1.7e9, 1.7e9, pytest.approx(1.7e9 + 0.02)]
 
 
+def test_the_end_of_a_frame_is_no_stamp_of_the_next(tmp_path, sender):
+    mav = sender()
+    like_a_stamp = bytes(122) + bytes([0, 5, 1, 1, 1, 1])
+    path = write(tmp_path / "raw", [mav.tunnel(like_a_stamp), mav.attitude(1), mav.attitude(2)])
+    assert [one[-1] for one in messages(path)] == [0.0, 0.0]
+
+
 def test_progress_ends_at_one(tmp_path, sender, stamped):
     path = write(tmp_path / "a.tlog", stamped(sender().mixture(10)))
     announced: list[float] = []
