@@ -94,7 +94,7 @@ def _observation_histogram(history: History) -> Drawing | None:
     axes.set(xlabel="observation angle, °", ylabel="share of time, %")
     legend_above(axes)
     share = 100.0 * float(np.mean(np.abs(angle_deg) <= allowed_deg))
-    caption = f"{share:.1f} % of the time the aircraft was where it was asked to be."
+    caption = f"{share:.1f} % of the known time the aircraft was where it was asked to be."
     return Drawing("observation-histogram", "How often from which angle", caption, made)
 
 

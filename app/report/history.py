@@ -118,8 +118,10 @@ class History:
 
     @property
     def judged(self) -> Judgement:
-        """How each of the moments was."""
-        return judge_moments(self.moments, self.requirements)
+        """How each of the moments was; without an observation angle where inputs were missing or contradictory."""
+        judged = judge_moments(self.moments, self.requirements)
+        known = np.array([one.known for one in self.moments], dtype=bool)
+        return replace(judged, observation_rad=np.where(known, judged.observation_rad, math.nan))
 
     @property
     def end_s(self) -> float:

@@ -168,6 +168,23 @@ def test_time_with_a_frozen_gimbal_is_unknown_in_replay_and_report_alike(tmp_pat
     assert reported.time_unknown == pytest.approx(summary["time_unknown"], abs=0.05)
 
 
+def test_the_observation_angle_has_no_values_while_the_inputs_are_unknown(flown):
+    history = flown.history
+    unknown = np.arange(len(history.moments)) > 200
+    moments = [replace(one, known=not out) for one, out in zip(history.moments, unknown.tolist(), strict=True)]
+    judged = replace(history, moments=tuple(moments)).judged
+    assert not np.isfinite(judged.observation_rad[unknown]).any()
+    assert np.array_equal(judged.observation_rad[~unknown], history.judged.observation_rad[~unknown], equal_nan=True)
+
+
+def test_the_tutorial_names_the_figures_as_the_page_does(page):
+    text = (Path(__file__).parents[2] / "docs" / "tutorials" / "reading-a-report.md").read_text(encoding="utf-8")
+    rows = text.partition("| figure |")[2].partition("## The tiles")[0].splitlines()[2:]
+    names = [row.split("|")[1].strip() for row in rows if row.startswith("|")]
+    assert len(names) == 9
+    assert all(name in page for name in names)
+
+
 def test_a_log_of_two_flights_is_named_by_each_command(tmp_path):
     flight = (Path(__file__).parents[1] / "data" / "no-laser-vtol.tlog").read_bytes()
     for flights, warned in ((1, False), (2, True)):
