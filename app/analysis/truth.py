@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ _FILE_MAX_BYTES = 64 << 20  # three days at 10 Hz
 _LINE_MAX_CHARACTERS = 4096
 _GREATEST = 1e10  # no time in seconds and no angle in degrees is that great
 _GAP_MAX_S = 10.0  # nothing is known of a longer time between two rows
+_COMPARED, _SAME_FLIGHT_M = 50, 500.0  # places of the aircraft; farther apart, it is another flight
 _VELOCITY_SPAN_S = 1.0  # the file's millimetres are too coarse to difference neighbouring rows
 
 
@@ -89,6 +91,27 @@ class Truth:
         rows = np.flatnonzero((np.diff(step) > 0) & (np.diff(self.time_s) <= _GAP_MAX_S)).tolist()
         numbers = (number for row in rows for number in range(int(step[row]), int(step[row + 1])))
         return self.at_each([begin_s + number * step_s for number in numbers], plane)
+
+    def require_same_flight(self, places: Sequence[tuple[float, float, float]], plane: LocalPlane) -> None:
+        """Check that this is the truth of a flight.
+
+        Args:
+            places: Time, s, and position east and north of the aircraft, m.
+            plane: Plane of the positions.
+
+        Raises:
+            InputError: The aircraft is elsewhere in it.
+        """
+        apart_m = [
+            math.hypot(true.aircraft_east_m - east_m, true.aircraft_north_m - north_m)
+            for time_s, east_m, north_m in places[:: max(len(places) // _COMPARED, 1)]
+            if (true := self.at(time_s, plane)) is not None
+        ]
+        if apart_m and median(apart_m) > _SAME_FLIGHT_M:
+            raise InputError(
+                f"--truth: it is of another flight: the aircraft is {median(apart_m) / 1e3:.1f} km from where the "
+                "log has it; give the truth of this flight."
+            )
 
     def _places_m(self, time_s: FloatArray, columns: slice, plane: LocalPlane) -> FloatArray:
         """Return these two columns (degrees) as positions in the plane, shape (n, 2), at times of shape (n,)."""

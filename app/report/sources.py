@@ -134,4 +134,7 @@ def _built(
     keep_in, keep_out = (tuple(map(tuple, outlines)) for outlines in fence_outlines(config, plane))
     requirement, airframe = config.requirement.requirement(), config.aircraft.aircraft()
     wanted = FlightRequirements(requirement, airframe, keep_in, keep_out, ground)
-    return builder.build(wanted, plane, read_truth(truth) if truth is not None else None)
+    true = None if truth is None else read_truth(truth)
+    if true is not None:
+        true.require_same_flight([(one.time_s, one.east_m, one.north_m) for one in builder.positions], plane)
+    return builder.build(wanted, plane, true)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import random
+from pathlib import Path
 
 import pytest
 
 from sidelong.app.analysis.truth import read_truth
 from sidelong.app.errors import InputError
 from sidelong.estimators.frames import LocalPlane
+from tests.command_line import sidelong
 
 PLANE = LocalPlane(47.4, 8.5)
 HEADER = (
@@ -81,3 +83,13 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="pipe is no file; give a CSV file"):
         read_truth(tmp_path / "pipe")
+
+
+@pytest.mark.parametrize("command", ["replay", "report"])
+def test_the_truth_of_another_flight_is_refused(tmp_path, command):
+    data = Path(__file__).parents[1] / "data"
+    log, other = data / "px4-follow-walk-and-drive.tlog", data / "arduplane-follow-bike.truth.csv"
+    place = ("--out", tmp_path / "out.html") if command == "report" else ("--planner", "paper", "--quiet")
+    ended = sidelong(command, log, "--truth", other, *place)
+    assert ended.returncode == 2
+    assert "--truth: it is of another flight: the aircraft is 94" in ended.stderr
