@@ -10,6 +10,7 @@ from typing import Any, Protocol, cast
 
 from sidelong.app.config import Config, RouteSection, check_alone, check_flyable
 from sidelong.app.errors import InputError
+from sidelong.app.link.url import checked_form
 from sidelong.app.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
@@ -61,6 +62,8 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
 
 def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[str, Callable[[], object]]]:
     """Yield each field that names a file or a flight mode, with its check."""
+    for url in config.link.connections:
+        yield "link.url", partial(checked_form, url)
     if config.link.take_over_from:
         yield "link.take_over_from", partial(_check_modes, config.link.take_over_from)
     if config.link.signing_key_file is not None:

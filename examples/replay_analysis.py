@@ -14,6 +14,8 @@ from sidelong.app.report.sources import read_flight
 
 def main() -> None:
     """Print statistics of the range and of the target's speed."""
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     history = read_flight(Path(sys.argv[1])).history
     estimates = np.array([(one.time_s, one.east_m, one.north_m, one.speed_m_s) for one in history.estimates])
     time_s, aircraft = estimates[:, 0], history.aircraft

@@ -15,25 +15,33 @@ _SERIAL_URL = re.compile(r"serial(?:_flowcontrol)?://(/[^:]+):\d+")
 _OLDER_URL = re.compile(r"(udp|tcp)://([^:/]*):(\d{1,9})")
 
 
-def checked_url(url: str) -> str:
-    """Return the URL as MAVSDK understands it.
-
-    Raises InputError for what it cannot open, a device that is not there, or a port in use.
-    """
-    serial = _SERIAL_URL.fullmatch(url)
-    if serial is not None:
-        if not Path(serial[1]).exists():
-            raise InputError(f"{url!r}: there is no device {serial[1]}; plug it in, or name another.")
-        return url
+def checked_form(url: str) -> None:
+    """Raise InputError for a URL of another form than MAVSDK's; nothing is opened."""
+    if _SERIAL_URL.fullmatch(url):
+        return
     match = _NETWORK_URL.fullmatch(url)
     older = _OLDER_URL.fullmatch(url) if match is None else None
     if older is not None:
         raise InputError(f"{url!r} is an older spelling of MAVSDK's; use {_present_form(older)}.")
     if match is None:
         raise InputError(f"{url!r} is no link this can open; use one of {_SCHEMES}.")
+    if not 0 < int(match[3]) < 65536:
+        raise InputError(f"{url!r}: a port is a number from 1 to 65535, not {match[3]}.")
+
+
+def checked_url(url: str) -> str:
+    """Return the URL as MAVSDK understands it.
+
+    Raises InputError for what it cannot open, a device that is not there, or a port in use.
+    """
+    checked_form(url)
+    if serial := _SERIAL_URL.fullmatch(url):
+        if not Path(serial[1]).exists():
+            raise InputError(f"{url!r}: there is no device {serial[1]}; plug it in, or name another.")
+        return url
+    match = _NETWORK_URL.fullmatch(url)
+    assert match is not None
     scheme, host, port = match[1], match[2], int(match[3])
-    if not 0 < port < 65536:
-        raise InputError(f"{url!r}: a port is a number from 1 to 65535, not {port}.")
     try:
         address = socket.gethostbyname(host)  # MAVSDK takes numbers only for its own end
     except OSError as error:

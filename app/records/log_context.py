@@ -10,6 +10,7 @@ from statistics import median
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
+from sidelong.app.link.modes import TYPE_FIXED_WING
 from sidelong.app.records.log import Log
 
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
@@ -23,26 +24,30 @@ _STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 class LogContext:
     """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown.
 
-    restarts: how often the vehicle's clock began again: the log then holds several flights.
+    restarts: how often the vehicle's clock began again: the log then holds several flights. kind: MAV_TYPE of the
+    vehicle.
     """
 
     autopilot: Autopilot = AUTOPILOTS[0]
     booted: datetime | None = None
     home_altitude_m: float | None = None
     restarts: int = 0
+    kind: int = TYPE_FIXED_WING
 
     @property
     def warning(self) -> str:
-        """What keeps the results from being those of one flight, in a sentence; '' if nothing does."""
-        if not self.restarts:
-            return ""
-        flights = f"the vehicle's clock starts again in it ({self.restarts + 1} flights)"
-        return f"warning: {flights}, and the results mix them; give a log of one flight"
+        """What keeps the results from being those of one fixed wing's flight, in a sentence; '' if nothing does."""
+        if self.restarts:
+            flights = f"the vehicle's clock starts again in it ({self.restarts + 1} flights)"
+            return f"warning: {flights}, and the results mix them; give a log of one flight"
+        if self.kind != TYPE_FIXED_WING:
+            return f"warning: the vehicle is of MAV_TYPE {self.kind}, no fixed wing, which the results assume"
+        return ""
 
     @staticmethod
     def of(log: Log) -> LogContext:
         """Return the context of the log. Raises InputError when it cannot be read."""
-        autopilot, home_m, reckoned_m = AUTOPILOTS[0], None, None
+        autopilot, home_m, reckoned_m, kind = AUTOPILOTS[0], None, None, TYPE_FIXED_WING
         boots_s: list[float] = []
         restarts: Counter[int] = Counter()
         latest_ms: dict[int, float] = {}
@@ -51,7 +56,9 @@ class LogContext:
             if message.component_id != _AUTOPILOT_COMPONENT:
                 continue
             if message.name == "HEARTBEAT":
-                autopilot = autopilot_by_mav_autopilot(int(fields["autopilot"])) or autopilot
+                known = autopilot_by_mav_autopilot(int(fields["autopilot"]))
+                if known is not None:
+                    autopilot, kind = known, int(fields.get("type") or kind)
             elif message.name == "HOME_POSITION":
                 home_m = fields["altitude"] * 1e-3
             elif message.name == "GLOBAL_POSITION_INT":
@@ -64,5 +71,5 @@ class LogContext:
                     boots_s.append(message.received_s - fields["time_boot_ms"] * 1e-3)
         booted = datetime.fromtimestamp(median(boots_s), UTC) if boots_s else None
         return LogContext(
-            autopilot, booted, reckoned_m if home_m is None else home_m, max(restarts.values(), default=0)
+            autopilot, booted, reckoned_m if home_m is None else home_m, max(restarts.values(), default=0), kind
         )

@@ -75,6 +75,12 @@ def test_an_option_of_the_simulation_is_refused_where_a_vehicle_would_fly(tmp_pa
     assert f"{option[0]}: for a simulated vehicle only" in str(ended.exception)
 
 
+def test_check_refuses_a_link_that_cannot_be_opened(tmp_path):
+    (tmp_path / "mission.toml").write_text("[link]\nurl = 'foo://1.2.3.4:5'")
+    ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
+    assert "link.url: 'foo://1.2.3.4:5' is no link this can open" in str(ended.exception)
+
+
 @pytest.mark.parametrize(("is_ready", "code"), [(True, 0), (False, 1)])
 def test_connect_ends_with_code_1_if_a_check_fails(monkeypatch, is_ready, code):
     async def reported(*_arguments):

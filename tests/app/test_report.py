@@ -20,6 +20,7 @@ from sidelong.app.commands.export import write_export
 from sidelong.app.commands.report import write_report
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format
+from sidelong.app.records.log_context import LogContext
 from sidelong.app.report import series
 from sidelong.app.report.history import AircraftTrack, HistoryBuilder
 from sidelong.app.report.page import report_page
@@ -30,6 +31,7 @@ from sidelong.mission.route.progress import RouteProgress
 from sidelong.mission.route.route import route_of
 from tests.command_line import sidelong
 from tests.logs import dataflash_pieces
+from tests.messages import message
 
 FIGURES = [
     "path",
@@ -193,6 +195,14 @@ def test_a_log_of_two_flights_is_named_by_each_command(tmp_path):
         for command in ("replay", "report", "export"):
             words = sidelong(command, log).stdout
             assert (f"{flights}.tlog: warning: the vehicle's clock starts again in it (2 flights)" in words) is warned
+
+
+@pytest.mark.parametrize(("kind", "warning"), [(1, ""), (2, "the vehicle is of MAV_TYPE 2, no fixed wing")])
+def test_a_log_of_no_fixed_wing_is_named(kind, warning):
+    heartbeats = [message("HEARTBEAT", type=kind, autopilot=3), message("HEARTBEAT", 100, type=30, autopilot=8)]
+    context = LogContext.of(SimpleNamespace(messages=lambda _names: iter(heartbeats)))
+    assert warning in context.warning
+    assert bool(warning) is bool(context.warning)
 
 
 def test_tracks_of_a_run_without_its_tlog_can_be_exported(run_folder, tmp_path):
