@@ -34,6 +34,7 @@ STIFF_M = 0.1
 
 _KNOT_S = 2.0
 _NEAR_M = 0.01  # no direction is known of a nearer target
+_SINE_MIN = 0.02  # of the depression of a line of sight that ends on the ground
 _FREEDOM = 4.0  # of Student's distribution
 _STIFFEST_M, _STIFF_ITERATIONS = 0.02, 3
 _ITERATIONS_MAX, _SETTLED_S = 12, 0.002
@@ -204,7 +205,7 @@ class Scene:
         residual = distance_m - self._slant_m * np.sqrt(np.maximum(1.0 - sine * sine, 0.0)) + shared[3]
         closing = -(toward * speed).sum(axis=1)
         if self._pitch_sigma_rad:
-            sigma = self._slant_m / sine * self._pitch_sigma_rad
+            sigma = self._slant_m / np.maximum(sine, _SINE_MIN) * self._pitch_sigma_rad
         else:
             sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
         by_shared = np.column_stack([closing, np.ones_like(closing)])
