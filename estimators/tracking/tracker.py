@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -116,7 +117,9 @@ class Tracker:
             case TargetFixReading():
                 made += self._usable_fix(reading)
         if self._pairing.due:
-            made += self._completed()
+            made += self._pairing.completed()
+            if self._ground_fit is not None:
+                self._fit_on_ground(made, self._ground_fit)
         if not made:
             return ()
         outcomes = tuple(map(self._track.add, made))
@@ -124,14 +127,11 @@ class Tracker:
         self.rejected += sum(not one.accepted for one in outcomes)
         return outcomes
 
-    def _completed(self) -> list[Sighting]:
-        made = self._pairing.completed()
-        if self._ground_fit is not None:
-            for one in made:
-                if not one.has_range:
-                    stamp_s = one.time_s + self._pairing.gimbal_delay_s
-                    self._ground_fit.range(stamp_s, one.slant_range_m, on_ground=True)
-        return made
+    def _fit_on_ground(self, made: Iterable[AnySighting], fit: DelayFit) -> None:
+        """Give the fit of the delays the ends of lines of sight on the ground in place of ranges."""
+        for one in made:
+            if isinstance(one, Sighting) and not one.has_range:
+                fit.range(one.time_s + self._pairing.gimbal_delay_s, one.slant_range_m, on_ground=True)
 
     def _estimate_delays(self, fit: DelayFit, reading: PositionReading) -> None:
         """Let the fit of the delays go on; take over what it finds once that is credible."""

@@ -38,7 +38,7 @@ def test_a_simulation_goes_no_further_than_its_program_has_come(tmp_path, monkey
             now_s += wake_s
         return [], [], []
 
-    monkeypatch.setattr("sidelong.sitl.cli.os", SimpleNamespace(read=lambda *_: next(reads)()))
+    monkeypatch.setattr("sidelong.sitl.cli.os.read", lambda *_: next(reads)())
     for module in ("cli", "server"):
         clock = SimpleNamespace(monotonic=lambda: now_s, time=lambda: 1.7e9)
         monkeypatch.setattr(f"sidelong.sitl.{module}.time", clock)
