@@ -15,7 +15,7 @@ from tests.end_to_end.test_route import written
 pytestmark = pytest.mark.udp
 FLEET = """
 [simulation]
-speed = 14.0
+speed = 10.0
 target = "{track}"
 [route]
 file = "{route}"
