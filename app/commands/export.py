@@ -10,7 +10,7 @@ import typer
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_name
-from sidelong.app.commands.output import checked_file, console, writing
+from sidelong.app.commands.output import checked_file, console, warn_of_log, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES
@@ -109,8 +109,7 @@ def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
 def _context(source: Path) -> LogContext:
     if not source.is_dir():
         context = LogContext.of(open_log(source))
-        if context.warning:
-            console.print(f"{source.name}: {context.warning}", soft_wrap=True)
+        warn_of_log(source, context.warning)
         return context
     run = RunFolder.open(source)
     if run.tlog.is_file():  # it has the time of day, which the journal lacks

@@ -112,6 +112,12 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
             write_text(path, text)
 
 
+def warn_of_log(source: Path, warning: str) -> None:
+    """Print what keeps the results of a log from being those of one flight; nothing if the warning is empty."""
+    if warning:
+        console.print(f"{source.name}: {warning}", soft_wrap=True)
+
+
 @contextlib.contextmanager
 def writing(path: Path, option: str, what: str = "file") -> Iterator[None]:
     """Raise InputError, which names the option, if the body of the ``with`` cannot write."""

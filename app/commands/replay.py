@@ -25,7 +25,7 @@ from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.assembly import controller_of, mission_controller_of, settle
 from sidelong.app.autopilots.registry import autopilot_by_name
 from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption
-from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, console, warn_of_log, write_json
 from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.config import Config, check_flyable, load_config, with_values
 from sidelong.app.errors import FlightError, InputError
@@ -183,9 +183,7 @@ def _replay_log(
     from sidelong.app.records.log_context import LogContext  # noqa: PLC0415
 
     log = open_log(path)
-    warning = LogContext.of(log).warning
-    if warning:
-        console.print(f"{path.name}: {warning}", soft_wrap=True)
+    warn_of_log(path, LogContext.of(log).warning)
     telemetry = Telemetry()
     controller = controller_of(settings, table_progress(console.print), console.print)
 

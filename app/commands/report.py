@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sidelong.app.analysis.truth import read_truth
-from sidelong.app.commands.output import console, writing
+from sidelong.app.commands.output import console, warn_of_log, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, require_recording
@@ -64,9 +64,7 @@ def write_report(
         from sidelong.app.records.log import open_log  # noqa: PLC0415  # a run of ours is read without
         from sidelong.app.records.log_context import LogContext  # noqa: PLC0415
 
-        warning = LogContext.of(open_log(run)).warning
-        if warning:
-            console.print(f"{run.name}: {warning}", soft_wrap=True)
+        warn_of_log(run, LogContext.of(open_log(run)).warning)
     # Only a report needs matplotlib, which takes a second to load.
     from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
     from sidelong.app.report.sources import read_flight  # noqa: PLC0415
