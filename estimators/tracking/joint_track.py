@@ -49,7 +49,7 @@ class JointTrack:
         self._right_s: dict[int, float] = {}  # since when one that was left out agrees again
         self._refused: dict[int, str] = {}
         self._outvoted: set[int] = set()  # left out by several others
-        self._trusted_s = -float("inf")  # when one that is not left out was seen last
+        self._trusted_s = -float("inf")  # when a payload in use was seen last
         self._fed: set[int] = set()
         self._latest: dict[int, AnySighting] = {}
         self._compared_s = -float("inf")

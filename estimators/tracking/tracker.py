@@ -78,7 +78,7 @@ class Tracker:
         self._contradicting: dict[Source, Quaternion] = {}  # of refused gimbals: their orientation at that time
         self._track = Track(settings)
         self._delay_fit: DelayFit | None = None
-        self._ground_fit: DelayFit | None = None  # the same, where lines of sight without a range tell as much
+        self._ground_fit: DelayFit | None = None  # the same, where it can use lines of sight without a range
         if settings.latency_sigma_s > 0.0:
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
