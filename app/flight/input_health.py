@@ -61,8 +61,8 @@ class InputHealth:
                 payload.position(admitted)
             case AttitudeReading():
                 payload.attitude(admitted)
-            case GimbalReading() if tracker.gimbals.chosen in (None, admitted.source):
-                payload.gimbal(tracker.corrected(admitted))
+            case GimbalReading():
+                self._health.note_gimbal(admitted, tracker)
             case RangeReading() if tracker.ranges.chosen in (None, admitted.source):
                 payload.range(admitted)
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):

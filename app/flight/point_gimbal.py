@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
@@ -38,7 +39,7 @@ class GimbalPointer:
         self,
         vehicle: Vehicle,
         plane: LocalPlane,
-        target_altitude_m: Callable[[float, float], float],
+        target_altitude_m: AltitudeAt,
         announce: Callable[[str], None],
         always: bool = True,
     ) -> None:

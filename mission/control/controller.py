@@ -306,23 +306,16 @@ class StandoffController:
             case AttitudeReading():
                 payload.attitude(reading)
             case GimbalReading():
-                return self._is_gimbal_sound(reading)
+                self.health.note_gimbal(reading, self.tracker)
+                used = self.tracker.gimbals.chosen
+                # A camera's line of sight is made with its gimbal's.
+                is_used = used is None or reading.source == used or used.message == IMAGE_TRACKER
+                return not (payload.gimbal_fault and is_used)
             case RangeReading():
                 if self.tracker.ranges.chosen in (None, reading.source):
                     payload.range(reading)
                 return not payload.laser_fault or reading.source != self.tracker.ranges.chosen
         return True
-
-    def _is_gimbal_sound(self, reading: GimbalReading) -> bool:
-        payload, tracker = self.health.payload, self.tracker
-        used = tracker.gimbals.chosen
-        if used in (None, reading.source):
-            payload.gimbal(tracker.corrected(reading), tracker.ends_on_ground)
-        elif used.message != IMAGE_TRACKER:
-            return True
-        else:  # the camera's line of sight is made with it
-            payload.gimbal_axis(reading)
-        return not payload.gimbal_fault
 
     def _read(self, reading: Reading) -> None:
         if not self._is_sound(reading):

@@ -13,8 +13,16 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from sidelong.estimators.rotations import Quaternion
-from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.readings import (
+    IMAGE_TRACKER,
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+)
 from sidelong.estimators.tracking.sources import SourceSelector
+from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice
 from sidelong.mission.core.inputs import Input, InputReport, InputState
@@ -132,6 +140,19 @@ class Health:
                 return True
             self._moved_tick, self._now_s = self._ticks, now_s
         return goes_on or now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
+
+    def note_gimbal(self, reading: GimbalReading, tracker: Tracker) -> None:
+        """Check a line of sight as it is used, or the axis of the gimbal whose camera tracks the target off it.
+
+        Args:
+            reading: as it was reported.
+            tracker: knows the gimbal in use, and its corrections.
+        """
+        used = tracker.gimbals.chosen
+        if used in (None, reading.source):
+            self.payload.gimbal(tracker.corrected(reading), tracker.ends_on_ground)
+        elif used.message == IMAGE_TRACKER:
+            self.payload.gimbal_axis(reading)
 
     def link_changed(self, event: LinkReported, now_s: float) -> HealthChanged:
         """Note that the link is lost or back; return its change of state.
