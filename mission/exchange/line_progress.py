@@ -29,7 +29,7 @@ def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: f
         Number of the item, at most that of the circle.
     """
     for seq in range(layout.first, layout.end - 1):
-        east_m, north_m = _place(layout.items[seq], plane)
+        east_m, north_m = place_of(layout.items[seq], plane)
         nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
         if path.arc_m[nearest] > flown_m + SWITCH_M:
             return seq
@@ -51,7 +51,7 @@ def flown_after(
     index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
     if aircraft is None or index == layout.end - 1:
         return index
-    east_m, north_m = _place(layout.items[index], plane)
+    east_m, north_m = place_of(layout.items[index], plane)
     off_m = math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m)
     return index + (off_m < SWITCH_M + aircraft.ground_speed_m_s * duration_s)
 
@@ -68,9 +68,15 @@ def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: 
     """
     if seq - 1 not in layout or seq not in layout:
         return False
-    east_m, north_m = _place(layout.items[seq - 1], plane)
+    east_m, north_m = place_of(layout.items[seq - 1], plane)
     return math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m) > _NEAR_M + flown_m
 
 
-def _place(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
+def place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
+    """Return where an item lies (east, north), m.
+
+    Args:
+        item: The item.
+        plane: The local plane of the mission.
+    """
     return plane.east_north_m(item.x * 1e-7, item.y * 1e-7)

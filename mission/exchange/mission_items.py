@@ -8,12 +8,13 @@ from enum import StrEnum
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan
+from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.activation import Activation, Answer
 from sidelong.mission.exchange.dialect import AutopilotDialect
 from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.exchange.line_progress import first_ahead, flown_after, is_skipped
+from sidelong.mission.exchange.line_progress import first_ahead, flown_after, is_skipped, place_of
 from sidelong.mission.exchange.mission_ownership import MissionOwnership
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.mission_upload import MissionUpload
@@ -30,9 +31,8 @@ from sidelong.mission.exchange.reports import (
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, plan_items
 from sidelong.mission.upload.mission_item import MissionItem
-from sidelong.mission.upload.waypoints import UnflyableError
+from sidelong.mission.upload.waypoints import UnflyableError, first_to_fly
 
-_LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
 _NEGLIGIBLE_S, _MISSED_S = 0.3, 1.0  # a report may have been missed before
 _REPEAT_AHEAD_S, _REPEAT_ROUND_TRIPS = 1.0, 1.5  # a repeated request may arrive so late
@@ -258,17 +258,27 @@ class MissionItemBackend:
         """Return the first item that the aircraft has not passed when a request of now arrives."""
         assert change.activation is not None
         layout, plan = change.layout, change.command.plan
+        path = plan.transition
+        if path is None:
+            return layout.first
         late_s = self._outbox.time_s - plan.departure_s
         on_the_way_s = self._outbox.vehicle_s(self._upload.round_trip_s)
-        repeated = change.activation.repeated
-        if repeated:  # the previous request may have arrived, and this one may be delayed
+        if change.activation.repeated:  # the previous request may have arrived, and this one may be delayed
             late_s = max(late_s, 0.0) + _REPEAT_AHEAD_S + _REPEAT_ROUND_TRIPS * on_the_way_s
         elif on_the_way_s > _NEGLIGIBLE_S:
             late_s += on_the_way_s
-        path = plan.transition
-        if path is None or late_s <= 0.0 or (late_s >= _LATE_MAX_S and not repeated):
-            return layout.first
+        else:
+            return layout.first + self._first_to_fly(change.command, path, layout)
         return first_ahead(layout, path, self._settings.plane, late_s * self._settings.airspeed_m_s)
+
+    def _first_to_fly(self, command: UploadPlan, transition: Path, layout: MissionLayout) -> int:
+        """Return which item of a line the aircraft begins with, from where it is."""
+        if self._aircraft is None:
+            return 0
+        settings = self._settings
+        tracking = self._dialect.tracking(settings.airspeed_m_s, command.wind)
+        places = [place_of(item, settings.plane) for item in layout.line()[:-1]]
+        return first_to_fly(transition, command.commanded, tracking, places, self._aircraft, settings.tolerance_m)
 
     # -- uploading -----------------------------------------------------------------------------------------
 

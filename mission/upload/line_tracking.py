@@ -80,20 +80,16 @@ class LineTracking:
 
     def fly(
         self,
-        start: Point,
-        course_rad: float,
-        curvature_per_m: float,
-        waypoints: Sequence[Point],
+        start: LinePoint,
+        waypoints: Sequence[Point] | FloatArray,
         circle: Circle,
         duration_s: float,
     ) -> FloatArray:
         """Return the path that the autopilot flies through waypoints to a circle.
 
         Args:
-            start: Start (east, north), m.
-            course_rad: Course, clockwise from north, rad.
-            curvature_per_m: Curvature at the start, 1/m, positive to the right.
-            waypoints: Waypoints (east, north), m.
+            start: Place, course and curvature at the start.
+            waypoints: Waypoints (east, north), m, (k, 2).
             circle: The circle at the end.
             duration_s: Duration of the prediction, s.
 
@@ -101,8 +97,8 @@ class LineTracking:
             Rows of (time s, east m, north m), (n, 3).
         """
         return kernel.flown(
-            LinePoint(*start, course_rad, curvature_per_m),
-            np.array(waypoints, float).reshape(-1, 2),
+            start,
+            np.asarray(waypoints, float).reshape(-1, 2),
             circling_of(circle),
             self.first_is_line,
             self.switch_m,

@@ -14,12 +14,15 @@ required to represent a digitized line or its caricature", Cartographica 10(2), 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from shapely import LineString
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.geometry.line_kernel import LinePoint
 from sidelong.mission.geometry.wind import path_times_s
 from sidelong.mission.upload.line_tracking import LineTracking, Point
 from sidelong.mission.upload.line_tracking_kernel import nearest_on
@@ -56,11 +59,11 @@ def lay_out(
     """
     problem, wanted_m = _Problem(transition, circle, tracking), min(wanted_m, tolerance_m)
     best, count = np.empty((0, 2)), 0  # straight to the circle
-    least_m = problem.deviations_m(best)[1]
+    least_m, reference = problem.deviations_m(best)[1], problem.reference()
     for simplification_m in _SIMPLIFICATIONS_M:
         if least_m <= wanted_m:
             break
-        waypoints = np.array(problem.reference.simplify(simplification_m, preserve_topology=False).coords)
+        waypoints = np.array(reference.simplify(simplification_m, preserve_topology=False).coords)
         if len(waypoints) == count:
             continue
         count = len(waypoints)
@@ -74,41 +77,71 @@ def lay_out(
     return tuple((float(east_m), float(north_m)) for east_m, north_m in best)
 
 
-class _Problem:
-    """A planned line, and the model's flight of waypoints along it."""
+def first_to_fly(
+    transition: Path,
+    circle: Circle,
+    tracking: LineTracking,
+    waypoints: Sequence[Point],
+    aircraft: AircraftState,
+    tolerance_m: float,
+) -> int:
+    """Return which waypoint an aircraft flies to first, so that it does not turn back to one beside it.
 
-    def __init__(self, transition: Path, circle: Circle, tracking: LineTracking) -> None:
-        self._start = transition
-        self._circle, self._tracking = circle, tracking
+    It may depart from beside the start of the transition, and pass the first waypoint too far off to reach it.
+
+    Args:
+        transition: The transition.
+        circle: The circle.
+        tracking: How the autopilot flies along waypoints.
+        waypoints: The waypoints (east, north) of the transition, m.
+        aircraft: State of the aircraft.
+        tolerance_m: Greatest deviation from the transition, m, from its start.
+
+    Returns:
+        The index of the first waypoint that the model flies to within the tolerance and the distance from the start,
+        else of the one with the least deviation. len(waypoints): the circle.
+    """
+    start = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m)
+    problem, places = _Problem(transition, circle, tracking, start), np.array(waypoints, float).reshape(-1, 2)
+    apart_m = math.hypot(start.east_m - transition.east_m[0], start.north_m - transition.north_m[0])
+    deviations_m = []
+    for first in range(len(places) + 1):
+        deviations_m.append(problem.deviations_m(places[first:])[1])
+        if deviations_m[-1] <= tolerance_m + apart_m:
+            return first
+    return int(np.argmin(deviations_m))
+
+
+class _Problem:
+    """A planned line, and the model's flight of waypoints along it from ``start``, by default the line's."""
+
+    def __init__(
+        self, transition: Path, circle: Circle, tracking: LineTracking, start: LinePoint | None = None
+    ) -> None:
+        first = (transition.east_m[0], transition.north_m[0], transition.course_rad[0], transition.curvature_per_m[0])
+        self._start = start or LinePoint(*(float(value) for value in first))
+        self._circle, self._tracking, self._length_m = circle, tracking, transition.length_m
         self._line = _continued(transition, circle, _SETTLING_M + tracking.switch_m)
         self._times_s = path_times_s(self._line, tracking.airspeed_m_s, tracking.wind)
         self._grid_m = np.arange(0.0, transition.length_m + _SETTLING_M, _GRID_M)
 
+    def reference(self) -> LineString:
+        """Return the line that the model tracks where it flies the planned one, as far as waypoints lie on it."""
+        line, tracking = self._line, self._tracking
+        offset_m = _offsets_m(line, tracking)
         # The last waypoint is where the switch to the circle comes at the transition's end.
-        offset_m = _offsets_m(self._line, tracking)
-        line = self._line
-        first_m, last_m = tracking.first_m, transition.length_m + tracking.switch_m
+        first_m, last_m = tracking.first_m, self._length_m + tracking.switch_m
         between = (line.arc_m >= first_m) & (line.arc_m <= max(last_m, first_m + 2.0 * _GRID_M))
-        self.reference = LineString(
-            np.column_stack(
-                (
-                    line.east_m + offset_m * np.cos(line.course_rad),
-                    line.north_m - offset_m * np.sin(line.course_rad),
-                )
-            )[between]
+        places_m = (
+            line.east_m + offset_m * np.cos(line.course_rad),
+            line.north_m - offset_m * np.sin(line.course_rad),
         )
+        return LineString(np.column_stack(places_m)[between])
 
     def deviations_m(self, waypoints: FloatArray) -> tuple[FloatArray, float]:
         """Return how far right of the line the model flies, on a grid along it, and the greatest of all."""
-        start, line = self._start, self._line
-        flown = self._tracking.fly(
-            (float(start.east_m[0]), float(start.north_m[0])),
-            float(start.course_rad[0]),
-            float(start.curvature_per_m[0]),
-            [(float(east_m), float(north_m)) for east_m, north_m in waypoints],
-            self._circle,
-            float(self._times_s[-1]),
-        )
+        line = self._line
+        flown = self._tracking.fly(self._start, waypoints, self._circle, float(self._times_s[-1]))
         planned_m = np.interp(flown[:, 0], self._times_s, line.arc_m)
         nearest, apart_m = nearest_on(flown, planned_m, line.arc_m, line.east_m, line.north_m, _WINDOW_M)
         course_rad = line.course_rad[nearest]

@@ -9,11 +9,13 @@ from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.px4 import Px4
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.line_kernel import LinePoint
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.upload.waypoints import UnflyableError, lay_out
+from sidelong.mission.upload.waypoints import UnflyableError, first_to_fly, lay_out
 
 arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
@@ -49,9 +51,7 @@ def max_distance_m(flown: np.ndarray, path: Path, circle: Circle) -> float:
 
 def fly(tracking: LineTracking, path: Path, waypoints: tuple[tuple[float, float], ...], circle: Circle) -> np.ndarray:
     return tracking.fly(
-        (float(path.east_m[0]), float(path.north_m[0])),
-        float(path.course_rad[0]),
-        float(path.curvature_per_m[0]),
+        LinePoint(path.east_m[0], path.north_m[0], path.course_rad[0], path.curvature_per_m[0]),
         waypoints,
         circle,
         1.3 * path.length_m / tracking.airspeed_m_s,
@@ -66,7 +66,7 @@ def fly(tracking: LineTracking, path: Path, waypoints: tuple[tuple[float, float]
 def test_the_model_holds_a_circle(name: str, clockwise: bool) -> None:
     tracking = TRACKINGS[name](15.0)
     circle = Circle(10.0, 20.0, 65.0, clockwise)
-    flown = tracking.fly(circle.position_at_course(0.0), 0.0, circle.curvature_per_m, (), circle, 60.0)
+    flown = tracking.fly(LinePoint(*circle.position_at_course(0.0), 0.0, circle.curvature_per_m), (), circle, 60.0)
     assert np.max(np.abs(np.hypot(flown[:, 1] - 10.0, flown[:, 2] - 20.0) - 65.0)) < 1.0
 
 
@@ -82,9 +82,7 @@ def test_the_model_runs_wide_on_circles_of_waypoints_as_the_autopilots_do(
     tracking = LineTracking(tracking.airspeed_m_s, period_s=tracking.period_s, damping=tracking.damping, switch_s=0.0)
     circle = Circle(0.0, 0.0, radius_m, True)
     flown = tracking.fly(
-        circle.position_at_course(0.0),
-        0.0,
-        1.0 / radius_m,
+        LinePoint(*circle.position_at_course(0.0), 0.0, 1.0 / radius_m),
         [circle.position_at_course(float(course)) for course in courses_rad[1:]],
         circle,
         6.0 * math.pi * radius_m / tracking.airspeed_m_s,
@@ -94,7 +92,7 @@ def test_the_model_runs_wide_on_circles_of_waypoints_as_the_autopilots_do(
 
 
 def test_the_model_joins_a_straight_line() -> None:
-    flown = arduplane(15.0).fly((0.0, 40.0), math.pi / 2, 0.0, [(5.0, 0.0), (3000.0, 0.0)], CIRCLE, 60.0)
+    flown = arduplane(15.0).fly(LinePoint(0.0, 40.0, math.pi / 2, 0.0), [(5.0, 0.0), (3000.0, 0.0)], CIRCLE, 60.0)
     assert np.max(np.abs(flown[flown[:, 0] > 30.0][:, 2])) < 1.5
 
 
@@ -168,10 +166,33 @@ def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() 
         flown = (
             ArduPlane()
             .tracking(15.0)
-            .fly(CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0, waypoints, FAR, 55.0)
+            .fly(LinePoint(*CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0), waypoints, FAR, 55.0)
         )
         after_s = flown[:, 0] > 4.0
         assert max_distance_m(flown[after_s], path, FAR) <= 20.0
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    move_m=st.floats(290.0, 700.0),
+    bearing_rad=st.floats(-math.pi, math.pi),
+    aside_m=st.floats(0.0, 20.0),
+    aside_rad=st.floats(-math.pi, math.pi),
+    turned_rad=st.floats(-0.5, 0.5),
+    name=st.sampled_from(sorted(TRACKINGS)),
+)
+def test_from_beside_the_start_no_waypoint_is_flown_back_to(
+    move_m: float, bearing_rad: float, aside_m: float, aside_rad: float, turned_rad: float, name: str
+) -> None:
+    tracking, present = TRACKINGS[name](15.0), Circle(0.0, 0.0, 50.0, True)
+    new = Circle(move_m * math.sin(bearing_rad), move_m * math.cos(bearing_rad), 50.0, True)
+    path = abcd(present, new)
+    waypoints = lay_out(path, new, tracking, 15.0)
+    east_m, north_m = aside_m * math.sin(aside_rad), aside_m * math.cos(aside_rad)
+    start = LinePoint(path.east_m[0] + east_m, path.north_m[0] + north_m, path.course_rad[0] + turned_rad, 0.02)
+    first = first_to_fly(path, new, tracking, waypoints, AircraftState(0.0, *start[:3], 15.0, 0.02), 15.0)
+    flown = tracking.fly(start, waypoints[first:], new, 1.3 * path.length_m / 15.0)
+    assert max_distance_m(flown, path, new) <= aside_m + 30.0
 
 
 def test_going_straight_to_the_circle_needs_no_waypoint() -> None:
