@@ -22,7 +22,7 @@ from sidelong.app.records.log import open_log
 from sidelong.app.records.log_context import LogContext
 from sidelong.app.records.mcap import LAYOUT, McapLog
 from sidelong.app.records.mcap_writer import McapWriter
-from sidelong.app.records.run_folder import FleetFolder, RunFolder
+from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.records.track import Flight, Mission
 from sidelong.app.report.sources import Flown, Sink, feed, read_flight
 from sidelong.app.text_file import whole_file
@@ -47,7 +47,7 @@ def export(
       sidelong export flight.tlog --format gpx
     """
     checked_file("--out", out)
-    write_export(source, wanted, out, config)
+    write_export(recording(source), wanted, out, config)
 
 
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:

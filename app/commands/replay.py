@@ -33,7 +33,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
-from sidelong.app.records.run_folder import FleetFolder, RunFolder, require_recording
+from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
 from sidelong.app.view.frames import Frames
 from sidelong.app.view.panel import clock
@@ -82,7 +82,7 @@ def replay(
     """
     checked_output(json)
     changes = _changes(change or [], planner)
-    require_recording(log)
+    log = recording(log)
     if view and verify:
         raise InputError("--verify compares, --view shows; give one of them.")
     judged_by = None if truth is None else read_truth(truth)  # a wrong file is reported before any computation
@@ -101,10 +101,9 @@ def replay(
 
         write_json(json, replay_fleet(fleet, one, verify))
         return
-    is_run = log.is_dir() or log == RunFolder(log.parent).journal
-    if verify and not is_run:
+    folder = RunFolder.open(log) if log.is_dir() else None
+    if verify and folder is None:
         raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
-    folder = RunFolder.open(log if log.is_dir() else log.parent) if is_run else None
     frames = None if address is None else Frames()
     if folder is None:
         settings = load_config(config, changes)  # a wrong --set is reported before any computation

@@ -12,7 +12,7 @@ from sidelong.app.analysis.truth import read_truth
 from sidelong.app.commands.output import console, warn_of_log, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
-from sidelong.app.records.run_folder import FleetFolder, require_recording
+from sidelong.app.records.run_folder import FleetFolder, recording
 from sidelong.app.text_file import write_text
 
 
@@ -36,6 +36,7 @@ def report(
       sidelong report runs/20261121T101500Z --png figures
       sidelong report flight.tlog --truth flight.truth.csv
     """
+    run = recording(run)
     if out is None:
         out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")
     if truth is not None:
@@ -59,7 +60,6 @@ def write_report(
             )
         _write_fleet(FleetFolder(run), out)
         return
-    require_recording(run)
     if run.is_file():
         from sidelong.app.records.log import open_log  # noqa: PLC0415  # a run of ours is read without
         from sidelong.app.records.log_context import LogContext  # noqa: PLC0415

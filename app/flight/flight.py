@@ -61,6 +61,7 @@ from sidelong.mission.core.events import (
     MissionChange,
     RoundTripReported,
 )
+from sidelong.mission.core.plan import PanLimitPlanner
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
@@ -362,7 +363,7 @@ class Flight:
     def _pan_limits(self, changes: MissionChanges) -> list[Observer]:
         """Return what plans for the gimbal's pan limits, where the planner can."""
         planner, configured_deg = self._controller.planning.planner, self._config.aircraft.pan_limit_deg
-        if not getattr(planner, "plans_pan_limits", False):
+        if not (isinstance(planner, PanLimitPlanner) and planner.plans_pan_limits):
             return []
         if self._payload is None:
             self._begin(self._request_pan_limits())

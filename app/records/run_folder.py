@@ -20,10 +20,12 @@ _LEAST_FREE_BYTES = 20_000_000
 _RECORDED_BYTES_S = 17_000.0  # journal, tlog, links and truth of one aircraft: 60 MB an hour
 
 
-def require_recording(path: Path) -> None:
-    """Raise InputError where there is nothing, neither a run folder nor a log."""
+def recording(path: Path) -> Path:
+    """Return the run folder or log at ``path``; for a journal its run folder. Raises InputError if there is none."""
     if not path.exists():
         raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
+    journals = RunFolder(path.parent).journal, FleetFolder(path.parent).journal
+    return path.parent if path in journals else path
 
 
 def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[str], object]) -> None:

@@ -18,7 +18,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.log import Log, open_log
 from sidelong.app.records.mapped_file import Progress, unseen
-from sidelong.app.records.run_folder import RunFolder, require_recording
+from sidelong.app.records.run_folder import RunFolder, recording
 from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
 from sidelong.app.report.results import read_summary, summary_of
 from sidelong.estimators.frames import LocalPlane
@@ -49,7 +49,7 @@ def read_flight(
 
     Raises InputError for what is neither, or holds no flight, or no sighting of a target where one is needed.
     """
-    require_recording(path)
+    path = recording(path)
     if path.is_dir():
         return _run(RunFolder.open(path), truth, config, progress)
     return _log(path, truth, config, progress, target_needed)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from sidelong.app.analysis.present import PresentWatch, Watch
+from sidelong.app.analysis.present import PresentWatch, Watch, WatchShares
 from sidelong.app.config import AircraftSection, Config, RequirementSection
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.estimators.frames import LocalPlane
@@ -40,7 +40,6 @@ _LIMITS = {name: _limits(AircraftSection, name) for name in ("radius_m", "height
 
 _LINE_POINTS, _ROUTE_POINTS = 60, 500
 _AHEAD_S = np.linspace(0.0, 60.0, 13)  # how far the page draws the expected path of the target
-_SHARE_GAP_S = 5.0  # a longer time between two states counts as unknown
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
@@ -97,24 +96,6 @@ def _vehicle(vehicle: VehicleStatus) -> Json:
     return status | {name: _number(status[name], 0) for name in ("endurance_s", "home_s")}
 
 
-class _Share:
-    """The share of the time in which something held, of that in which it was known."""
-
-    def __init__(self) -> None:
-        self._known_s = self._held_s = 0.0
-        self._last: tuple[float, bool | None] = (math.inf, None)
-
-    def share(self, time_s: float, held: bool | None) -> float | None:
-        """Return the share until now, None before anything is known; ``held`` counts from now on."""
-        since_s, before = self._last
-        self._last = time_s, held
-        step_s = time_s - since_s
-        if before is not None and 0.0 < step_s <= _SHARE_GAP_S:
-            self._known_s += step_s
-            self._held_s += step_s * before
-        return round(self._held_s / self._known_s, 3) if self._known_s > 0.0 else None
-
-
 class StateEncoder:
     """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
 
@@ -122,7 +103,7 @@ class StateEncoder:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: positions are then sent in degrees too
         self._watch = PresentWatch()
-        self._in_band, self._on_side = _Share(), _Share()
+        self._shares = WatchShares()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
     def state(
@@ -137,6 +118,7 @@ class StateEncoder:
             name: Of the aircraft; '' where there is one only.
         """
         sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
+        self._shares.note(time_s, watch, in_control=snapshot.phase.in_control)
         return {
             "name": name,
             "time_s": _number(time_s, 2),
@@ -168,8 +150,8 @@ class StateEncoder:
             "unknown": snapshot.unknown,
             "inputs": list(snapshot.impaired_inputs),
             "route": None if snapshot.route is None else _route(snapshot.route),
-            "share_in_band": self._in_band.share(time_s, watch.in_band),
-            "share_on_side": self._on_side.share(time_s, watch.on_side),
+            "share_in_band": _number(self._shares.in_band, 3),
+            "share_on_side": _number(self._shares.on_side, 3),
         }
 
     def _asked(self, snapshot: Snapshot) -> Json:

@@ -154,4 +154,13 @@ class WindPlanner(Planner, Protocol):
         """
 
 
+@runtime_checkable
+class PanLimitPlanner(Planner, Protocol):
+    """A planner that can keep the target within the pan limits of a gimbal."""
+
+    @property
+    def plans_pan_limits(self) -> bool:
+        """Whether it does so for the present requirement."""
+
+
 PlannerFactory = Callable[[Aircraft, Requirement], Planner]

@@ -226,7 +226,7 @@ class PredictivePlanner:
 
     @property
     def plans_pan_limits(self) -> bool:
-        """Whether it plans for the pan limits of a gimbal."""
+        """See :class:`sidelong.mission.core.plan.PanLimitPlanner`."""
         return self.requirement.fleet_size == 1
 
     def prepare(self, wind_speed_m_s: float) -> None:

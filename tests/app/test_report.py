@@ -102,6 +102,12 @@ def test_the_same_flight_gives_the_same_page(page, run_folder):
     assert report_page(read_flight(run_folder)) == page
 
 
+def test_a_run_may_be_named_by_its_journal(run_folder, tmp_path):
+    journal, out = run_folder / "journal.jsonl", tmp_path / "out"
+    assert f"report: {out}" in sidelong("report", journal, "--out", out).stdout
+    assert "time in band" in sidelong("replay", journal).stdout
+
+
 def test_the_figure_of_the_route_shows_when_it_was_not_used(flown):
     route = route_of(np.zeros(2), np.array([0.0, 500.0]))
     used = RouteProgress(route, True, 200.0, 4.0, 0.9, 75.0)

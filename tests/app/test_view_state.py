@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sidelong.app.analysis.summary import SummaryCollector
 from sidelong.app.config import Config
 from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -45,6 +46,21 @@ def test_every_state_is_strict_json(snapshots):
     encoder = StateEncoder(15.0, 100.0)
     for snapshot in snapshots:
         json.dumps(encoder.state(snapshot, 0.0), allow_nan=False)
+
+
+def test_the_shares_of_the_time_are_those_of_the_summary(snapshots):
+    """Also where a minute of the flight is unknown: it counts as neither in band nor on side."""
+    failed_s = snapshots[-1].time_s - 60.0
+    taken = [replace(one, unknown="no range" if one.time_s > failed_s else "") for one in snapshots]
+    encoder, collector = StateEncoder(15.0, 100.0), SummaryCollector(taken[0].requirement)
+    for snapshot in taken:
+        state = encoder.state(snapshot, 0.0)
+        collector.observe(snapshot)
+    start_s = next(one.time_s for one in taken if one.phase.in_control)
+    found = collector.scored(None, None, start_s)
+    assert found.time_unknown > 0.3
+    assert state["share_in_band"] == pytest.approx(found.time_in_band, abs=0.01)
+    assert state["share_on_side"] == pytest.approx(found.time_on_side, abs=0.01)
 
 
 def test_inputs_that_are_not_ok_are_sent_in_words(watching):

@@ -79,6 +79,8 @@ def test_a_flight_exports_its_mission_and_its_tracks(flown, tmp_path):
     run, _ = flown
     for wanted, mark in (("plan", '"fileType": "Plan"'), ("waypoints", "QGC WPL 110"), ("gpx", "<trkpt")):
         out = tmp_path / f"flight.{wanted}"
-        done = sidelong("export", run, "--format", wanted, "--out", out)
+        done = sidelong(
+            "export", run if wanted == "plan" else run / "journal.jsonl", "--format", wanted, "--out", out
+        )
         assert done.returncode == 0, done.stderr
         assert mark in out.read_text()
