@@ -130,10 +130,10 @@ class Scene:
         ranges: FloatArray,
         frame: str,
         noise: tuple[float, float],
-        pitch_sigma_rad: float = 0.0,
+        on_ground: tuple[float, float] | None = None,
     ) -> None:
-        """pitch_sigma_rad: what is unknown of the pitch, by which ranges to the ground err; 0: they are a laser's."""
-        self._pitch_sigma_rad = pitch_sigma_rad
+        """on_ground: what is unknown of the pitch, rad, and of the ground's height, m; None: they are a laser's."""
+        self._on_ground = on_ground
         self._positions, self._frame = positions, frame
         self._yaw_sigma_rad, self._range_sigma_m = noise
         self._angles, self._attitude_s, self._yaw_rate = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
@@ -204,8 +204,9 @@ class Scene:
         toward = way / np.maximum(distance_m, _NEAR_M)[:, None]
         residual = distance_m - self._slant_m * np.sqrt(np.maximum(1.0 - sine * sine, 0.0)) + shared[3]
         closing = -(toward * speed).sum(axis=1)
-        if self._pitch_sigma_rad:
-            sigma = self._slant_m / np.maximum(sine, _SINE_MIN) * self._pitch_sigma_rad
+        if self._on_ground is not None:
+            pitch_sigma_rad, height_sigma_m = self._on_ground
+            sigma = np.hypot(self._slant_m * pitch_sigma_rad, height_sigma_m) / np.maximum(sine, _SINE_MIN)
         else:
             sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
         by_shared = np.column_stack([closing, np.ones_like(closing)])

@@ -26,6 +26,7 @@ from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import Quaternion, normalized, rotate, sight_direction
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading
 from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.band_kernel import FloatArray
 from sidelong.estimators.tracking.delay_scene import MAX_DELAY_S, MIN_DELAY_S, STIFF_M, Fit, Scene
 
@@ -52,6 +53,7 @@ _STARTS_S = (
 _STRAINED, _TURNS_M, _ERRING_SPAN_S = 1.5, 0.15, 20.0
 _EVIDENCE = 50.0
 _CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
+_CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1
 # A delay at the end of its range fits nothing.
 _DELAYS_MIDDLE_S, _DELAYS_REACH_S = (MIN_DELAY_S + MAX_DELAY_S) / 2.0, 0.45 * (MAX_DELAY_S - MIN_DELAY_S)
 _YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08
@@ -78,7 +80,8 @@ class DelayFit:
         self._may_err = yaw_rad > 0.0  # or the biases are not estimated
         self._noise = settings.yaw_sigma_rad, settings.range_sigma_m
         self._pitch_sigma_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad)
-        self._on_ground = False  # whether the ranges are those to the ground
+        self._on_ground = self._on_hills = False  # whether the ranges are those to the ground, and that is hilly
+        self._ground_sigma_m = 0.0
         self._parent_from_mount = parent_from_mount
         self._positions, self._attitudes = _Log(5), _Log(4)
         self._gimbals, self._ranges = _Log(4), _Log(2)
@@ -90,6 +93,24 @@ class DelayFit:
         self._sound: Fit | None = None
         self._erring: Fit | None = None  # while that explains the readings far better
         self._factor = 1.0  # of the ranges, in that
+
+    def stand_on(self, ground: Ground) -> None:
+        """Let lines of sight end on a ground.
+
+        Args:
+            ground: The ground.
+        """
+        self._ground_sigma_m, self._on_hills = ground.sigma_m, bool(np.ptp(ground.heights_m))
+
+    @property
+    def finds_yaw_error(self) -> bool:
+        """Whether a large yaw error explains the readings far better."""
+        return self._erring is not None
+
+    @property
+    def on_hills(self) -> bool:
+        """Whether the ranges are those at which lines of sight meet hills."""
+        return self._on_ground and self._on_hills
 
     def clear(self) -> None:
         """Forget the readings of laser and gimbal: another target is seen now."""
@@ -190,10 +211,8 @@ class DelayFit:
 
         @functools.cache  # most fits of a moment share a factor
         def scene(factor: float) -> Scene:
-            pitch_sigma_rad = self._pitch_sigma_rad if self._on_ground else 0.0
-            return Scene(
-                positions, attitudes, gimbals, ranges * (1.0, factor), self.frame, self._noise, pitch_sigma_rad
-            )
+            on_ground = (self._pitch_sigma_rad, self._ground_sigma_m) if self._on_ground else None
+            return Scene(positions, attitudes, gimbals, ranges * (1.0, factor), self.frame, self._noise, on_ground)
 
         best = self._fit_sound(scene(1.0))
         strained = best.scale_m > _TURNS_M or (abs(best.shared) > _STRAINED * self._sigmas).any()
@@ -271,6 +290,8 @@ class DelayFit:
         is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
         evidence = sound.cost - best.cost
         is_better = evidence > -_EVIDENCE if before is not None else evidence > _EVIDENCE and is_calmer
+        if self.on_hills:  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
+            is_better |= best.scale_m < _CALM_ON_HILLS_M and best.scale_m < _CALMER_ON_HILLS * sound.scale_m
         if is_large and is_possible and is_better:
             self._erring, self._factor = best, factor
             return best

@@ -8,8 +8,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
@@ -52,7 +50,8 @@ _PITCH_SIGMAS = 3.0
 _RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
 # configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
-_SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 3.0, 0.015
+# The shape of hills may look like a small delay.
+_SURE_S, _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S = 0.04, 3.0, 5.0, 0.015
 _RANGE_SIGMA_SHARE = 0.1  # an error may grow with the range, or be the pitch's
 
 
@@ -65,6 +64,7 @@ class Tracker:
         ranges: Which laser is in use, and which were refused as they contradict the track.
         gimbals: The same of the line of sight.
         delays: How late laser and gimbal stamp their readings; None while nothing else is known than the setting.
+        yaw_error_rad: A large error that is to be corrected (:meth:`correct_yaw`); 0: none was found.
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -78,12 +78,12 @@ class Tracker:
         self._contradicting: dict[Source, Quaternion] = {}  # of refused gimbals: their orientation at that time
         self._track = Track(settings)
         self._delay_fit: DelayFit | None = None
-        self._ground_fit: DelayFit | None = None  # the same, where it can use lines of sight without a range
         if settings.latency_sigma_s > 0.0:
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
             self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
         self._yaw_errors_rad: dict[Source, float] = {}  # large ones, which every line of sight is corrected by first
+        self.yaw_error_rad = 0.0
         self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
         self.delays: Delays | None = None
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
@@ -118,8 +118,8 @@ class Tracker:
                 made += self._usable_fix(reading)
         if self._pairing.due:
             made += self._pairing.completed()
-            if self._ground_fit is not None:
-                self._fit_on_ground(made, self._ground_fit)
+            if self._delay_fit is not None and self.ends_on_ground:
+                self._fit_on_ground(made, self._delay_fit)
         if not made:
             return ()
         outcomes = tuple(map(self._track.add, made))
@@ -146,11 +146,17 @@ class Tracker:
         found = None if self._suspected else fit.updated(reading.time_s)
         if found is None:
             return
+        if fit.on_hills and fit.finds_yaw_error:  # the lines of sight end elsewhere
+            self.yaw_error_rad = found.yaw_bias_rad
+            return
         used_s = self._pairing.gimbal_delay_s, self._pairing.range_delay_s
         apart_s = abs(found.gimbal_s - used_s[0]), abs(found.range_s - used_s[1])
         sigmas_s = found.gimbal_sigma_s, found.range_sigma_s
         sure = max(sigmas_s) < _SURE_S
-        least = 1.0 if sure and used_s != self.latencies_s else _EVIDENT
+        if used_s == self.latencies_s:
+            least = _EVIDENT_ON_HILLS if fit.on_hills else _EVIDENT
+        else:
+            least = 1.0 if sure else _EVIDENT
         steps = zip(apart_s, sigmas_s, strict=True)
         late = any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in steps)
         if late or self._errs_otherwise(found):
@@ -230,7 +236,7 @@ class Tracker:
         Returns:
             Whether the lines of sight change.
         """
-        source = self.gimbals.chosen
+        source, self.yaw_error_rad = self.gimbals.chosen, 0.0
         if source is None or abs(wrap_rad(yaw_error_rad - self._track.calibration.yaw_bias_rad)) < _YAW_KNOWN_RAD:
             return False
         self._yaw_errors_rad[source] = wrap_rad(self._known_yaw_error_rad + yaw_error_rad)
@@ -329,8 +335,8 @@ class Tracker:
         self._track.stand_on(ground)
         if angles_alone:
             self._pairing.ground = ground
-            # On hills the end of a line of sight moves with their shape, which looks like a delay.
-            self._ground_fit = None if np.ptp(ground.heights_m) else self._delay_fit
+            if self._delay_fit is not None:
+                self._delay_fit.stand_on(ground)
 
     @property
     def ends_on_ground(self) -> bool:

@@ -202,7 +202,7 @@ class StandoffController:
             tracker.forget_since(health.payload.wrong_since_s)
         if changes:
             self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
-        yaw_error_rad = health.payload.yaw_error_rad
+        yaw_error_rad = health.payload.yaw_error_rad or tracker.yaw_error_rad
         if yaw_error_rad and tracker.correct_yaw(yaw_error_rad):
             health.payload.yaw_is_corrected()
             return (*changes, self._mount_news.found(now_s, tracker.calibration.yaw_bias_rad))

@@ -221,9 +221,9 @@ class MotionFit:
 
     @property
     def off_ground_m(self) -> float:
-        """How far the target is above or below the elevation data; NaN where there is none."""
+        """How far the target is above or below the elevation data; NaN without them, and without a laser."""
         ground = self.ground
-        if ground is None:
+        if ground is None or not self._samples or math.isnan(self._samples[-1].range_m):
             return math.nan
         off_m = [abs(one.sighted_m[2] - ground(one.sighted_m[0], one.sighted_m[1])) for one in self._samples]
         known_m = [one for one in off_m if not math.isnan(one)]
@@ -327,6 +327,8 @@ class MotionFit:
             if self.ground is not None:
                 for _ in range(_GROUND_STEPS):
                     ground_m = self.ground(own_m[0] + range_m * east, own_m[1] + range_m * north)
+                    if math.isnan(ground_m):
+                        break
                     range_m = (own_m[2] - ground_m) / max(-up, _DOWN_MIN)
         return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
 
