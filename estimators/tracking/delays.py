@@ -100,7 +100,9 @@ class DelayFit:
         Args:
             ground: The ground.
         """
-        self._ground_sigma_m, self._on_hills = ground.sigma_m, bool(np.ptp(ground.heights_m))
+        self._on_hills = bool(np.ptp(ground.heights_m))
+        # Flat ground is too high or too low as a whole, which is the bias of the ranges.
+        self._ground_sigma_m = ground.sigma_m if self._on_hills else 0.0
 
     @property
     def finds_yaw_error(self) -> bool:
