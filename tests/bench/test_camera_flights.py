@@ -4,6 +4,8 @@
 hills. What the filter does not know differs from flight to flight as much as its settings say: the biases of the
 gimbal's yaw and pitch and of the laser's range, and by how much the ground is off its data.
 
+Further flights have an error of the gimbal beyond its settings, by yaw or by a late stamp.
+
 CAMERA_FLIGHTS: targets over each ground. CAMERA_FLIGHT_S: length of each flight, s. SIDELONG_TARGETS: a folder of
 recorded tracks; without it targets are random.
 """
@@ -12,6 +14,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import NormalDist
@@ -26,7 +29,7 @@ from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.flat import flat_ground
 from sidelong.estimators.terrain.ground import Ground
-from tests.bench.size import size
+from tests.bench.size import SMOKE, size
 from tests.faults import flight as faults
 from tests.faults.flight import HOME_DEG, FaultedFlight, Scenario
 from tests.faulty_payload import FaultyPayload, PayloadFaults
@@ -123,14 +126,20 @@ def tracks() -> list[RecordedTarget] | None:
     return [flown[k] for k in np.linspace(0, len(flown) - 1, FLIGHTS).astype(int)]
 
 
+def flights(kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Scenario, World]]:
+    """Yield scenario and world of each flight, whose target is then that of the flight."""
+    recorded = tracks()
+    for k, world in enumerate(worlds(kind, folder)):
+        if recorded is not None:
+            monkeypatch.setattr(faults, "RandomTarget", lambda *_drawn, track=recorded[k]: track)
+        yield Scenario(seed=1 + k, flavour="arduplane" if k % 2 else "px4", duration_s=DURATION_S), world
+
+
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("kind", _SIGMA_M)
 def test_side_without_a_laser_is_within_three_points_of_the_lasers(kind, tmp_path, monkeypatch):
-    rows, recorded = [], tracks()
-    for k, world in enumerate(worlds(kind, tmp_path)):
-        if recorded is not None:
-            monkeypatch.setattr(faults, "RandomTarget", lambda *_drawn, track=recorded[k]: track)
-        scenario = Scenario(seed=1 + k, flavour="arduplane" if k % 2 else "px4", duration_s=DURATION_S)
+    rows = []
+    for scenario, world in flights(kind, tmp_path, monkeypatch):
         for errors in (CAMERA, faults.ERRORS):
             flight = _Flight(scenario, errors, world)
             flown = flight.fly()
@@ -144,3 +153,32 @@ def test_side_without_a_laser_is_within_three_points_of_the_lasers(kind, tmp_pat
     print(f"\nwithout the laser {lost.mean():.1f} +- {lost.std() / np.sqrt(len(lost)):.1f} points of side less")
     assert 92.0 <= camera[:, 1].mean() <= 98.0
     assert lost.mean() <= 3.0
+
+
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("kind", _SIGMA_M)
+@pytest.mark.parametrize(("yaw_deg", "delay_s"), [(20.0, 0.0), (-20.0, 0.0), (0.0, 0.5), (0.0, 1.0)])
+def test_large_error_of_the_gimbal_is_found_without_a_laser(yaw_deg, delay_s, kind, tmp_path, monkeypatch):
+    rows, camera = [], replace(CAMERA, gimbal_delay_s=delay_s)
+    for scenario, world in flights(kind, tmp_path, monkeypatch):
+        flight = _Flight(scenario, camera, replace(world, yaw_bias_rad=world.yaw_bias_rad + math.radians(yaw_deg)))
+        flown, tracker = flight.fly(), flight.controller.tracker
+        found_deg = math.degrees(tracker.calibration.yaw_bias_rad - world.yaw_bias_rad)
+        found_s = 0.0 if tracker.delays is None else tracker.delays.gimbal_s
+        errors = abs(found_deg - yaw_deg), abs(found_s - delay_s), float(np.median(flown_late_m(flown)))
+        rows.append((*shares(flown), *errors, min(flown.range_m)))
+    side, band, *_ = np.mean(rows, axis=0)
+    yaw_off_deg, delay_off_s, off_m = np.median(rows, axis=0)[2:5]
+    print(
+        f"\n{kind}, yaw {yaw_deg:+.0f} degrees, delay {delay_s} s: side {side:.1f} %, band {band:.1f} %, least range "
+        f"{min(one[-1] for one in rows):.0f} m; at the end off by {yaw_off_deg:.1f} degrees, {delay_off_s:.2f} s, "
+        f"{off_m:.1f} m (medians)",
+        end="",
+    )
+    if not SMOKE:
+        assert off_m <= 20.0
+
+
+def flown_late_m(flown: faults.Flown) -> list[float]:
+    """Return the errors of the estimate in the last quarter of a flight, m."""
+    return [one.target_error_m for one in flown.decided[-len(flown.decided) // 4 :]]
