@@ -128,6 +128,18 @@ def test_an_estimate_does_not_depend_on_what_was_asked_before(cruise):
         assert ours.covariance == pytest.approx(theirs.covariance)
 
 
+@pytest.mark.parametrize("silent_s", [600.0, 3600.0, 90_000.0])
+def test_after_a_long_silence_the_target_is_assumed_near_where_it_was_last_seen(cruise, silent_s):
+    track = Track(NO_BIAS)
+    for sighting in cruise.sightings(np.random.default_rng(1))[:300]:
+        track.add(sighting)
+    seen, later = track.estimate(29.9), track.estimate(29.9 + silent_s)
+    assert math.dist(later.position_m(later.time_s), seen.position_m(seen.time_s)) < 500.0
+    assert later.time_s == 29.9 + silent_s
+    assert later.quality is TrackQuality.LOST
+    assert np.all(np.isfinite(later.covariance))
+
+
 def test_a_target_known_too_poorly_is_lost_before_its_time(cruise):
     track = Track(replace(NO_BIAS, lost_sigma_m=15.0))
     for sighting in cruise.sightings(np.random.default_rng(1))[:300]:
