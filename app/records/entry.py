@@ -15,6 +15,7 @@ from sidelong.app.records.mapped_file import Progress
 
 _ABSURD = 1e10
 _JUMP_US = 60_000_000
+_RESTARTED_US = 10_000_000  # a clock that is that much earlier has started again
 _CREDIBLE = 10  # entries this many together are no damage
 _STRETCH = 20_000
 _LATEST_US = 10**13  # no vehicle has been up for longer than four months
@@ -38,8 +39,22 @@ def in_order(entries: Iterator[tuple[float, Entry]], progress: Progress) -> Iter
     """
     while stretch := list(islice(entries, _STRETCH)):
         progress(stretch[-1][0])
-        yield from _sorted([entry for _, entry in stretch])
+        for flight in _flights([entry for _, entry in stretch]):
+            yield from _sorted(flight)
     progress(1.0)
+
+
+def _flights(entries: list[Entry]) -> Iterator[list[Entry]]:
+    """Yield a stretch in parts that end where the clock starts again: the order of time holds within them only."""
+    times_us = np.array([entry.time_us for entry in entries], float)
+    begin = 0
+    for at in (np.flatnonzero(np.diff(times_us) < -_RESTARTED_US) + 1).tolist():
+        before, after = times_us[max(at - _CREDIBLE, begin) : at], times_us[at : at + _CREDIBLE]
+        enough = before.size == after.size == _CREDIBLE
+        if enough and np.median(before) - np.median(after) > _RESTARTED_US:
+            yield entries[begin:at]
+            begin = at
+    yield entries[begin:]
 
 
 def _sorted(entries: list[Entry]) -> list[Entry]:

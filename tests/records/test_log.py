@@ -230,6 +230,15 @@ def test_an_entry_with_a_damaged_time_is_dropped(tmp_path):
     assert len(list(read_dataflash(path, list(DATAFLASH_KINDS)))) == 8 * STEPS - 1
 
 
+@pytest.mark.parametrize(("read", "pieces", "name"), [
+    (read_dataflash, dataflash_pieces, "POS"),
+    (read_ulog, ulog_pieces, "vehicle_global_position"),
+])  # fmt: skip
+def test_a_second_flight_in_a_log_is_not_mixed_into_the_first(tmp_path, read, pieces, name):
+    times_us = [entry.time_us for entry in read(write(tmp_path / "flights", 2 * pieces()), [name])]
+    assert times_us == 2 * [time_us(i) for i in range(STEPS)]
+
+
 # -- what is no log -----------------------------------------------------------------------------------------
 
 
