@@ -111,15 +111,15 @@ class Life:
 
     def _signalled(self, number: int) -> None:
         if self._ending:
-            self._note(f"{signal.Signals(number).name}: winding up already; that takes {_WIND_UP_S:.0f} s at most")
+            self._note(f"{signal.Signals(number).name}: shutting down already; that takes {_WIND_UP_S:.0f} s at most")
             return
         self.signal_name = signal.Signals(number).name
-        self._note(f"{self.signal_name}: winding up")
+        self._note(f"{self.signal_name}: shutting down")
         self._end()
 
     def _end(self) -> None:
         self.stopped.set()
-        self._winding_up.enter_context(ends_within(_WIND_UP_S, "winding up"))
+        self._winding_up.enter_context(ends_within(_WIND_UP_S, "shutting down"))
         if not self._begun() and self._task is not None:
             self._task.cancel()  # there is nothing to wind up
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from contextlib import contextmanager, suppress
@@ -335,7 +336,7 @@ def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, wi
 def test_when_the_flight_s_program_ends_the_page_reports_so(browser, snapshots):
     with display_of(snapshots) as display, opened(browser, display) as page:
         display.__exit__(None, None, None)
-        page.locator("#news", has_text="has ended").wait_for()
+        page.locator("#news", has_text="Reload the page").wait_for()
         assert page.locator("#buttons button:enabled").count() == 0
 
 
@@ -351,6 +352,24 @@ def test_the_map_can_be_dragged_and_brought_back(page):
     assert (after[0] - before[0], after[1] - before[1]) == pytest.approx((100, 50), abs=2)
     page.get_by_role("button", name="Follow the target").click()
     assert centre(page.locator("#map circle.target").bounding_box()) == pytest.approx(before, abs=2)
+
+
+def test_numbers_of_the_grid_never_cover_the_name_of_an_axis(page):
+    page.locator("#map").focus()
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")  # to numbers of four digits
+    at_x, at_y = centre(page.locator("#map").bounding_box())
+    page.mouse.move(at_x, at_y)
+    page.mouse.down()
+    for step in range(60):
+        page.mouse.move(at_x - 4 * step, at_y)
+        boxes = page.locator("#map .tick").evaluate_all(
+            "all => all.map((one) => one.getBoundingClientRect().toJSON())"
+        )
+        row = sorted((box for box in boxes if box["bottom"] == boxes[0]["bottom"]), key=lambda box: box["left"])
+        assert len(row) > 2
+        assert all(before["right"] < after["left"] for before, after in itertools.pairwise(row))
+    page.mouse.up()
 
 
 def test_a_narrow_window_scrolls_and_hides_nothing(page):

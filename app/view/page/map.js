@@ -252,7 +252,7 @@ export class FlightMap {
     if (!seen.length) reach([0, 0], 500);
     const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
     const [w, e, s, n] = [Math.min(...east), Math.max(...east), Math.min(...north), Math.max(...north)];
-    const scale = Math.min((width - 70) / (e - w), (height - 70) / (n - s));
+    const scale = Math.min((width - 90) / (e - w), (height - 70) / (n - s));
     return { east: (w + e) / 2, north: (s + n) / 2, scale: Math.max(scale, 0.001) };
   }
 
@@ -427,7 +427,7 @@ export class FlightMap {
     };
     for (let e = Math.ceil((east - width / 2 / scale) / step) * step; x(e) < width; e += step) {
       parts.push(svg("path", { class: "grid", d: `M${x(e)} 0V${height}` }));
-      if (x(e) > 60 && x(e) < width - 70) word(Math.round(lengthOf(e)), { x: x(e), y: height - 6, "text-anchor": "middle" });
+      if (x(e) > 60 && x(e) < width - 90) word(Math.round(lengthOf(e)), { x: x(e), y: height - 6, "text-anchor": "middle" });
     }
     for (let n = Math.ceil((north - height / 2 / scale) / step) * step; y(n) > 0; n += step) {
       parts.push(svg("path", { class: "grid", d: `M0 ${y(n)}H${width}` }));

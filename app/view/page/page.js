@@ -310,7 +310,7 @@ setInterval(() => {
   const news = byId("news");
   news.hidden = !over && !refusal && silent < SILENT_MS;
   news.textContent = over
-    ? "The flight's program has ended; this is how things stood last."
+    ? "The flight's program has ended; this is how things stood last. Reload the page for another flight."
     : refusal ? `Nothing is shown here: ${refusal}.`
     : `No message from the flight's program for ${Math.round(silent / 1000)} s; what is shown is old.`;
   if (over) buttons();

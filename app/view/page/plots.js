@@ -119,7 +119,7 @@ export class Plots {
     this.setting = {};
     this.plots = PLOTS.map((kind) => new Plot(kind, kind.inner ? inner : parent));
     const under = document.createElement("figcaption");
-    under.textContent = `the last ${SPAN_S} s of the flight; now on the right`;
+    under.textContent = `the last ${SPAN_S} s of the flight; the latest values are at the right edge`;
     const figure = document.createElement("div");
     figure.append(under);
     parent.append(figure);
