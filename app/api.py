@@ -121,11 +121,11 @@ class Watch:
 
 @contextlib.asynccontextmanager
 async def watch(
-    config: Config | Path | Mapping[str, Any] | None = None,
+    config: Config | Path | str | Mapping[str, Any] | None = None,
     *,
     url: str | None = None,
     duration_s: float | None = None,
-    out: Path = Path("runs"),
+    out: Path | str = "runs",
     note: Callable[[str], object] = lambda _text: None,
 ) -> AsyncIterator[Watch]:
     """Fly a watch inside the context; leaving it ends the watch, and the aircraft stays on its circle.
@@ -138,10 +138,14 @@ async def watch(
         note: Receives each message to an operator.
 
     Raises:
-        InputError: The configuration is wrong, or the records cannot be written.
+        InputError: The configuration or the duration is wrong, or the records cannot be written.
     """
+    if duration_s is not None and not duration_s > 0.0:
+        raise InputError(
+            f"duration_s: {duration_s:g} s is no duration; give more than 0, or None to watch until the end."
+        )
     settings = await asyncio.to_thread(_settings, config, url)
-    folder = RunFolder.create(out, datetime.now(UTC))
+    folder = RunFolder.create(Path(out), datetime.now(UTC))
     loop = asyncio.get_running_loop()
     watched = Watch(folder.path, note)
 
@@ -180,10 +184,12 @@ async def watch(
         await asyncio.wait((flight,))
 
 
-def _settings(config: Config | Path | Mapping[str, Any] | None, url: str | None) -> Config:
+def _settings(config: Config | Path | str | Mapping[str, Any] | None, url: str | None) -> Config:
     match config:
-        case None | Path():
-            settings = load_config(config)
+        case None:
+            settings = load_config(None)
+        case Path() | str():
+            settings = load_config(Path(config))
         case Config():
             settings = config
         case _:

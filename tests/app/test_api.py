@@ -72,6 +72,20 @@ def test_a_wrong_configuration_is_refused_in_a_sentence(tmp_path, config, url, w
         asyncio.run(fly())
 
 
+@pytest.mark.parametrize(("given", "words"), [
+    ({"config": "none.toml"}, "none.toml: cannot be read"),
+    ({"duration_s": float("nan")}, "duration_s: nan s"),
+    ({"duration_s": -5.0}, "duration_s: -5 s"),
+])  # fmt: skip
+def test_a_wrong_argument_is_refused_in_a_sentence(tmp_path, given, words):
+    async def fly():
+        async with sidelong.watch(**given, out=str(tmp_path)):
+            pass
+
+    with pytest.raises(sidelong.InputError, match=words):
+        asyncio.run(fly())
+
+
 def test_requests_before_a_flight_are_refused(tmp_path):
     async def ask():
         watch = sidelong.Watch(tmp_path, print)
