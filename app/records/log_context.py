@@ -10,7 +10,7 @@ from statistics import median
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from sidelong.app.link.modes import TYPE_FIXED_WING
+from sidelong.app.link.modes import AUTOPILOT_INVALID, TYPE_FIXED_WING
 from sidelong.app.records.log import Log
 
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
@@ -25,7 +25,7 @@ class LogContext:
     """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown.
 
     restarts: how often the vehicle's clock began again: the log then holds several flights. kind: MAV_TYPE of the
-    vehicle.
+    vehicle. system_id: the vehicle's, that of the first heartbeat of an autopilot; others: those of further vehicles.
     """
 
     autopilot: Autopilot = AUTOPILOTS[0]
@@ -33,6 +33,8 @@ class LogContext:
     home_altitude_m: float | None = None
     restarts: int = 0
     kind: int = TYPE_FIXED_WING
+    system_id: int | None = None
+    others: tuple[int, ...] = ()
 
     @property
     def warning(self) -> str:
@@ -42,6 +44,9 @@ class LogContext:
             return f"warning: {flights}, and the results mix them; give a log of one flight"
         if self.kind != TYPE_FIXED_WING:
             return f"warning: the vehicle is of MAV_TYPE {self.kind}, no fixed wing, which the results assume"
+        if self.others:
+            others = ", ".join(map(str, self.others))
+            return f"warning: the results are of the vehicle of system {self.system_id} only; it also has {others}"
         return ""
 
     @staticmethod
@@ -51,11 +56,19 @@ class LogContext:
         boots_s: list[float] = []
         restarts: Counter[int] = Counter()
         latest_ms: dict[int, float] = {}
+        system_id: int | None = None
+        others: set[int] = set()
         for message in log.messages(_NAMES):
             fields = message.fields
             if message.component_id != _AUTOPILOT_COMPONENT:
                 continue
-            if message.name == "HEARTBEAT":
+            is_vehicle = message.name == "HEARTBEAT" and fields["autopilot"] != AUTOPILOT_INVALID
+            if is_vehicle and system_id is None:
+                system_id = message.system_id
+            if system_id is not None and message.system_id != system_id:
+                if is_vehicle:
+                    others.add(message.system_id)
+            elif message.name == "HEARTBEAT":
                 known = autopilot_by_mav_autopilot(int(fields["autopilot"]))
                 if known is not None:
                     autopilot, kind = known, int(fields.get("type") or kind)
@@ -71,5 +84,11 @@ class LogContext:
                     boots_s.append(message.received_s - fields["time_boot_ms"] * 1e-3)
         booted = datetime.fromtimestamp(median(boots_s), UTC) if boots_s else None
         return LogContext(
-            autopilot, booted, reckoned_m if home_m is None else home_m, max(restarts.values(), default=0), kind
+            autopilot,
+            booted,
+            reckoned_m if home_m is None else home_m,
+            max(restarts.values(), default=0),
+            kind,
+            system_id,
+            tuple(sorted(others)),
         )

@@ -203,6 +203,19 @@ def test_a_log_of_two_flights_is_named_by_each_command(tmp_path):
             assert (f"{flights}.tlog: warning: the vehicle's clock starts again in it (2 flights)" in words) is warned
 
 
+def test_of_a_log_of_two_vehicles_only_the_first_counts_and_the_other_is_named():
+    messages = [
+        message("HEARTBEAT", type=1, autopilot=3),
+        message("HOME_POSITION", altitude=500_000),
+        message("HEARTBEAT", system=2, type=2, autopilot=12),
+        message("HOME_POSITION", system=2, altitude=90_000),
+        message("HEARTBEAT", system=255, type=6, autopilot=8),
+    ]
+    context = LogContext.of(SimpleNamespace(messages=lambda _names: iter(messages)))
+    assert context.warning.endswith("the results are of the vehicle of system 1 only; it also has 2")
+    assert (context.home_altitude_m, context.kind, context.autopilot) == (500.0, 1, LogContext().autopilot)
+
+
 @pytest.mark.parametrize(("kind", "warning"), [(1, ""), (2, "the vehicle is of MAV_TYPE 2, no fixed wing")])
 def test_a_log_of_no_fixed_wing_is_named(kind, warning):
     heartbeats = [message("HEARTBEAT", type=kind, autopilot=3), message("HEARTBEAT", 100, type=30, autopilot=8)]
