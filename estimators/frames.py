@@ -69,7 +69,9 @@ class LocalPlane:
             (latitude, longitude) (WGS 84), degrees; for a point beyond the horizon, that of the horizon.
         """
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
-        x, y, z = (o + east_m * e + north_m * n for o, e, n in zip(origin, east, north, strict=True))
+        x = origin[0] + east_m * east[0] + north_m * north[0]
+        y = origin[1] + east_m * east[1] + north_m * north[1]
+        z = origin[2] + east_m * east[2] + north_m * north[2]
         # How far above the ellipsoid is it along the vertical? With z stretched the ellipsoid is a sphere.
         squared = 1.0 + _WGS84_ECCENTRICITY_SQUARED / _AXIS_RATIO_SQUARED * up[2] ** 2
         along_m = x * up[0] + y * up[1] + z * up[2] / _AXIS_RATIO_SQUARED

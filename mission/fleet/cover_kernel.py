@@ -54,25 +54,25 @@ class Cover(NamedTuple):
     off (f, FORESEEN): the chance that none of them is on the wanted side; now (f, FORESEEN): what the best
     placed one would pay if the target goes on as it does. after (f, FORESEEN, t): the shortest time that any of them
     would be off the side after each turn. Infinite where there are none. bearings (f, FORESEEN, m): of each from
-    the target.
+    the target. turned (f, k, t, 2): sine and cosine of the target's course in the wanted frame after each turn.
     """
 
     off: FloatArray
     now: FloatArray
     after: FloatArray
     bearings: FloatArray
+    turned: FloatArray
 
 
 @compiled
-def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, frame_rad: float, found: FloatArray) -> None:
-    """Fill in for how long a place of the wanted frame would be off the side after each turn from frame_rad, (t,).
+def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, turned: FloatArray, found: FloatArray) -> None:
+    """Fill in for how long a place of the wanted frame would be off the side after each turn (t,); turned (t, 2).
 
     The target goes on along the new course, so the way back is across it alone; the margin stands for the circle that
     leads to and fro over the edge.
     """
     for i in range(len(team.turns_rad)):
-        angle_rad = frame_rad + team.turns_rad[i]
-        across_m = x_m * math.cos(angle_rad) - y_m * math.sin(angle_rad)
+        across_m = x_m * turned[i, 1] - y_m * turned[i, 0]
         off_s = (across_m + team.margin * scene.radius_m) / (BACK_SHARE * scene.air.airspeed_m_s)
         found[i] = min(max(off_s, 0.0), _OFF_MAX_S)
 
@@ -150,6 +150,12 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
     s = scene.mirror * team.wanted
     near_m, far_m = looker.terms.near_m, looker.terms.far_m
     n = others.shape[2]
+    turned = np.empty((futures, f.course.shape[1], turns, 2))
+    for one in range(futures):
+        for p in range(turned.shape[1]):
+            for t in range(turns):
+                angle_rad = s * f.course[one, p, 2] + team.turns_rad[t]
+                turned[one, p, t, 0], turned[one, p, t, 1] = math.sin(angle_rad), math.cos(angle_rad)
     for k in range(FORESEEN):
         time_s = k * STEP_S
         for j in range(m):
@@ -170,10 +176,10 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
                     off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
                 value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
                 now[one, k] = min(now[one, k], value)
-                off_after_turns(team, scene, s * off_x, off_y, s * f.course[one, p, 2], found)
+                off_after_turns(team, scene, s * off_x, off_y, turned[one, p], found)
                 for t in range(turns):
                     after[one, k, t] = min(after[one, k, t], found[t])
-    return Cover(off, now, after, bearings)
+    return Cover(off, now, after, bearings, turned)
 
 
 @compiled

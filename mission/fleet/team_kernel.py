@@ -111,7 +111,7 @@ def _turn_cost(
     total = 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        off_after_turns(team, scene, s * off_x, off_y, s * f.course[one, p, 2], found)
+        off_after_turns(team, scene, s * off_x, off_y, cover.turned[one, p], found)
         for t in range(len(team.turns_rad)):
             total += f.weight[one] * team.chances[t] * min(found[t], cover.after[one, k, t])
     return team.turn * total
@@ -170,12 +170,14 @@ def _edges_after(
 
     The aircraft stays on the circle, flies straight on, or turns as tightly as it can, either way. places: room.
     """
-    c, d, total, tight_per_m = looker.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m
-    for e, to_per_m in enumerate((curvature_per_m, 0.0, -tight_per_m, tight_per_m)):
-        _continued(scene, looker, end, curvature_per_m, to_per_m, places[e])
+    c, d, total, tight_per_m, made = looker.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m, 0
+    to_per_m = (curvature_per_m, 0.0, -tight_per_m, tight_per_m)
     for one in range(len(f.weight)):
         cheapest = np.inf
         for e in range(len(places)):
+            if e == made:  # the circle alone nearly always costs nothing
+                _continued(scene, looker, end, curvature_per_m, to_per_m[e], places[e])
+                made += 1
             cost = 0.0
             for k in range(_CONTINUED):
                 at_s = time_s + (k + 1) * STEP_S
@@ -329,11 +331,13 @@ def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, floa
 @compiled
 def _value_at(now: Situation, looker: Looker) -> float:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    turns = looker.turns
-    if len(looker.foresight.way.points) == 0:  # only the first future counts
+    turns, routed = looker.turns, len(looker.foresight.way.points) > 0
+    if not routed:  # only the first future counts
         turns = Turns(turns.rate_rad_s[:1], turns.fades_s, turns.stands)
     every = winding(scene, looker.motions, looker.wish, looker.memory, turns)
-    f = first_of(along_route(scene, looker, every)[0], 1)
+    if routed:
+        every, _ = along_route(scene, looker, every)
+    f = first_of(every, 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     return _role_value(f, looker, x_m, y_m, heading_rad, 0.0)

@@ -133,14 +133,6 @@ def choices(looker: Looker) -> int:
 
 
 @compiled
-def target_velocity(scene: Scene) -> tuple[float, float]:
-    """Return the target's velocity towards east and north."""
-    sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
-    across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
-    return across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
-
-
-@compiled
 def flown_on(scene: Scene, now: Situation, length_m: float) -> tuple[FloatArray, FloatArray]:
     """Return (x, y, heading) (3, k) in the frame and the times (k,) of flying on along the present plan."""
     size = max(2, math.ceil(length_m / (scene.air.airspeed_m_s * STEP_S)) + 1)
@@ -340,9 +332,9 @@ def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -
 
 
 @compiled
-def best_line(scene: Scene, looker: Looker, costs: FloatArray, bar: float) -> FloatArray:
+def best_line(scene: Scene, craft: Craft, costs: FloatArray, bar: float) -> FloatArray:
     """Return the line (5, n) of the cheapest move where it is below the bar, else n = 0."""
     best = int(np.argmin(costs))
     if costs[best] < bar:
-        return move_line(scene, looker.craft, best)
+        return move_line(scene, craft, best)
     return np.empty((5, 0))

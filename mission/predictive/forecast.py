@@ -14,10 +14,10 @@ _OFF_SIDE_MIN_S = 2.0  # shorter visits to the other side are not worth a word
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:
-    """Places relative to the target in the watch frame, and times since departure along a line: arrays (k,)."""
+    """Places to the right of the watch course, ranges, and times since departure along a line: arrays (k,)."""
 
     x_m: FloatArray
-    y_m: FloatArray
+    range_m: FloatArray
     time_s: FloatArray
 
 
@@ -25,13 +25,12 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
     """Return the first breach of the requirement on the line of ``seen``; None when there is none.
 
     Args:
-        seen: Positions relative to the target along the flown line.
+        seen: What is met along the flown line.
         side: Required side.
         requirement: Required band and side.
         lead_s: Time from now to the outlook's start, s.
     """
-    x_m, time_s = seen.x_m, seen.time_s
-    range_m = np.hypot(x_m, seen.y_m)
+    x_m, range_m, time_s = seen.x_m, seen.range_m, seen.time_s
     out = np.flatnonzero((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m))
     off = np.flatnonzero(x_m > 0.0) if requirement.sector is None else np.empty(0, np.intp)
     if off.size and float(time_s[off[-1]] - time_s[off[0]]) < _OFF_SIDE_MIN_S:
@@ -53,7 +52,7 @@ def describe_range(seen: Outlook) -> str:
     """Return the ranges met along the line of ``seen``.
 
     Args:
-        seen: Positions relative to the target along the flown line.
+        seen: What is met along the flown line.
     """
-    range_m = np.hypot(seen.x_m, seen.y_m)
-    return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[-1]:.0f} s"
+    nearest_m, farthest_m = seen.range_m.min(), seen.range_m.max()
+    return f"the target stays {nearest_m:.0f} to {farthest_m:.0f} m away for {seen.time_s[-1]:.0f} s"

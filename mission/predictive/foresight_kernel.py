@@ -191,5 +191,5 @@ def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
     stay_cost, min_gain, costs = weigh(scene, now, looker, flat)
-    line = best_line(scene, looker, costs, stay_cost - min_gain)
+    line = best_line(scene, looker.craft, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line

@@ -283,14 +283,18 @@ class PredictivePlanner:
             looker: Constants and memory of the planner.
         """
         scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-        return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
+        sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
+        across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
+        velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
+        return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
 
     def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         scene, sight = self.outlook(now, looker)
         stay_cost, min_gain_s, costs = weigh(scene, now, looker, sight)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
-        ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
+        x_m, y_m = places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s
+        ahead = Outlook(x_m, np.hypot(x_m, y_m), time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
         breach = describe_breach(ahead, side, self.requirement, scene.departure_s - now.time_s)
         bar = stay_cost - min_gain_s
