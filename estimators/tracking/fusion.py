@@ -9,7 +9,7 @@ correlation", Automatica 7(4), 1971.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -17,29 +17,34 @@ import numpy as np
 from sidelong.estimators.estimate import TargetEstimate
 
 _GATE = 23.5  # chi-square with four degrees of freedom, one in ten thousand
+# Payload errors that remain after a correction shift a track by this much (m, m/s): it turns with the aircraft.
+_SHIFTS = np.diag((3.0, 3.0, 0.6, 0.6)) ** 2
 
 Name = TypeVar("Name", int, str)
 
 
-def agreeing(tracks: Mapping[Name, TargetEstimate], accepted: Collection[Name] = ()) -> list[Name]:
+def agreeing(tracks: Mapping[Name, TargetEstimate], trust: Callable[[Name], int] = lambda _name: 0) -> list[Name]:
     """Return the largest group of tracks that agree with one of them.
 
     Args:
         tracks: Tracks by name.
-        accepted: Names that were accepted before: of equal groups the one with more of them is chosen, then that
+        trust: How far a track is trusted: of equal groups the one with the most trusted track is chosen, then that
             around the track with the least covariance.
 
     Returns:
-        Names of the group, by increasing covariance.
+        Names of the group, by increasing covariance; without tracks none.
     """
     groups = {
-        name: [other for other in tracks if other == name or squared_distance(track, tracks[other]) <= _GATE]
+        name: [other for other in tracks if other == name or _squared(track, tracks[other], _SHIFTS) <= _GATE]
         for name, track in tracks.items()
     }
 
+    if not tracks:
+        return []
+
     def rank(name: Name) -> tuple[int, int, float, Name]:
         group = groups[name]
-        return -len(group), -sum(one in accepted for one in group), _spread_m2(tracks[name]), name
+        return -len(group), -max(map(trust, group)), _spread_m2(tracks[name]), name
 
     return sorted(groups[min(groups, key=rank)], key=lambda name: _spread_m2(tracks[name]))
 
@@ -61,13 +66,22 @@ def squared_distance(a: TargetEstimate, b: TargetEstimate) -> float:
         a: One track.
         b: Another track, at the same time.
     """
-    off = _state(a) - _state(b)
-    return float(off @ np.linalg.solve(a.covariance + b.covariance + 1e-9 * np.eye(4), off))
+    return _squared(a, b, 1e-9 * np.eye(4))
+
+
+def _squared(a: TargetEstimate, b: TargetEstimate, more: np.ndarray) -> float:
+    off = state_of(a) - state_of(b)
+    return float(off @ np.linalg.solve(a.covariance + b.covariance + more, off))
 
 
 def _spread_m2(track: TargetEstimate) -> float:
     return float(track.covariance[0, 0] + track.covariance[1, 1])
 
 
-def _state(track: TargetEstimate) -> np.ndarray:
+def state_of(track: TargetEstimate) -> np.ndarray:
+    """Return position (east, north), m, and velocity (east, north), m/s, of a track.
+
+    Args:
+        track: The track.
+    """
     return np.array([track.east_m, track.north_m, track.velocity_east_m_s, track.velocity_north_m_s])

@@ -2,15 +2,19 @@
 
 All payloads feed one filter that estimates the errors of each. In addition each payload has its own track. A payload
 whose track disagrees with the largest consistent group is excluded, with the reason in words. It is included again
-after some seconds of agreement. If two payloads contradict each other, the one with the smaller sigma is used.
+after some seconds of agreement. Of two payloads that contradict each other, the one that its aircraft trusts more is
+used: least one with a fault, most one whose errors are known. If both are trusted alike, none is used: the estimate
+covers both.
 
 Source: docs/explanation/filter.md#several-payloads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration
@@ -18,14 +22,12 @@ from sidelong.estimators.filters.imm import TargetImm, prior_of
 from sidelong.estimators.filters.imm_kernel import ERRORS, ERRORS_AND_CLOCK
 from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.tracking.fusion import agreeing, apart_m, squared_distance
+from sidelong.estimators.tracking.fusion import agreeing, apart_m, squared_distance, state_of
 from sidelong.estimators.tracking.track import Track
 
 _COMPARED_EVERY_S = 1.0
 # A payload is excluded, or included again, only after this time of contradiction or agreement.
 _REFUSED_AFTER_S, _ACCEPTED_AFTER_S = 3.0, 10.0
-# One that several others contradicted is not used in a short silence of all of them.
-_ALONE_AFTER_S = 10.0
 # Squared distance from the best accepted payload at which the filter restarts: it followed a faulty payload.
 _REJECTED = 50.0
 
@@ -35,21 +37,29 @@ class JointTrack:
 
     ``settings`` describe each payload; those of the first apply to the track: gates, losses, kind of target. Raises
     ValueError if there are none.
+
+    Attributes:
+        is_led: Whether any payload is used; if not, the estimate covers the places where they see the target.
     """
 
     def __init__(self, settings: Mapping[str, TrackerSettings]) -> None:
         if not settings:
             raise ValueError("a joint track needs a payload")
         self._names = tuple(settings)
-        self._settings = tuple(replace(one, filter="imm") for one in settings.values())
+        self._settings = [replace(one, filter="imm") for one in settings.values()]
         self._own = [Track(one) for one in self._settings]
         self._clock_sigmas_s = [0.0] * len(self._names)
         self._track = self._new()
-        self._wrong_s: dict[int, float] = {}  # since when a payload contradicts the others
-        self._right_s: dict[int, float] = {}  # since when one that was left out agrees again
+        self._faults = [""] * len(self._names)  # as the aircraft report them
+        self._confirmed: set[int] = set()
+        self._jumped: set[int] = set()  # payloads whose target has jumped lately
+        self._together_s: dict[int, float] = {}  # since when a payload agrees with another one
+        self._parted: set[int] = set()  # payloads that agreed for long, and do not now
+        self._doubted: set[int] = set()  # parted by a jump, and neither corrected nor confirmed since
+        self._since_s: dict[int, float] = {}  # when a payload in use began to contradict, or one left out to agree
         self._refused: dict[int, str] = {}
-        self._outvoted: set[int] = set()  # left out by several others
-        self._trusted_s = -float("inf")  # when a payload in use was seen last
+        self._alive: tuple[int, ...] = ()  # at the last comparison with any
+        self.is_led = True
         self._fed: set[int] = set()
         self._latest: dict[int, AnySighting] = {}
         self._compared_s = -float("inf")
@@ -71,6 +81,7 @@ class JointTrack:
         """
         payload = self._names.index(name)
         self._own[payload].add(sighting)
+        self._latest[payload] = replace(sighting, payload=payload)
         if payload in self._refused:
             return SightingOutcome(sighting, False, float("nan"), self._refused[payload])
         if payload not in self._fed:
@@ -79,8 +90,40 @@ class JointTrack:
             last, _ = self._track.last
             if last is not None:
                 last.widen_clock(payload, clock_sigma_s)
-        self._latest[payload] = replace(sighting, payload=payload)
         return self._track.add(self._latest[payload])
+
+    def judge(
+        self,
+        name: str,
+        fault: str = "",
+        *,
+        jumped: bool = False,
+        confirmed: bool = False,
+        corrected: tuple[float, float] | None = None,
+    ) -> None:
+        """Take what an aircraft knows of its payload.
+
+        Args:
+            name: Name of the payload's aircraft.
+            fault: Why its sightings are not to be trusted, in words; empty while they are.
+            jumped: Whether the position at which it sees the target has jumped lately.
+            confirmed: Whether the payload's errors are known.
+            corrected: Standard deviations of the yaw error, rad, and of the range error, m, from now on, if the
+                sightings until now show another place; else None.
+        """
+        payload = self._names.index(name)
+        self._faults[payload] = fault
+        for holds, those in ((jumped, self._jumped), (confirmed, self._confirmed)):
+            (those.add if holds else those.discard)(payload)
+        if confirmed or corrected is not None:
+            self._doubted.discard(payload)
+        if corrected is not None:
+            self._parted.discard(payload)
+            yaw_rad, range_m = corrected
+            own = replace(self._settings[payload], yaw_bias_sigma_rad=yaw_rad, range_bias_sigma_m=range_m)
+            self._settings[payload], self._own[payload] = own, Track(own)
+            if payload in self._fed:
+                self._begin([one for one in self._alive if one != payload and one not in self._refused])
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
         """Return the estimate at a time; None before the first sighting.
@@ -91,7 +134,7 @@ class JointTrack:
         if time_s - self._compared_s >= _COMPARED_EVERY_S:
             self._compared_s = time_s
             self._compare(time_s)
-        return self._track.estimate(time_s)
+        return self._track.estimate(time_s) if self.is_led else self._covering(time_s)
 
     @property
     def refused(self) -> Mapping[str, str]:
@@ -119,47 +162,81 @@ class JointTrack:
             for payload, track in enumerate(self._own)
             if (estimate := track.estimate(time_s)) is not None and estimate.quality is TrackQuality.GOOD
         }
-        if any(payload not in self._refused for payload in alive):
-            self._trusted_s = time_s
-        if len(alive) < 2:
-            if time_s - self._trusted_s >= _ALONE_AFTER_S:
-                self._outvoted.clear()
-            self._refused = {
-                payload: self._refused[payload] for payload in self._refused if payload in self._outvoted
-            }
-            self._wrong_s.clear()
+        if not alive:
             return
-        group = agreeing(alive, [payload for payload in alive if payload not in self._refused])
+        self._alive = tuple(alive)
+        self._find_parted(alive, agreeing(alive), time_s)
+        group = agreeing(alive, self._trust)
+        rest = {payload: estimate for payload, estimate in alive.items() if payload not in group}
+        rivals = agreeing(rest, self._trust)
+        leads = self._weight(group) > self._weight(rivals)
         for payload in alive:
-            if payload in group:
-                self._wrong_s.pop(payload, None)
-                since_s = self._right_s.setdefault(payload, time_s)
-                if payload in self._refused and time_s - since_s >= _ACCEPTED_AFTER_S:
-                    del self._refused[payload]
-                    self._outvoted.discard(payload)
+            agrees = leads and payload in group
+            if agrees is (payload not in self._refused):
+                self._since_s.pop(payload, None)
                 continue
-            self._right_s.pop(payload, None)
-            since_s = self._wrong_s.setdefault(payload, time_s)
-            if payload not in self._refused and time_s - since_s >= _REFUSED_AFTER_S:
-                self._refused[payload] = self._contradiction(payload, group, alive)
-                if len(group) > 1:
-                    self._outvoted.add(payload)
-        self._follow(group, alive, time_s)
-
-    def _contradiction(self, payload: int, group: Sequence[int], alive: Mapping[int, TargetEstimate]) -> str:
-        off_m = min(apart_m(alive[payload], alive[other]) for other in group)
-        if len(group) > 1:
-            return f"it sees the target {off_m:.0f} m from where the others do"
-        surer = self._names[group[0]]
-        return f"it sees the target {off_m:.0f} m from where {surer} does; either may be wrong: check both payloads"
-
-    def _follow(self, group: Sequence[int], alive: Mapping[int, TargetEstimate], time_s: float) -> None:
-        """Restart the filter if it has followed a payload that is excluded now."""
+            lasted_s = time_s - self._since_s.setdefault(payload, time_s)
+            if agrees and lasted_s >= _ACCEPTED_AFTER_S:
+                del self._refused[payload]
+                self._doubted.discard(payload)
+            elif not agrees and (self._trust(payload) == 0 or lasted_s >= _REFUSED_AFTER_S):
+                others = rivals if payload in group else group
+                self._refused[payload] = self._contradiction(payload, others, alive, leads)
+        used = [payload for payload in group if payload not in self._refused]
+        was_led, self.is_led = self.is_led, bool(used) or (self.is_led and leads)
         joint = self._track.estimate(time_s)
-        trusted = [payload for payload in group if payload not in self._refused]
-        if joint is None or not trusted or not self._refused:
-            return
-        surest = alive[trusted[0]]
-        if squared_distance(joint, surest) > _REJECTED:
-            self._track, self._fed = self._new(), {trusted[0]}
-            self._track.add(self._latest[trusted[0]])
+        if used and (
+            not was_led or (self._refused and joint and squared_distance(joint, alive[used[0]]) > _REJECTED)
+        ):
+            self._begin(used)
+
+    def _find_parted(self, alive: Iterable[int], group: Sequence[int], time_s: float) -> None:
+        """Find the payloads that jumped away from others with which they had agreed: these are the wrong ones."""
+        for payload in alive:
+            if payload in group and len(group) > 1:
+                self._together_s.setdefault(payload, time_s)
+                self._parted.discard(payload)
+            elif time_s - self._together_s.pop(payload, time_s) >= _ACCEPTED_AFTER_S:
+                self._parted.add(payload)
+        self._doubted |= self._parted & self._jumped
+
+    def _trust(self, payload: int) -> int:
+        if self._faults[payload] or payload in self._doubted:
+            return 0
+        return 2 if payload in self._confirmed else 1
+
+    def _weight(self, group: Sequence[int]) -> tuple[int, int]:
+        return len(group), max(map(self._trust, group), default=0)
+
+    def _contradiction(
+        self, payload: int, others: Sequence[int], alive: Mapping[int, TargetEstimate], leads: bool
+    ) -> str:
+        off_m = min(apart_m(alive[payload], alive[other]) for other in others)
+        if leads and len(others) > 1:
+            return f"it sees the target {off_m:.0f} m from where the others do"
+        text = f"it sees the target {off_m:.0f} m from where {self._names[others[0]]} does"
+        if not leads:
+            return f"{text}; either may be wrong: check both payloads. Each aircraft watches by its own until then"
+        jumped = "its target's position has jumped" if payload in self._doubted else ""
+        return f"{text}: {self._faults[payload] or jumped or 'the other payload was confirmed in this flight'}"
+
+    def _begin(self, used: Sequence[int]) -> None:
+        """Restart the filter, with what the first of these payloads sees; without any, with the next sighting."""
+        self._track, self._fed = self._new(), set(used[:1])
+        for payload in used[:1]:
+            self._track.add(self._latest[payload])
+
+    def _covering(self, time_s: float) -> TargetEstimate | None:
+        """Return an estimate that covers the places where the payloads see the target."""
+        every = (track.estimate(time_s) for track in self._own)
+        seen = [one for one in every if one is not None and one.quality is not TrackQuality.LOST]
+        if not seen:
+            return None
+        states = np.array([state_of(one) for one in seen])
+        spread = states.var(axis=0)
+        spread[:2] = spread[:2].sum()  # a payload that errs may do so in every direction
+        last = max(seen, key=lambda one: one.last_sighting_s)
+        covariance = np.mean([one.covariance for one in seen], axis=0) + np.diag(spread)
+        east_m, north_m, velocity_e, velocity_n = states.mean(axis=0).tolist()
+        place = last.time_s, east_m, north_m, velocity_e, velocity_n
+        return TargetEstimate(*place, covariance, last.quality, last.last_sighting_s, last.reason)

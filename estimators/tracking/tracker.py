@@ -42,7 +42,7 @@ _AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
 _FOLLOWS_RAD = math.radians(5.0)
 
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
-_YAW_SIGMA_MIN_RAD = math.radians(0.1)
+_YAW_SIGMA_MIN_RAD, _YAW_SHARED_RAD = math.radians(0.1), math.radians(1.5)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
 _YAW_FOUND_SIGMA_RAD, _YAW_KNOWN_RAD = math.radians(3.0), math.radians(10.0)  # by the motion of the apparent target
 _PITCH_SIGMAS = 3.0
@@ -51,7 +51,7 @@ _RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
 # configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
 # The shape of hills may look like a small delay.
-_SURE_S, _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S = 0.04, 3.0, 5.0, 0.015
+_SURE_S, _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _STEP_LARGE_S = 0.04, 3.0, 5.0, 0.015, 0.3
 _RANGE_SIGMA_SHARE = 0.1  # an error may grow with the range, or be the pitch's
 
 
@@ -64,6 +64,8 @@ class Tracker:
         ranges: Which laser is in use, and which were refused as they contradict the track.
         gimbals: The same of the line of sight.
         delays: How late laser and gimbal stamp their readings; None while nothing else is known than the setting.
+        is_confirmed: The fit has found delays and large errors, or none, in readings of the payload as it is now.
+        corrections: How often the payload turned out to err: its sightings until then show another place.
         yaw_error_rad: A large error that is to be corrected (:meth:`correct_yaw`); 0: none was found.
     """
 
@@ -86,6 +88,9 @@ class Tracker:
         self.yaw_error_rad = 0.0
         self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
         self.delays: Delays | None = None
+        self.is_confirmed = False
+        self.corrections = 0
+        self._found_errors = Biases.prior(settings)  # with which the track was last restarted
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
         self._devices: tuple[Source | None, Source | None] = None, None
         self.sightings = 0
@@ -140,7 +145,7 @@ class Tracker:
         if devices != self._devices:
             if None not in self._devices:
                 fit.clear_device()
-                self.delays = self._delays_of.get(devices)
+                self.delays, self.is_confirmed = self._delays_of.get(devices), False
                 self._pairing.set_delays(self.delays)
             self._devices = devices
         found = None if self._suspected else fit.updated(reading.time_s)
@@ -159,10 +164,16 @@ class Tracker:
             least = 1.0 if sure else _EVIDENT
         steps = zip(apart_s, sigmas_s, strict=True)
         late = any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in steps)
-        if late or self._errs_otherwise(found):
+        self.is_confirmed = sure
+        errs = self._errs_otherwise(found)
+        if late or errs:
             self._pairing.set_delays(found)
             # The payload's errors were estimated with the previous delays and would change only slowly.
-            self._track.restart(self._biases_with(found), self._pairing.repeated(reading.time_s - _REPEATED_S))
+            self._restart(
+                self._biases_with(found),
+                reading.time_s,
+                large=errs or (sure and max(apart_s) > _STEP_LARGE_S),
+            )
         elif sure:
             found = replace(found, gimbal_s=used_s[0], range_s=used_s[1])
         else:
@@ -249,8 +260,31 @@ class Tracker:
         biases = Biases.prior(self._settings)
         if biases.covariance[0, 0] > 0.0:
             biases.covariance[0, 0] += _YAW_FOUND_SIGMA_RAD**2
-        self._track.restart(biases, self._pairing.repeated(self._poses.positions.newest_s - _REPEATED_S))
+        self.is_confirmed = False
+        self._restart(biases, self._poses.positions.newest_s, large=True)
         return True
+
+    def _restart(self, biases: Biases, now_s: float, *, large: bool) -> None:
+        yaw_rad, _, range_m = abs(biases.mean - self._found_errors.mean).tolist()
+        if large or yaw_rad > _YAW_SHARED_RAD or range_m > _RANGE_UNEXPECTED_M:
+            self._found_errors = biases
+            self.corrections += 1
+        self._track.restart(biases, self._pairing.repeated(now_s - _REPEATED_S))
+
+    def without_found(self, sighting: AnySighting) -> AnySighting:
+        """Return a sighting without the errors that were found, for a filter that does not know them.
+
+        Args:
+            sighting: The sighting.
+        """
+        return sighting.without(*self._found_errors.mean.tolist())
+
+    @property
+    def remaining_sigmas(self) -> tuple[float, float]:
+        """Standard deviations of the errors of yaw, rad, and range, m, that ``without_found`` leaves."""
+        left, seen = self._found_errors.calibration, self._expected(self._poses.positions.newest_s)
+        corrected_m = 0.0 if seen is None else (1.0 - self._pairing.range_factor) * seen[1]
+        return left.yaw_sigma_rad, math.hypot(left.range_sigma_m, _RANGE_SIGMA_SHARE * corrected_m)
 
     @property
     def _known_yaw_error_rad(self) -> float:
@@ -368,16 +402,19 @@ class Tracker:
             time_s: Vehicle's clock, s.
         """
         self._suspected = True
+        self.corrections += 1
         self._track.forget_since(time_s)
 
     def begin_again(self) -> None:
         """Restart the track with the next sighting: what it was made from has turned out to be wrong."""
         self._suspected = False
+        self.corrections += 1
         self.restart_delays()
         self._track.begin_again()
 
     def restart_delays(self) -> None:
         """Fit the delays to later readings only: those before show another target, or are wrong."""
+        self.is_confirmed = False
         if self._delay_fit is not None:
             self._delay_fit.clear()
 

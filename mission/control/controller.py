@@ -95,6 +95,7 @@ from sidelong.mission.health.health import Health
 # Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
 _WIND_MAX_SHARE = 0.9
 _OFTEN, _OFTEN_S = 3, 120.0  # that the aircraft leaves its line: it may not follow at all
+_BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
@@ -430,14 +431,19 @@ class StandoffController:
         """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""
         crossed = None if self._height_m is None else self.surroundings.separation.crossed(present, self._height_m)
         self._crossed = 0 if crossed is None else self._crossed + 1
-        if crossed is None or self._crossed % _CROSSED_COUNT:
+        if self._height_m is None or crossed is None or self._crossed % _CROSSED_COUNT:
             return ()
         settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
         plans = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
         plan = next((one for one in map(self.cleared, plans) if isinstance(one, Plan)), None)
+        if plan is None and self._crossed == _CROSSED_COUNT:
+            text, layer_m = f"no separated circle is free: {crossed}", self.planning.layer_m
+            if layer_m > self._height_m + _BELOW_LAYER_M:  # as after the takeover of two that circle together
+                text += f"; climbing to {layer_m:.0f} m on the present circle"
+                return self.changes.upload(self.time_s, self._again(present), self._wind, text)
+            return (Announce(self.time_s, "decision", text),)
         if plan is None:
-            text = f"no separated circle is free: {crossed}"
-            return (Announce(self.time_s, "decision", text),) if self._crossed == _CROSSED_COUNT else ()
+            return ()
         return self.changes.upload(self.time_s, plan, self._wind, f"leaving the circle: {crossed}")
 
     def _keeps_away(self, plan: Plan, reach: Reach) -> bool:

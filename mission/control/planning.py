@@ -146,6 +146,11 @@ class Planning:
         """Whether the payload looks at another target than that."""
         return self._advice is not None and self._advice.turn_payload
 
+    @property
+    def layer_m(self) -> float:
+        """Height above home of the layer that the fleet gives the aircraft, m; -inf without a fleet."""
+        return -math.inf if self._advice is None else self._advice.height_m
+
     def too_near(self, time_s: float) -> str:
         """Return which other aircraft is too near.
 

@@ -62,6 +62,7 @@ from sidelong.mission.fleet.events import (
     FleetEvent,
     ForeignAircraftReported,
     LaunchRequested,
+    PayloadReported,
     PlansReported,
     ReliefRequested,
     RequirementChanged,
@@ -211,6 +212,8 @@ class FleetCoordinator:
                 self._planned(self._vehicles[event.name], event)
             case SightingReported():
                 self._sighted(self._vehicles[event.name], event)
+            case PayloadReported():
+                self._payload_reported(self._vehicles[event.name], event)
             case BatteryReported():
                 self._vehicles[event.name].remaining = event.remaining
             case VehicleLost():
@@ -286,6 +289,13 @@ class FleetCoordinator:
         on_mission = replace(sighting, time_s=vehicle.clock.mission_s(sighting.time_s))
         self._look(vehicle, on_mission)
         self._tracks[vehicle.watches].add(event.name, on_mission, sigma_s)
+
+    def _payload_reported(self, vehicle: FleetVehicle, event: PayloadReported) -> None:
+        sigmas = event.yaw_sigma_rad, event.range_sigma_m
+        corrected = sigmas if event.corrections != vehicle.corrections else None
+        vehicle.corrections = event.corrections
+        for track in self._tracks.values():
+            track.judge(event.name, event.fault, jumped=event.jumped, confirmed=event.confirmed, corrected=corrected)
 
     def _look(self, vehicle: FleetVehicle, sighting: AnySighting) -> None:
         """Find out which of the targets a payload looks at."""
@@ -381,7 +391,10 @@ class FleetCoordinator:
                 wanted = self._targets[target].requirement.side
                 course_rad = self._judges.course_rad(target)
                 near = too_near.get(vehicle.member.name, "")
-                advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad, near)
+                # While the payloads contradict one another, each aircraft watches by its own track.
+                own = vehicle.watches == target and vehicle.member.name in self._tracks[target].refused
+                estimate = None if own and not self._tracks[target].is_led else estimates[target]
+                advice = advice_to(vehicle, self._now_s, wanted, estimate, fleet, foreign, course_rad, near)
                 self._out.append(Tell(vehicle.member.name, advice))
                 self._give_route(vehicle)
 

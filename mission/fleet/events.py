@@ -58,10 +58,32 @@ class PlansReported:
 
 @dataclass(frozen=True, slots=True)
 class SightingReported:
-    """What the vehicle's payload has seen, before any filter of its own has judged it."""
+    """What the vehicle's payload has seen, without the errors found, before any filter of its own has judged it."""
 
     name: str
     sighting: AnySighting
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadReported:
+    """What the vehicle's own check knows of its payload: whenever that changes.
+
+    Attributes:
+        fault: Why its sightings are not to be trusted, in words; '' while they are.
+        jumped: The position at which it sees the target has jumped lately.
+        confirmed: Its errors and delays are known from this flight.
+        corrections: How often it turned out to err. Sightings before the latest correction show another place.
+        yaw_sigma_rad: Standard deviation of the yaw error that remains.
+        range_sigma_m: The same of the range.
+    """
+
+    name: str
+    fault: str = ""
+    jumped: bool = False
+    confirmed: bool = False
+    corrections: int = 0
+    yaw_sigma_rad: float = 0.0
+    range_sigma_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +179,7 @@ FleetEvent = (
     | VehicleReported
     | PlansReported
     | SightingReported
+    | PayloadReported
     | BatteryReported
     | VehicleLost
     | ForeignAircraftReported

@@ -12,6 +12,7 @@ from sidelong.mission.core.plan import Plan
 from sidelong.mission.exchange.outbox import ExternalControl
 from sidelong.mission.fleet.events import (
     FleetEvent,
+    PayloadReported,
     PlansReported,
     RequirementReported,
     SightingReported,
@@ -30,6 +31,7 @@ class FleetReporter:
         self._name = name
         self._next_s = -math.inf
         self._plans: tuple[Plan | None, Plan | None] = (None, None)
+        self._payload = "", False, False, 0  # as of PayloadReported
 
     def after(
         self, controller: StandoffController, event: object, outputs: Iterable[object], mission_time_s: float
@@ -42,7 +44,16 @@ class FleetReporter:
             outputs: Outputs of the step.
             mission_time_s: Mission time, s; the vehicle's own clock may stand still.
         """
-        found: list[FleetEvent] = [SightingReported(self._name, outcome.sighting) for outcome in controller.sighted]
+        found: list[FleetEvent] = []
+        tracker, health = controller.tracker, controller.health
+        fault, jumped = health.unknown or controller.door.doubt or "", health.payload.is_suspect(controller.time_s)
+        payload = fault, jumped, tracker.is_confirmed, tracker.corrections
+        if payload != self._payload:
+            self._payload = payload
+            found.append(PayloadReported(self._name, *payload, *tracker.remaining_sigmas))
+        found += [
+            SightingReported(self._name, tracker.without_found(outcome.sighting)) for outcome in controller.sighted
+        ]
         outputs = tuple(outputs)
         external = any(isinstance(output, ExternalControl) for output in outputs)
         for output in outputs:

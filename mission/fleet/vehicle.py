@@ -52,6 +52,7 @@ class FleetVehicle:
     leaving: bool = False
     target: str = ""
     watches: str = ""
+    corrections: int = 0  # of its payload, as it was last reported
     nearer: tuple[str, int] = ("", 0)  # another target, and how many sightings in a row have lain nearer to that one
     role: Role = Role.WANTED
     announced: tuple[Role, str] | None = None

@@ -155,6 +155,28 @@ def test_tracker_corrects_the_delays_that_it_finds():
     assert error_m(fed(TrackerSettings(latency_sigma_s=0.0), 2.0, 0.5, "vehicle")) > 10.0
 
 
+@pytest.mark.parametrize(
+    ("yaw_deg", "off_m", "corrected"), [(0.5, 0.0, False), (20.0, 0.0, True), (0.5, -50.0, True)]
+)
+def test_sightings_are_shared_without_the_errors_that_were_found(yaw_deg, off_m, corrected):
+    tracker, off = Tracker(TrackerSettings()), []
+    for one in readings(0.0, 0.0, yaw_rad=math.radians(yaw_deg), off_m=off_m):
+        for outcome in tracker.add(one):
+            shared = tracker.without_found(outcome.sighting)
+            off.append(math.dist((shared.east_m, shared.north_m), target_m(np.array(shared.time_s))))
+    assert np.median(off[-100:]) < 8.0  # the errors alone: 70 m, 45 m
+    assert tracker.is_confirmed is (off_m == 0.0)
+    assert (tracker.corrections > 0) is corrected
+
+
+def test_a_payload_is_confirmed_by_readings_after_it_is_suspect_only():
+    tracker = fed(TrackerSettings(), 0.0, 0.0)
+    assert tracker.is_confirmed
+    tracker.restart_delays()
+    assert not tracker.is_confirmed
+    assert not fed(TrackerSettings(latency_sigma_s=0.0), 0.0, 0.0).is_confirmed
+
+
 @pytest.mark.parametrize(("late_s", "used_s"), [(0.5, 0.5), (0.2, 0.0)])
 def test_gimbal_is_found_late_on_a_steady_circle_where_no_likely_yaw_error_explains_it(late_s, used_s):
     """Of a yaw error with a standard deviation of 1 degree, 0.5 s would need 7 degrees, and 0.2 s 3 degrees."""

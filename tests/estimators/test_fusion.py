@@ -17,7 +17,7 @@ def test_the_largest_group_that_agrees_is_found_the_surest_first():
     assert agreeing({"a": track(0.0), "b": track(150.0, 0.5), "c": track(1.0, 1.0)}) == ["c", "a"]
 
 
-def test_of_two_that_contradict_each_other_the_one_accepted_so_far_is():
+def test_of_two_that_contradict_each_other_the_more_trusted_one_is():
     two = {"a": track(0.0, 3.0), "b": track(80.0, 1.0)}
     assert agreeing(two) == ["b"]
-    assert agreeing(two, accepted=["a"]) == ["a"]
+    assert agreeing(two, trust={"a": 1, "b": 0}.get) == ["a"]

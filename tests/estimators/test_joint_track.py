@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -40,10 +41,12 @@ def sighting(rng: np.random.Generator, name: str, time_s: float, shift_m: float 
     )
 
 
-def watched(names: tuple[str, ...], until_s: float, **shifts: tuple[float, float]) -> tuple[JointTrack, list[float]]:
+def watched(
+    names: tuple[str, ...], until_s: float, track: JointTrack | None = None, **shifts: tuple[float, float]
+) -> tuple[JointTrack, list[float]]:
     """Fly; shifts: of a payload, (from when, by how much) it sees another thing. Return each second's error."""
     rng = np.random.default_rng(3)
-    track = JointTrack({name: TrackerSettings() for name in names})
+    track = track or JointTrack({name: TrackerSettings() for name in names})
     errors = []
     for k in range(round(until_s * 5)):
         time_s = k / 5
@@ -93,11 +96,112 @@ def test_a_payload_that_others_contradicted_is_not_used_in_a_short_silence_of_al
     assert ("south" in track.refused) is not used
 
 
-def test_of_two_that_contradict_each_other_neither_is_called_right():
-    track, _ = watched(("west", "south"), 45.0, south=(30.0, 60.0))
-    ((name, reason),) = track.refused.items()
-    (other,) = {"west", "south"} - {name}
-    assert f"m from where {other} does; either may be wrong: check both payloads" in reason
+def covers(track: JointTrack, time_s: float, shift_m: float) -> bool:
+    now = track.estimate(time_s)
+    error = np.array((now.east_m - shift_m, now.north_m)) - np.array(VELOCITY) * now.time_s
+    return bool(error @ np.linalg.solve(now.covariance[:2, :2], error) < 5.99)
+
+
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_of_two_that_contradict_each_other_neither_is_called_right(confirmed):
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    for name in ("west", "south"):
+        track.judge(name, "", confirmed=confirmed)
+    watched(("west", "south"), 45.0, track, south=(30.0, 60.0))
+    for name, other in (("west", "south"), ("south", "west")):
+        assert f"m from where {other} does; either may be wrong: check both payloads" in track.refused[name]
+    assert not track.is_led
+    assert covers(track, 45.0, 0.0)
+    assert covers(track, 45.0, 60.0)
+
+
+def test_a_short_silence_of_one_of_two_that_contradict_does_not_let_the_other_one_lead():
+    track, _ = watched(("west", "south"), 45.0, south=(0.0, 60.0))
+    rng = np.random.default_rng(4)
+    for k in range(50):
+        time_s = 45.0 + k / 5
+        track.add("south", sighting(rng, "south", time_s, 60.0))
+        assert covers(track, time_s, 0.0)
+        assert not track.is_led
+
+
+def test_the_payload_that_leads_at_last_is_followed_from_where_it_is_now():
+    track, _ = watched(("west", "south"), 60.0, south=(0.0, 60.0))
+    track.judge("west", "", confirmed=True)
+    rng = np.random.default_rng(4)
+    for k in range(75):
+        time_s = 60.0 + k / 5
+        track.add("west", sighting(rng, "west", time_s))
+        track.add("south", sighting(rng, "south", time_s, 60.0))
+        track.estimate(time_s)
+    assert track.is_led
+    assert covers(track, 75.0, 0.0)
+    assert not covers(track, 75.0, 60.0)
+
+
+def test_the_payload_that_was_confirmed_in_flight_leads_one_that_was_not():
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    track.judge("south", "", confirmed=True)
+    _, errors = watched(("west", "south"), 45.0, track, west=(0.0, 60.0))
+    assert track.is_led
+    assert re.fullmatch(
+        r"it sees the target \d+ m from where south does: the other payload was confirmed in this flight",
+        track.refused["west"],
+    )
+    assert max(errors[15:]) < 6.0
+
+
+@pytest.mark.parametrize(
+    ("known", "why"), [({"fault": "a fault"}, "a fault"), ({"jumped": True}, "its target's position has jumped")]
+)
+def test_a_payload_that_its_own_aircraft_finds_at_fault_does_not_lead(known, why):
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    track.judge("west", confirmed=True, **known)
+    track.judge("south", confirmed=True)
+    _, errors = watched(("west", "south"), 45.0, track, west=(30.0, 60.0))
+    assert track.refused.keys() == {"west"}
+    assert re.fullmatch(rf"it sees the target \d+ m from where south does: {why}", track.refused["west"])
+    assert max(errors[15:]) < 3.0
+
+
+def test_a_jump_of_a_payload_that_never_agreed_with_the_other_one_proves_nothing():
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    track.judge("west", jumped=True)
+    watched(("west", "south"), 30.0, track, south=(0.0, 60.0))
+    assert not track.is_led
+
+
+def test_a_fault_of_a_payload_that_agrees_with_the_others_leaves_it_in_use():
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    track.judge("west", "a fault", jumped=True)
+    watched(("west", "south"), 20.0, track)
+    assert not track.refused
+
+
+def test_a_payload_that_is_corrected_is_used_again_and_what_it_saw_before_is_forgotten():
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    watched(("west", "south"), 40.0, track, south=(0.0, 60.0))
+    assert not track.is_led
+    track.judge("south", "", confirmed=False, corrected=(0.02, 0.5))
+    rng, errors = np.random.default_rng(4), []
+    for k in range(200):
+        time_s = 40.0 + k / 5
+        for name in ("west", "south"):
+            track.add(name, sighting(rng, name, time_s))
+        now = track.estimate(time_s)
+        errors.append(math.hypot(now.east_m - VELOCITY[0] * time_s, now.north_m - VELOCITY[1] * time_s))
+    assert not track.refused
+    assert track.is_led
+    assert max(errors[60:]) < 2.5
+
+
+def test_a_single_payload_that_is_corrected_leaves_nothing_of_what_it_saw_before():
+    track = JointTrack({"west": TrackerSettings(), "south": TrackerSettings()})
+    watched(("west",), 40.0, track, west=(0.0, 60.0))
+    track.judge("west", "", confirmed=False, corrected=(0.02, 0.5))
+    assert track.estimate(40.0) is None
+    track.add("west", sighting(np.random.default_rng(4), "west", 40.0))
+    assert covers(track, 40.0, 0.0)
 
 
 def test_a_payload_that_is_wrong_from_the_start_spoils_nothing_once_two_others_agree():

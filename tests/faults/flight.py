@@ -19,6 +19,7 @@ from sidelong.app.assembly import controller_of, mission_controller_of, settle
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
+from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
 from sidelong.app.simulation.payload import Payload
@@ -41,7 +42,6 @@ _TICK_STEPS, _SURE_M = 10, 5.0
 HOME_DEG = (47.4, 8.5)
 _HOME = Home(*HOME_DEG, 400.0)
 _PLANE = LocalPlane(*HOME_DEG)
-_HEIGHT_M = 100.0
 ERRORS = PayloadFaults(yaw_bias_rad=0.0, outliers=0.02, dropouts_per_s=0.1 / 3.0)
 _RATES = Rates(
     tick_hz=10, position_hz=10, attitude_hz=10, gimbal_hz=10, laser_hz=10, status_hz=1, mission_current_hz=1
@@ -102,7 +102,10 @@ class FaultedFlight(FaultyLoop[Message]):
         timer=lambda: 0.0,
         terrain: str = "",
         configured: Mapping[str, dict] = MappingProxyType({}),
+        number: int = 0,
+        kind: PlannerKind | None = None,
     ) -> None:
+        """number: of an aircraft of two, which begins on its own side; kind: of planner, None: the configured one."""
         self._scenario, self._faults, self._timer = scenario, faults, timer
         autopilot = FLAVOURS[scenario.flavour]
         target_rng, air_rng, noise_rng = (
@@ -112,14 +115,17 @@ class FaultedFlight(FaultyLoop[Message]):
         self._noise = noise_rng
         ground = {"terrain": {"folder": terrain}} if terrain else {}
         config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}, **ground, **configured})
-        self.controller: StandoffController = controller_of(config)
+        self.controller: StandoffController = controller_of(config, kind=kind)
+        self._required = config.requirement.requirement()  # a fleet lets an aircraft hold the other side
         settle(self.controller, config, _PLANE, HOME_DEG)
         self._target = RandomTarget(target_rng, scenario.duration_s + 1.0, 3.0, (15.0, 60.0))
         limits = config.aircraft.aircraft()
         wind_m_s, wind_rad = air_rng.uniform(0.0, 3.0), air_rng.uniform(-math.pi, math.pi)
         wind = Wind(wind_m_s * math.sin(wind_rad), wind_m_s * math.cos(wind_rad))
+        if number:  # the same target and wind, other noise
+            air_rng, noise_rng = (np.random.default_rng((scenario.seed, number, k)) for k in range(2))
         self._boot_s = round(float(air_rng.uniform(100.0, 3000.0)), 1)
-        side_rad = self._target.at(0.0).course_rad - math.pi / 2
+        side_rad = self._target.at(0.0).course_rad + (number - 0.5) * math.pi
         circle = Circle(300.0 * math.sin(side_rad), 300.0 * math.cos(side_rad), limits.radius_m, True)
         course_rad = float(air_rng.uniform(-math.pi, math.pi))
         speed_m_s = ground_speed_m_s(course_rad, limits.airspeed_m_s, wind)
@@ -129,7 +135,7 @@ class FaultedFlight(FaultyLoop[Message]):
         aircraft = KinematicAircraft(
             state, limits.airspeed_m_s, limits.bank_max_rad, math.radians(60.0), wind, _LAG_S
         )
-        start = Start(_PLANE, _HOME, circle, _HEIGHT_M, self._boot_s)
+        start = Start(_PLANE, _HOME, circle, config.aircraft.height_m, self._boot_s)
         vehicle = KinematicVehicle(autopilot, aircraft, wind, start, self.payload(noise_rng), self._target, _RATES)
         super().__init__(vehicle, Link(NO_FAULTS, self._fault_rng, change=self._change))
         self.telemetry.plane = _PLANE
@@ -229,8 +235,7 @@ class FaultedFlight(FaultyLoop[Message]):
         aircraft_m = np.array([(state.east_m, state.north_m) for state in flown])
         time_s = np.array([state.time_s for state in flown])
         truth = self._target.sampled(time_s)
-        requirement = self.controller.settings.requirement
-        judged = judge(Samples(time_s, aircraft_m, truth[:, :2], truth[:, 2:4]), ((-math.inf, requirement),))
+        judged = judge(Samples(time_s, aircraft_m, truth[:, :2], truth[:, 2:4]), ((-math.inf, self._required),))
         self.flown.range_m, self.flown.on_side = judged.range_m.tolist(), judged.on_side.tolist()
         on_side = dict(zip(np.round(time_s, 1).tolist(), self.flown.on_side, strict=True))
         self.flown.wrongly_on_side_s = float(

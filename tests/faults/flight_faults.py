@@ -302,6 +302,15 @@ def turned(degrees: float) -> Change:
     return only(GIMBAL, change)
 
 
+def delayed(names: tuple[str, ...], seconds: float) -> Change:
+    """Report values this much later, with the stamp of the report."""
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        yield (seconds, later(message, seconds)) if message.name in names else (0.0, message)
+
+    return change
+
+
 def flagged(flags: int) -> Change:
     """Replace the gimbal's flags."""
     return only(GIMBAL, lambda m, _s, _r: with_fields(m, flags=flags))

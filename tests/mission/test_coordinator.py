@@ -98,6 +98,7 @@ class Vehicle:
         )
         self.commands: list[Command] = []
         self.sees, self.shift_m = True, 0.0  # of what it sees, towards east
+        self.yaw_error_rad = 0.0
         self.phase_rad = 0.0
 
     def fly(self, mission_time_s: float) -> list[FleetEvent]:
@@ -108,7 +109,7 @@ class Vehicle:
         bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * RADIUS_M))
         target_m = TARGET_SPEED_M_S * mission_time_s
         off_m = self.shift_m - east_m
-        yaw_rad = math.atan2(off_m, target_m - north_m)
+        yaw_rad = math.atan2(off_m, target_m - north_m) + self.yaw_error_rad
         slant_m = math.hypot(off_m, target_m - north_m, self.height_m)
         pitch_rad = -math.asin(self.height_m / slant_m)
         half = 0.5 * yaw_rad, 0.5 * pitch_rad
@@ -244,7 +245,7 @@ def test_a_payload_that_is_used_for_a_moment_is_not_announced_again():
     fleet = pair()
     fleet.fly(20.0)
     fleet.vehicles["b"].shift_m = 60.0
-    for _ in range(5):  # in each short silence of both it is open again which one is right
+    for _ in range(5):
         fleet.fly(10.0)
         for one in fleet.vehicles.values():
             one.sees = False
@@ -252,7 +253,51 @@ def test_a_payload_that_is_used_for_a_moment_is_not_announced_again():
         for one in fleet.vehicles.values():
             one.sees = True
     announced = [(one.name, "left out" in one.text) for one in fleet.announced if "sightings" in one.text]
-    assert announced == [("a", True), ("b", True), ("a", False), ("a", True), ("b", False), ("b", True), ("a", False)]
+    assert announced == [("b", True)]
+
+
+def error_m(fleet: Fleet) -> float:
+    now = fleet.coordinator.estimate("boat")
+    return math.hypot(now.east_m, now.north_m - TARGET_SPEED_M_S * now.time_s)
+
+
+def test_two_payloads_that_contradict_each_other_are_reported_and_each_aircraft_watches_by_its_own():
+    fleet = pair()
+    fleet.vehicles["b"].yaw_error_rad = math.radians(20.0)
+    fleet.fly(15.0)
+    for name, other in (("a", "b"), ("b", "a")):
+        (text,) = [one.text for one in fleet.announced if one.name == name]
+        assert re.fullmatch(
+            rf"its sightings are left out: it sees .* from where {other} does; either may be .*", text
+        )
+        assert fleet.advice[name].estimate is None
+    estimate = fleet.vehicles["a"].core.estimate
+    assert math.hypot(estimate.east_m, estimate.north_m - TARGET_SPEED_M_S * (estimate.time_s - 100.0)) < 5.0
+    assert fleet.coordinator.estimate("boat").ellipse_95.semi_major_m > 50.0
+
+
+def test_a_payload_whose_target_has_jumped_does_not_lead():
+    fleet = pair()
+    fleet.fly(20.0)
+    fleet.vehicles["b"].shift_m = 60.0
+    fleet.fly(30.0)
+    (text,) = [one.text for one in fleet.announced if one.name == "b"]
+    jumped = (
+        r"its sightings are left out: it sees the target \d+ m from where a does: its target's position has jumped"
+    )
+    assert re.fullmatch(jumped, text)
+    assert not [one for one in fleet.announced if one.name == "a"]
+    assert fleet.advice["b"].estimate is not None
+    assert error_m(fleet) < 3.0
+
+
+def test_a_yaw_error_that_an_aircraft_corrects_is_shared_corrected():
+    fleet = pair()
+    fleet.vehicles["b"].yaw_error_rad = math.radians(90.0)
+    fleet.fly(100.0)
+    assert "its sightings are used again" in [one.text for one in fleet.announced if one.name == "b"]
+    assert fleet.advice["a"].estimate is not None
+    assert error_m(fleet) < 3.0
 
 
 @pytest.mark.parametrize("off_s", [-11.0, 11.0])
@@ -495,6 +540,18 @@ def test_aircraft_that_sinks_out_of_its_layer_raises_an_alarm_and_leaves_its_cir
     fleet.put_event(PlansReported("b", Plan(circle)))  # it has departed, and circles there
     fleet.fly(10.0)
     assert alarm(fleet, "b") == ""
+
+
+def test_of_two_taken_over_side_by_side_the_one_below_its_layer_climbs():
+    fleet = Fleet(Vehicle("a", WEST, 100.0, 100.0), Vehicle("b", WEST, -40.0, 160.0))
+    upper, lower = fleet.vehicles["b"], fleet.vehicles["a"]
+    upper.height_m = 100.0
+    fleet.fly(10.0)
+    assert alarm(fleet, "a") or alarm(fleet, "b")
+    assert not any(isinstance(command, UploadPlan) for command in lower.commands)
+    (upload,) = [command for command in upper.commands if isinstance(command, UploadPlan)]
+    assert (upload.plan.circle, upload.plan.transition) == (upper.circle, None)
+    assert "climbing to 160 m on the present circle" in upload.reason
 
 
 def test_reported_distance_below_the_required_one_always_raises_an_alarm():
