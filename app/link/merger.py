@@ -10,8 +10,8 @@ duplicates and steps back in time:
 - answers, and what other components send, are passed on from any link, the copies of the others are not.
 
 The link in use is left when it is silent, or clearly worse than another for some seconds, as when nothing that is
-sent on it is answered. One that brings nothing of
-the autopilot's, as from a payload with a link of its own, is never used. Pure: time is an argument.
+sent on it is answered. One that brings nothing of the autopilot's, as from a payload with a link of its own, is never
+used. Pure: time is an argument.
 """
 
 from __future__ import annotations

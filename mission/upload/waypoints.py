@@ -85,9 +85,9 @@ def first_to_fly(
     aircraft: AircraftState,
     tolerance_m: float,
 ) -> int:
-    """Return which waypoint an aircraft flies to first, so that it does not turn back to one beside it.
+    """Return which waypoint an aircraft flies to first, so that it does not turn back to one next to it.
 
-    It may depart from beside the start of the transition, and pass the first waypoint too far off to reach it.
+    It may depart next to the start of the transition, and pass the first waypoint too far off to reach it.
 
     Args:
         transition: The transition.

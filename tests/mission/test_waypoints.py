@@ -181,7 +181,7 @@ def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() 
     turned_rad=st.floats(-0.5, 0.5),
     name=st.sampled_from(sorted(TRACKINGS)),
 )
-def test_from_beside_the_start_no_waypoint_is_flown_back_to(
+def test_from_next_to_the_start_no_waypoint_is_flown_back_to(
     move_m: float, bearing_rad: float, aside_m: float, aside_rad: float, turned_rad: float, name: str
 ) -> None:
     tracking, present = TRACKINGS[name](15.0), Circle(0.0, 0.0, 50.0, True)
