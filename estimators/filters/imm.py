@@ -65,6 +65,7 @@ DENSITIES: dict[TargetKind, Densities] = {
 # Without ranges the filter averages over tens of seconds, in which a target holds its velocity better than that: this
 # share of the accelerations gives an ellipse that contains it as often (``tests/bench/test_camera_motion.py``).
 _SHARE_WITHOUT_RANGE, _WITHOUT_RANGE_S = 0.25, 3.0
+_STEPS_MAX = 60
 
 
 class TargetImm:
@@ -127,11 +128,14 @@ class TargetImm:
         Args:
             time_s: Time to predict to, vehicle's clock, s; not earlier than the filter's own time.
         """
-        step_s = round(time_s - self.time_s, 6)
-        self.time_s = time_s
-        if step_s > 0.0:
-            ahead, ground = np.empty_like(self.state), self._ground
-            densities = steadier(self.densities) if self._averages else self.densities
+        left_s, self.time_s = round(time_s - self.time_s, 6), time_s
+        ground, densities = self._ground, steadier(self.densities) if self._averages else self.densities
+        for _ in range(_STEPS_MAX):  # the motions switch by steps of at most 1 s; after a minute little changes
+            step_s = min(left_s, 1.0)
+            if step_s <= 0.0:
+                return
+            left_s = round(left_s - step_s, 6)
+            ahead = np.empty_like(self.state)
             if ground is None:
                 kernel.predict(self.state, step_s, densities, ahead)
             else:

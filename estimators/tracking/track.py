@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _HISTORY_S, _REPEATED_MAX = 5.0, 60
 _AGREEING_UNSEEN = 3  # rejected sightings that restart a track that was coasting
 _KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out to have been wrong
-# Predictions go by steps of at most 1 s, so that the motion models can mix on the way. After an hour nothing changes.
-_STEP_MAX_S, _STEPS_MAX = 1.0, 3600
+# Longer predictions go by steps, so that the motion models can mix on the way; the longest take this many steps.
+_STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
 RESTARTED = "restarted where the rejected sightings agree"
 """Reason of a sighting with which the track has moved elsewhere."""
@@ -305,10 +305,10 @@ class Track:
 def _predicted(start: TargetImm, time_s: float) -> TargetImm:
     """Return a copy of the filter, moved on to ``time_s``."""
     ahead = start.copy()
+    step_s = max(_STEP_MAX_S, (time_s - start.time_s) / _STEPS_MAX)
     for _ in range(_STEPS_MAX):
-        if time_s - ahead.time_s <= _STEP_MAX_S:
-            ahead.predict(time_s)
-            return ahead
-        ahead.predict(ahead.time_s + _STEP_MAX_S)
-    ahead.time_s = time_s
+        if time_s - ahead.time_s <= step_s:
+            break
+        ahead.predict(ahead.time_s + step_s)
+    ahead.predict(time_s)
     return ahead
