@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from shapely import LineString
@@ -35,6 +36,7 @@ _SHIFT_MAX_M = 20.0
 _STIFFNESS = 0.05  # how much a metre of shift counts against a metre of deviation, squared
 _GRID_M = 10.0
 _WINDOW_M = 80.0  # the nearest point of the plan is looked for so far before and after the planned one
+_REACHED_SHARE = 0.8  # of the acceptance radius
 _SETTLING_M = 100.0  # of the new circle: the deviation counts there too
 
 
@@ -99,14 +101,17 @@ def first_to_fly(
 
     Returns:
         The index of the first waypoint that the model flies to within the tolerance and the distance from the start,
-        else of the one with the least deviation. len(waypoints): the circle.
+        else of the one with the least deviation. len(waypoints): the circle. The model has to do so with a smaller
+        acceptance radius too: the aircraft may pass a waypoint farther off than predicted.
     """
     start = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m)
-    problem, places = _Problem(transition, circle, tracking, start), np.array(waypoints, float).reshape(-1, 2)
+    stricter = replace(tracking, switch_s=_REACHED_SHARE * tracking.switch_s)
+    problems = [_Problem(transition, circle, one, start) for one in (tracking, stricter)]
+    places = np.array(waypoints, float).reshape(-1, 2)
     apart_m = math.hypot(start.east_m - transition.east_m[0], start.north_m - transition.north_m[0])
     deviations_m = []
     for first in range(len(places) + 1):
-        deviations_m.append(problem.deviations_m(places[first:])[1])
+        deviations_m.append(max(problem.deviations_m(places[first:])[1] for problem in problems))
         if deviations_m[-1] <= tolerance_m + apart_m:
             return first
     return int(np.argmin(deviations_m))
