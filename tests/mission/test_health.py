@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.health.health import Health
 from sidelong.mission.health.payload_check import PayloadCheck
-from tests.faults.flight import FaultedFlight, Scenario
+from tests.faults.flight import ERRORS, FaultedFlight, Scenario
 from tests.faults.flight_faults import (
     GIMBAL,
     LASER,
@@ -31,6 +32,7 @@ from tests.faults.flight_faults import (
     turned,
     with_fields,
 )
+from tests.faulty_payload import FaultyPayload
 
 BEGIN_S, DURATION_S = 60.0, 150.0
 
@@ -149,8 +151,12 @@ def test_laser_that_meets_the_background_again_and_again_is_reported():
 
 
 def test_single_wrong_ranges_of_a_slow_laser_are_no_jumps_of_the_target():
-    """At 1 Hz, two lines of sight are paired with each of them."""
+    """At 1 Hz, two lines of sight are paired with each of them. Two wrong ones in a row are a jump."""
     count = 0
+
+    class WithoutOutliers(FaultedFlight):
+        def payload(self, rng):
+            return FaultyPayload(replace(ERRORS, outliers=0.0), rng)
 
     def slow(message, _since_s, _rng):
         nonlocal count
@@ -159,9 +165,10 @@ def test_single_wrong_ranges_of_a_slow_laser_are_no_jumps_of_the_target():
         far = with_fields(message, current_distance=message.fields["current_distance"] + far_cm)
         return far if count % 10 == 0 else None
 
-    flown = FaultedFlight(Scenario(3, "arduplane", 200.0), [Fault("slow", 0.0, math.inf, only(LASER, slow))]).fly()
+    fault = Fault("slow", 0.0, math.inf, only(LASER, slow))
+    flown = WithoutOutliers(Scenario(3, "arduplane", 200.0), [fault]).fly()
     assert not flown.health
-    assert flown.unknown_s <= 3.0
+    assert flown.unknown_s == 0.0
 
 
 def test_aircraft_that_does_not_follow_its_plans_is_reported(monkeypatch):
