@@ -129,11 +129,11 @@ class TargetImm:
             time_s: Time to predict to, vehicle's clock, s; not earlier than the filter's own time.
         """
         left_s, self.time_s = round(time_s - self.time_s, 6), time_s
+        if left_s <= 0.0:
+            return
         ground, densities = self._ground, steadier(self.densities) if self._averages else self.densities
         for _ in range(_STEPS_MAX):  # the motions switch by steps of at most 1 s; after a minute little changes
             step_s = min(left_s, 1.0)
-            if step_s <= 0.0:
-                return
             left_s = round(left_s - step_s, 6)
             ahead = np.empty_like(self.state)
             if ground is None:
@@ -141,6 +141,8 @@ class TargetImm:
             else:
                 predict_standing(self.state, step_s, densities, ground.grid, ground.sigma_m, ahead)
             self.state = ahead
+            if left_s <= 0.0:
+                break
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
         """Update the state with a sighting made at the filter's time, unless the gate rejects it.

@@ -53,7 +53,7 @@ _STARTS_S = (
 _STRAINED, _TURNS_M, _ERRING_SPAN_S = 1.5, 0.15, 20.0
 _EVIDENCE = 50.0
 _CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
-_CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1
+_CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1  # the same as evidence of its own, where the ends lie on wrong hills
 # A delay at the end of its range fits nothing.
 _DELAYS_MIDDLE_S, _DELAYS_REACH_S = (MIN_DELAY_S + MAX_DELAY_S) / 2.0, 0.45 * (MAX_DELAY_S - MIN_DELAY_S)
 _YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08

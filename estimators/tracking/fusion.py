@@ -34,13 +34,12 @@ def agreeing(tracks: Mapping[Name, TargetEstimate], trust: Callable[[Name], int]
     Returns:
         Names of the group, by increasing covariance; without tracks none.
     """
+    if not tracks:
+        return []
     groups = {
         name: [other for other in tracks if other == name or _squared(track, tracks[other], _SHIFTS) <= _GATE]
         for name, track in tracks.items()
     }
-
-    if not tracks:
-        return []
 
     def rank(name: Name) -> tuple[int, int, float, Name]:
         group = groups[name]

@@ -2,8 +2,7 @@
 
 Reports how soon the fault is reported, the least true range, and the time that was claimed wrongly. For large errors,
 which are corrected: the time on side. For faults of one of two aircraft: the joint estimate. About 5 s of CPU a
-flight.
-SIDELONG_PAYLOAD_FAULTS=COUNT,FIRST: flights per fault, and the first target.
+flight. SIDELONG_PAYLOAD_FAULTS=COUNT,FIRST: flights per fault, and the first target.
 """
 
 from __future__ import annotations
