@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 import signal
@@ -26,13 +27,24 @@ _WOUND_UP = re.compile(
 _LAUNCH = ("launch", "--planner", "paper", "--duration", "250", "--target", "straight")
 _ENDS_WITHIN_S = 90.0
 _BEGUN = "signals are handled"
-# The program as ``python -m sidelong.app`` runs it. What it imports first, it imports once it handles signals.
+# The program as ``python -m sidelong.app`` runs it. What it imports first, it imports once it handles signals. It
+# suspends itself where it prints the first argument: how far it is then does not depend on the load of the machine.
 _PROGRAM = f"""
-import os, sys
+import os, signal, sys
 from sidelong.app.__main__ import main
+after, printed, write = sys.argv.pop(1), "", sys.stdout.write
+def write_and_wait(text):
+    global printed
+    count, printed = write(text), printed + text
+    if after in printed and text.endswith("\\n"):
+        sys.stdout.write = write
+        sys.stdout.flush()
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return count
+sys.stdout.write = write_and_wait
 def report(event, arguments):
     if event == "import" and arguments[0] == "sidelong.app.interpreter":
-        os.write(1, b"{_BEGUN}\\n")
+        print("{_BEGUN}")
 sys.addaudithook(report)
 main()
 """
@@ -64,6 +76,7 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
             sys.executable,
             "-c",
             _PROGRAM,
+            interruption.after,
             *_LAUNCH,
             "--speed",
             str(interruption.speed),
@@ -80,9 +93,14 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
         announced.append(line)
         if interruption.after in line:
             break
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
     timer = threading.Timer(interruption.after_s, process.send_signal, (interruption.signal,))
-    timer.start()
+    if interruption.after_s:
+        timer.start()
+    else:
+        process.send_signal(interruption.signal)
     try:
+        process.send_signal(signal.SIGCONT)
         rest, complaint = process.communicate(timeout=_ENDS_WITHIN_S)
     except subprocess.TimeoutExpired as late:
         return "none", [f"had not ended after {_ENDS_WITHIN_S:g} s: {late.stdout!r}"]
