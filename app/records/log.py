@@ -20,6 +20,7 @@ from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
 from sidelong.app.records.ulog import read_ulog, ulog_contents
 
 _NAMED_AT_MOST = 20
+_COMPRESSED = (b"\x1f\x8b", b"PK\x03\x04", b"BZh", b"\xfd7zXZ")  # the first bytes of gzip, zip, bzip2, xz
 
 MessageReader = Callable[[Path, Collection[str], Progress], Iterator[Message]]
 
@@ -78,6 +79,8 @@ def open_log(path: Path) -> Log:
             return _dataflash(path)
         if is_tlog(path):
             return _tlog(path)
+        if opening.startswith(_COMPRESSED):
+            raise InputError(f"{path} is compressed; decompress it first.")
         # The first bytes may be damaged.
         for log in (_ulog(path), _dataflash(path)):
             if log.contents():

@@ -61,8 +61,10 @@ def _stepped(words: str, text: str) -> tuple[Value, ...]:
         count = math.floor((last - first) / step + 1e-9) + 1
     except (ValueError, ZeroDivisionError, OverflowError):
         count = 0
-    if not 1 <= count <= _DESIGNS_MAX:
+    if count < 1:
         raise InputError(f"--sweep: {words!r} has no values; FROM:TO:STEP is like 300:600:50.")
+    if count > _DESIGNS_MAX:
+        raise InputError(f"--sweep: {words!r} has more than {_DESIGNS_MAX} values; give a larger STEP.")
     return tuple(round(first + k * step, 9) for k in range(count))
 
 

@@ -105,6 +105,7 @@ def test_what_cannot_be_flown_is_passed_over_and_reported():
         (("--sweep", "link.url=a"), "no parameter that shapes a study"),
         (("--sweep", "aircraft.airspeed_m_s=5:1:1"), "no values"),
         (("--sweep", "aircraft.airspeed_m_s=5:9:0"), "no values"),
+        (("--sweep", "aircraft.airspeed_m_s=5:9:0.0001"), "values; give a larger STEP"),
         (("--sweep", "aircraft.radius_m=1:2"), "FROM:TO:STEP is like"),
         (("--sweep", "aircraft.airspeed_m_s=fast"), "aircraft.airspeed_m_s"),
         (("--sweep", "aircraft.radius_m=300"), "radius_m"),
