@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.path import FloatArray
+from sidelong.mission.viewpoint.course_hold import CourseHold
+from sidelong.mission.viewpoint.viewpoint_kernel import MIN_WAY_M
 
 Pair = tuple[float, float]
 
-MIN_WAY_M = 10.0  # a target that moved less keeps its last course made good
 _GAP_MAX_S = 5.0  # the motion between two samples further apart is unknown and counts as none
 _SEEN_S, _SETTLES_S = 1.5, 3.0  # the greatest age of a sighting; how long an estimate settles after it has coasted
 _JUMP_M = 5.0  # what a turn of the target does not explain
@@ -85,6 +86,7 @@ class TargetCourse:
         self._velocity_m_s = 0.0, 0.0
         self._seen: tuple[float, Pair] | None = None  # when and where the target was seen last
         self._settled_s = -math.inf
+        self._hold = CourseHold()
 
     def take(self, time_s: float, velocity_m_s: Pair, horizon_s: float) -> None:
         """Take the target's velocity at a time.
@@ -113,9 +115,12 @@ class TargetCourse:
             self._seen = time_s, place_m
         if time_s >= self._settled_s:
             self._follow_jump(self._expected_m(time_s, velocity_m_s), place_m)
-        self._take_place(time_s, place_m, velocity_m_s, horizon_s)
+        self._hold.update(estimate)
+        self._take_place(time_s, place_m, velocity_m_s, horizon_s, self._hold.least_way_m(estimate))
 
-    def _take_place(self, time_s: float, place_m: Pair, velocity_m_s: Pair, horizon_s: float) -> None:
+    def _take_place(
+        self, time_s: float, place_m: Pair, velocity_m_s: Pair, horizon_s: float, least_way_m: float = MIN_WAY_M
+    ) -> None:
         self._velocity_m_s = velocity_m_s
         if math.hypot(*velocity_m_s) >= self._standing_m_s:
             self.present_rad = math.atan2(*velocity_m_s)
@@ -126,7 +131,7 @@ class TargetCourse:
             self.made_good_rad = self.present_rad
             return
         _, east_m, north_m = self._window[0]
-        if math.dist(place_m, (east_m, north_m)) > MIN_WAY_M:
+        if math.dist(place_m, (east_m, north_m)) > least_way_m:
             self.made_good_rad = math.atan2(place_m[0] - east_m, place_m[1] - north_m)
 
     def _expected_m(self, time_s: float, velocity_m_s: Pair) -> Pair:

@@ -51,6 +51,14 @@ class CourseHold:
         course_rad = kernel.held_course_rad(known(target), self._memory)
         return None if math.isnan(course_rad) else course_rad
 
+    def least_way_m(self, target: TargetEstimate) -> float:
+        """Return the least way that has a course made good, m.
+
+        Args:
+            target: The estimate that was processed last.
+        """
+        return float(kernel.least_way_m(known(target), self._memory))
+
     @property
     def standing(self) -> bool:
         """Whether the target stands."""

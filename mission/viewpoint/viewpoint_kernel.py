@@ -16,6 +16,9 @@ _MOVING_ABOVE_M_S = 1.0
 _SIGMAS = 2.0  # a speed below this many of its standard deviations is no motion either
 _BEFORE_STOP_S = 3.0
 MIN_WAY_M = 10.0  # a shorter path has no course
+# Nor has one of a standing target that is shorter than this many standard deviations of the position: while it is
+# out of sight, its estimate wanders.
+_WAY_SIGMAS = 3.0
 COURSE_SIGMA_MAX_RAD = 0.8
 # An estimate that is further than this from where its velocity led has jumped: a target that is found again after
 # coasting. Half of MIN_WAY_M, so that a smaller step alone makes no course.
@@ -172,16 +175,27 @@ def made_good_sigma_rad(sigma_m: float, way_m: float) -> float:
 
 
 @compiled
+def position_sigma_m(target: Known) -> float:
+    """Return one standard deviation of the position on its worse axis."""
+    return math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0))
+
+
+@compiled
+def least_way_m(target: Known, memory: FloatArray) -> float:
+    """Return the least way that has a course."""
+    return max(MIN_WAY_M, _WAY_SIGMAS * position_sigma_m(target)) if memory[STANDING] > 0.0 else MIN_WAY_M
+
+
+@compiled
 def _made_good(target: Known, horizon_s: float, memory: FloatArray) -> tuple[float, float]:
     """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before."""
     remember_place(target, memory)
     east_m, north_m = place_at(memory, target.time_s - horizon_s)
     east_m, north_m = target.east_m - east_m, target.north_m - north_m
     way_m = math.hypot(east_m, north_m)
-    if way_m > MIN_WAY_M:
+    if way_m > least_way_m(target, memory):
         memory[MADE_GOOD] = math.atan2(east_m, north_m)
-    sigma_m = math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0))
-    return memory[MADE_GOOD], made_good_sigma_rad(sigma_m, way_m)
+    return memory[MADE_GOOD], made_good_sigma_rad(position_sigma_m(target), way_m)
 
 
 @compiled

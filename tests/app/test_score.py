@@ -142,6 +142,19 @@ def test_a_gap_longer_than_the_horizon_begins_where_the_target_was_seen_last():
     assert course.made_good_rad == pytest.approx(math.pi / 2, abs=math.radians(4.0))
 
 
+@pytest.mark.parametrize(("sigma_m", "course_rad"), [(4.0, math.pi / 2), (1.0, 0.0)])
+def test_the_page_sees_no_course_in_the_wandering_estimate_of_a_standing_target(sigma_m, course_rad):
+    """It goes east, then stands; out of sight, its estimate wanders by 11 m to the north."""
+    course = TargetCourse(0.3)
+    for time_s in np.arange(61.0).tolist():
+        variance_m2 = sigma_m**2 if time_s >= 50.0 else 1.0
+        state = 3.0 * min(time_s, 20.0), 1.1 * max(time_s - 50.0, 0.0), 3.0 * (time_s < 20.0), 0.0
+        covariance, seen_s = np.diag([variance_m2, variance_m2, 0.01, 0.01]), min(time_s, 50.0)
+        estimate = TargetEstimate(time_s, *state, covariance, TrackQuality.GOOD, seen_s)
+        course.take_estimate(time_s, estimate, 20.0)
+    assert course.made_good_rad == pytest.approx(course_rad)
+
+
 def test_moves_and_reversals_are_counted_from_the_first_judged_moment():
     judged = judge_moments(moments([(-200.0, 0.0)] * 100), LEFT)
     result = score(judged, "truth", [-5.0, 3.0, 11.0, 21.0, 50.0])

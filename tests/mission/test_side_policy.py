@@ -100,6 +100,20 @@ def test_the_course_made_good_turns_over_its_horizon_and_is_held_when_the_target
     assert views[180].course_sigma_rad == pytest.approx(2.0 / 10.0)
 
 
+def test_the_wandering_estimate_of_a_standing_target_makes_no_course():
+    """It goes east, stands, and is out of sight: its estimate wanders by 11 m, at a standard deviation of 4 m."""
+    for sigma_m, course_rad in ((4.0, math.pi / 2), (1.0, 0.0)):
+        policy = SidePolicy(LEFT, 50.0, 20.0)
+        for time_s in range(61):
+            east_m, north_m = 3.0 * min(time_s, 20), 1.1 * max(time_s - 50, 0)
+            velocity_m_s = 3.0 * (time_s < 20)
+            seen = replace(at(float(time_s), east_m, north_m), velocity_east_m_s=velocity_m_s)
+            if time_s >= 50:
+                seen = replace(seen, covariance=np.diag([sigma_m**2, sigma_m**2, 0.01, 0.01]))
+            view = policy.viewpoint(0.0, 300.0, seen)
+        assert view.course_rad == pytest.approx(course_rad), sigma_m
+
+
 def test_places_between_sightings_are_interpolated():
     policy = SidePolicy(LEFT, 50.0, 20.0)
     for time_s, east_m, north_m in ((0.0, 0.0, 0.0), (40.0, 0.0, 120.0), (41.0, 4.0, 120.0)):
