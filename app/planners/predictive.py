@@ -39,7 +39,7 @@ class Predictive:
         from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
         from sidelong.mission.predictive.planner import (  # noqa: PLC0415
             PredictivePlanner,
-            situation,
+            scene_at,
             table_configuration,
         )
         from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
@@ -47,11 +47,11 @@ class Predictive:
         configuration = table_configuration(aircraft, requirement)
         table = completed(configuration, np.zeros(configuration.shape, np.float32))
         planner = PredictivePlanner(aircraft, requirement, table)
-        looker, now = planner.lookers[0], situation(*known)
-        scene, sight = planner.outlook(now, looker)
+        looker = planner.lookers[0]
+        scene = scene_at(*known, looker)
         futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-        min_gain = commitment(scene, now, futures, looker)
-        look_deeper(scene, now, futures, looker, sight, min_gain, np.empty(MOVES))
+        min_gain = commitment(scene, futures, looker)
+        look_deeper(scene, futures, looker, planner.sight_in(scene), min_gain, np.empty(MOVES))
 
     def finished(self, planner: PredictivePlanner) -> Planner:
         """Return what decides: the planner itself, or a planner made of it."""

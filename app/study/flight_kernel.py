@@ -21,10 +21,10 @@ from sidelong.estimators.filters.measurement_kernel import Seen
 from sidelong.estimators.filters.standing_kernel import predict_standing
 from sidelong.estimators.terrain.ground_kernel import Grid, height_and_slope, sight_clearance_m, sight_step_m
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.geometry.line_kernel import Circling, circle_after, following_per_m
+from sidelong.mission.geometry.line_kernel import Circling, LinePoint, circle_after, following_per_m
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.foresight_kernel import decide
-from sidelong.mission.predictive.scene_kernel import Situation
+from sidelong.mission.predictive.scene_kernel import scene_of
 from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
 IntArray = npt.NDArray[np.int64]
@@ -349,13 +349,10 @@ def choose(
     if not good or body.time_s - seen_s > steering.unseen_max_s:
         return
     present, circle = plan_of(f, f.counts[PRESENT])
-    now = Situation(
+    scene = scene_of(
         body.time_s,
-        body.east_m,
-        body.north_m,
-        body.course_rad,
+        LinePoint(body.east_m, body.north_m, body.course_rad, body.curvature_per_m),
         body.speed_m_s,
-        body.curvature_per_m,
         known,
         present,
         circle,
@@ -363,8 +360,12 @@ def choose(
         frame.wind_north_m_s,
         steering.latency_s,
         body.time_s - f.numbers[DEPARTURE_S],
+        looker.target_speed_max_m_s,
+        looker.craft,
+        looker.wish,
+        looker.memory,
     )
-    departure_s, radius_m, line = decide(now, looker)
+    departure_s, radius_m, line = decide(scene, looker)
     if line.shape[1] > 0:
         take_plan(f, departure_s, line, circle_after(line, radius_m))
 

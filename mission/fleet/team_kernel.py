@@ -54,8 +54,7 @@ from sidelong.mission.predictive.rollout_kernel import (
     placed,
     turn_samples,
 )
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
-from sidelong.mission.viewpoint.viewpoint_kernel import SIDE
+from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 
 _TAIL_S = 30.0  # duration for which the positions at the end of a line count
 _CIRCLING_S = 60.0  # and the circle that it ends in
@@ -300,16 +299,14 @@ def team_lines_costs(
 
 
 @compiled
-def team_look_ahead(
-    scene: Scene, now: Situation, f: Futures, cover: Cover, looker: Looker, team: Team, costs: FloatArray
-) -> float:
+def team_look_ahead(scene: Scene, f: Futures, cover: Cover, looker: Looker, team: Team, costs: FloatArray) -> float:
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
     # No other plan departs before it was uploaded: until then the circle is flown that a line ends in. Whole seconds,
     # because lines of the same length are kept.
-    beyond_m = scene.air.airspeed_m_s * math.ceil(max(now.latency_s - _QUICK_S, 0.0))
-    among, prices = alternatives(scene, now, looker, beyond_m), looker.prices
+    beyond_m = scene.air.airspeed_m_s * math.ceil(max(scene.latency_s - _QUICK_S, 0.0))
+    among, prices = alternatives(scene, looker, beyond_m), looker.prices
     stay_costs = np.empty(len(among.stays.trunk))
-    stay_per_m = scene.mirror / now.circle.radius_m
+    stay_per_m = scene.mirror / scene.circle.radius_m
     team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, 1.0 / scene.radius_m, costs)
     team_lines_costs(among.stays, among.stays_start, scene, f, cover, looker, team, stay_per_m, stay_costs)
     add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
@@ -317,20 +314,8 @@ def team_look_ahead(
 
 
 @compiled
-def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, float]:
-    """Return what an aircraft would pay alone, from its next departure on: on the wanted side, and opposite."""
-    held = looker.memory[SIDE]
-    looker.memory[SIDE] = team.wanted
-    wanted = _value_at(now, looker)
-    looker.memory[SIDE] = -team.wanted
-    opposite = _value_at(now, looker)
-    looker.memory[SIDE] = held
-    return wanted, opposite
-
-
-@compiled
-def _value_at(now: Situation, looker: Looker) -> float:
-    scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
+def role_value(scene: Scene, looker: Looker) -> float:
+    """Return what an aircraft would pay alone, from its next departure on, on the side of the memory."""
     turns, routed = looker.turns, len(looker.foresight.way.points) > 0
     if not routed:  # only the first future counts
         turns = Turns(turns.rate_rad_s[:1], turns.fades_s, turns.stands)
@@ -346,7 +331,6 @@ def _value_at(now: Situation, looker: Looker) -> float:
 @compiled
 def team_decide(
     scene: Scene,
-    now: Situation,
     others: FloatArray,
     first_s: FloatArray,
     looker: Looker,
@@ -358,17 +342,17 @@ def team_decide(
 
     others, first_s: see :func:`cover_of`.
     """
-    foreseen, judged_by = foresee(scene, now, looker)
+    foreseen, judged_by = foresee(scene, looker)
     every = foreseen
     if len(looker.foresight.way.points) > 0:  # without the layers of time
         every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
         every, _ = along_route(scene, looker, every)
     f = first_of(every, 1)
     cover = cover_of(scene, f, others, first_s, looker, team)
-    stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
+    stay_cost = team_look_ahead(scene, f, cover, looker, team, costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)
-        alone_stay = look_deeper(scene, now, foreseen, judged_by, sight, 0.0, alone)
+        alone_stay = look_deeper(scene, foreseen, judged_by, sight, 0.0, alone)
         for i in range(MOVES):
             costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
-    return stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)
+    return stay_cost, stay_cost - team.price * commitment(scene, f, looker)

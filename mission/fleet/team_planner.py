@@ -24,7 +24,7 @@ from sidelong.mission.fleet.team import next_to_standing, team_of
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
-from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed, situation
+from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed, scene_at
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
@@ -98,7 +98,13 @@ class TeamPlanner:
             latency_s: Time until a new plan can depart, s.
         """
         looker, team = self._for(wind)
-        return RoleCosts(*kernel.role_values(situation(aircraft, target, present, wind, latency_s), looker, team))
+        held, found = looker.memory[SIDE], []
+        for side in (team.wanted, -team.wanted):
+            looker.memory[SIDE] = side
+            scene = scene_at(aircraft, target, present, wind, latency_s, looker)
+            found.append(kernel.role_value(scene, looker))
+        looker.memory[SIDE] = held
+        return RoleCosts(*found)
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
@@ -112,16 +118,14 @@ class TeamPlanner:
         looker, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
             team = next_to_standing(team)
-        now, costs = situation(aircraft, target, present, wind, latency_s), np.empty(MOVES)
-        scene, sight = self._alone.outlook(now, looker)
+        scene, costs = scene_at(aircraft, target, present, wind, latency_s, looker), np.empty(MOVES)
         stay_cost, bar = kernel.team_decide(
             scene,
-            now,
             np.stack([self._predicted(one, wind) for one in others]),
             np.array([one.state.time_s for one in others]),
             looker,
             team,
-            sight,
+            self._alone.sight_in(scene),
             costs,
         )
         values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}

@@ -25,7 +25,7 @@ from sidelong.mission.predictive.moves_kernel import (
 )
 from sidelong.mission.predictive.programme_kernel import Foresight
 from sidelong.mission.predictive.rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame
+from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 from sidelong.mission.predictive.second_kernel import (
     MOVE_BRANCHES,
     STAY_BRANCHES,
@@ -133,14 +133,14 @@ def choices(looker: Looker) -> int:
 
 
 @compiled
-def flown_on(scene: Scene, now: Situation, length_m: float) -> tuple[FloatArray, FloatArray]:
+def flown_on(scene: Scene, length_m: float) -> tuple[FloatArray, FloatArray]:
     """Return (x, y, heading) (3, k) in the frame and the times (k,) of flying on along the present plan."""
     size = max(2, math.ceil(length_m / (scene.air.airspeed_m_s * STEP_S)) + 1)
     arc = np.empty(size)
     for k in range(size):
         arc[k] = scene.arc_m + k * (length_m / (size - 1))
     found = np.empty((3, size))
-    line_at(now.line, now.circle, arc, now.east_m, now.north_m, found)
+    line_at(scene.line, scene.circle, arc, scene.aircraft_east_m, scene.aircraft_north_m, found)
     for k in range(size):
         found[0, k], found[1, k] = in_frame(scene, found[0, k], found[1, k])
         found[2, k] = scene.mirror * (found[2, k] - scene.course_rad)
@@ -163,15 +163,15 @@ def likely(futures: Futures) -> Futures:
 
 
 @compiled
-def left_m(scene: Scene, now: Situation) -> float:
+def left_m(scene: Scene) -> float:
     """Return how much of the present plan's line is left at the departure, 0 where it is nearly flown."""
-    line = now.line
+    line = scene.line
     ahead_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
     return ahead_m if ahead_m > NEARLY_FLOWN_S * scene.air.airspeed_m_s else 0.0
 
 
 @compiled
-def alternatives(scene: Scene, now: Situation, looker: Looker, beyond_m: float) -> Alternatives:
+def alternatives(scene: Scene, looker: Looker, beyond_m: float) -> Alternatives:
     """Return what to choose among; each line is followed beyond_m further than its end."""
     kept, craft, air = looker.kept, looker.craft, scene.air
     rate_per_s = fading_per_s(looker.table)
@@ -180,12 +180,12 @@ def alternatives(scene: Scene, now: Situation, looker: Looker, beyond_m: float) 
     start, start_per_m = Pose(x_m, y_m, heading_rad), scene.mirror * scene.start.curvature_per_m
     ramp = ramp_on(heading_rad, air, craft)
     moves = lines_from(0.0, scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
-    rest_m = left_m(scene, now)
+    rest_m = left_m(scene)
     if rest_m > 0.0:
-        ahead, time_s = flown_on(scene, now, rest_m + beyond_m)
+        ahead, time_s = flown_on(scene, rest_m + beyond_m)
         rest = single_line(ahead[0], ahead[1], ahead[2], time_s, rate_per_s)
         return Alternatives(moves, start, rest, Pose(0.0, 0.0, 0.0), True)
-    circle_per_m = scene.mirror / now.circle.radius_m
+    circle_per_m = scene.mirror / scene.circle.radius_m
     stays = lines_from(1.0, scene, circle_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
     return Alternatives(moves, start, stays, start, False)
 
@@ -204,14 +204,12 @@ def add_prices(among: Alternatives, radius_m: float, leave: float, change: float
 
 
 @compiled
-def look_ahead(
-    scene: Scene, now: Situation, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray
-) -> float:
+def look_ahead(scene: Scene, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray) -> float:
     """Fill in what each move costs (choices,), its price included, and return what going on as planned costs."""
     table, prices, radius_m = looker.table, looker.prices, scene.radius_m
     # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
     beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, looker.motions) else 0.0
-    among = alternatives(scene, now, looker, beyond_m)
+    among = alternatives(scene, looker, beyond_m)
     stay_costs = np.empty(len(among.stays.trunk))
     view = View(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
     lap_s, rate_per_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s, fading_per_s(table)
@@ -251,7 +249,6 @@ def lay_out(looker: Looker, radius_m: float, airspeed_m_s: float, wind_m_s: floa
 @compiled
 def look_deeper(
     scene: Scene,
-    now: Situation,
     futures: Futures,
     looker: Looker,
     sight: Sight,
@@ -267,13 +264,13 @@ def look_deeper(
     """
     # Turns that the target may begin only matter with a second move.
     seen = futures if looker.depth.every_future else likely(futures)
-    stay_cost = look_ahead(scene, now, seen, looker, sight, costs)
+    stay_cost = look_ahead(scene, seen, looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost
-    under_way = left_m(scene, now) > 0.0
+    under_way = left_m(scene) > 0.0
     price = prices.change if under_way else prices.leave
-    if least(costs) - price > stay_cost and not leaves(scene, now, futures, looker, looker.terms.near_m, np.inf):
+    if least(costs) - price > stay_cost and not leaves(scene, futures, looker, looker.terms.near_m, np.inf):
         return stay_cost
     second = Second(
         foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),
@@ -286,7 +283,7 @@ def look_deeper(
         room_for(futures, air),
     )
     lay_out(looker, scene.radius_m, air.airspeed_m_s, math.hypot(air.wind_x_m_s, air.wind_y_m_s))
-    ahead, end = staying_ahead(scene, now, under_way)
+    ahead, end = staying_ahead(scene, under_way)
     stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second, np.inf)
     order = np.argsort(costs, kind="mergesort")
     for i in range(MOVES):
@@ -300,10 +297,10 @@ def look_deeper(
 
 
 @compiled
-def leaves(scene: Scene, now: Situation, futures: Futures, looker: Looker, near_m: float, far_m: float) -> bool:
+def leaves(scene: Scene, futures: Futures, looker: Looker, near_m: float, far_m: float) -> bool:
     """Return whether the present plan leads out of a band, or beyond the pan limits, within threat_s in a future."""
     place, air, terms = futures.place, scene.air, looker.terms
-    ahead, time_s = flown_on(scene, now, looker.prices.threat_s * scene.air.airspeed_m_s)
+    ahead, time_s = flown_on(scene, looker.prices.threat_s * scene.air.airspeed_m_s)
     for k in range(len(time_s)):
         i = min(int(time_s[k] / STEP_S + 0.5), place.shape[1] - 1)
         for one in range(len(place)):
@@ -319,16 +316,16 @@ def leaves(scene: Scene, now: Situation, futures: Futures, looker: Looker, near_
 
 
 @compiled
-def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -> float:
+def commitment(scene: Scene, futures: Futures, looker: Looker) -> float:
     """Return what a new plan must gain beyond its price because the present one departed only just now.
 
     Nothing where the present one leads out of the band, or beyond the pan limits, in a likely future: for others it
     is not given up so early.
     """
     prices, terms = looker.prices, looker.terms
-    if now.line.shape[1] == 0 or now.age_s >= prices.commit_s:
+    if scene.line.shape[1] == 0 or scene.age_s >= prices.commit_s:
         return 0.0
-    return 0.0 if leaves(scene, now, likely(futures), looker, terms.near_m, terms.far_m) else prices.commit
+    return 0.0 if leaves(scene, likely(futures), looker, terms.near_m, terms.far_m) else prices.commit
 
 
 @compiled

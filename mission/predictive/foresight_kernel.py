@@ -40,7 +40,7 @@ from sidelong.mission.predictive.programme_kernel import (
     resample,
 )
 from sidelong.mission.predictive.rollout_kernel import Futures
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
+from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 from sidelong.mission.route.progress_kernel import CHANCE, OF_USE, ON_ROUTE, PART, forecast, update_progress
 from sidelong.mission.viewpoint.viewpoint_kernel import STANDING
 
@@ -111,7 +111,7 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
 
 
 @compiled
-def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Looker]:
+def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
     """Return what the target may do, and the looker to judge it by.
 
     Processes the target's estimate: call it once for each, in order of time.
@@ -123,7 +123,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
     )
     if len(s.way.points) == 0:
         return every, looker
-    update_progress(s.way, now.target, s.progress)
+    update_progress(s.way, scene.target, s.progress)
     f, on_route = along_route(scene, looker, every)
     part, state = s.progress[PART], s.state
     if not on_route:
@@ -172,24 +172,23 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Futures, Look
 
 
 @compiled
-def weigh(scene: Scene, now: Situation, looker: Looker, sight: Sight) -> tuple[float, float, FloatArray]:
+def weigh(scene: Scene, looker: Looker, sight: Sight) -> tuple[float, float, FloatArray]:
     """Return what staying costs, what a move must gain beyond its price, and what each move costs (choices,).
 
     Processes the target's estimate, as :func:`foresee` does.
     """
-    futures, judged_by = foresee(scene, now, looker)
-    min_gain, costs = commitment(scene, now, futures, judged_by), np.empty(choices(looker))
-    return look_deeper(scene, now, futures, judged_by, sight, min_gain, costs), min_gain, costs
+    futures, judged_by = foresee(scene, looker)
+    min_gain, costs = commitment(scene, futures, judged_by), np.empty(choices(looker))
+    return look_deeper(scene, futures, judged_by, sight, min_gain, costs), min_gain, costs
 
 
 @compiled
-def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
+def decide(scene: Scene, looker: Looker) -> tuple[float, float, FloatArray]:
     """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
 
     The ground hides nothing.
     """
-    scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    stay_cost, min_gain, costs = weigh(scene, now, looker, flat)
+    stay_cost, min_gain, costs = weigh(scene, looker, flat)
     line = best_line(scene, looker.craft, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line

@@ -27,7 +27,7 @@ from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
-from sidelong.mission.geometry.line_kernel import craft_of
+from sidelong.mission.geometry.line_kernel import LinePoint, craft_of
 from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive import decision_kernel as kernel
@@ -40,7 +40,7 @@ from sidelong.mission.predictive.foresight_kernel import weigh
 from sidelong.mission.predictive.future_kernel import Turns
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.programme_kernel import Foresight
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, scene_of
+from sidelong.mission.predictive.scene_kernel import Scene, scene_of
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 from sidelong.mission.route.progress_kernel import fresh_progress
@@ -272,31 +272,28 @@ class PredictivePlanner:
         looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
         full, share = looker.prices, self.price_share
         prices = full._replace(leave=share * full.leave, change=share * full.change)
-        now = situation(aircraft, target, present, wind, latency_s)
-        return self._look_ahead(now, present, looker._replace(prices=prices))
+        scene = scene_at(aircraft, target, present, wind, latency_s, looker)
+        return self._look_ahead(scene, aircraft.time_s, present, looker._replace(prices=prices))
 
-    def outlook(self, now: Situation, looker: Looker) -> tuple[Scene, Sight]:
-        """Return what is to be decided about, and from where the target is seen.
+    def sight_in(self, scene: Scene) -> Sight:
+        """Return from where the target of a scene is seen.
 
         Args:
-            now: Aircraft, target and plan now.
-            looker: Constants and memory of the planner.
+            scene: The scene of the decision.
         """
-        scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
         sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
         across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
         velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
-        return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
+        return self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
 
-    def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
+    def _look_ahead(self, scene: Scene, now_s: float, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
-        scene, sight = self.outlook(now, looker)
-        stay_cost, min_gain_s, costs = weigh(scene, now, looker, sight)
-        places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
+        stay_cost, min_gain_s, costs = weigh(scene, looker, self.sight_in(scene))
+        places, time_s = kernel.flown_on(scene, 4.0 * math.pi * scene.radius_m)
         x_m, y_m = places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s
         ahead = Outlook(x_m, np.hypot(x_m, y_m), time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
-        breach = describe_breach(ahead, side, self.requirement, scene.departure_s - now.time_s)
+        breach = describe_breach(ahead, side, self.requirement, scene.departure_s - now_s)
         bar = stay_cost - min_gain_s
         move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self.check)
         if plan is not None:
@@ -306,20 +303,20 @@ class PredictivePlanner:
         elif broken is not None:
             reason = f"staying: {broken}"
         elif bar <= costs[move] < stay_cost:
-            age, gain_s = f"the plan is {now.age_s:.0f} s old", stay_cost - costs[move]
+            age, gain_s = f"the plan is {scene.age_s:.0f} s old", stay_cost - costs[move]
             reason = f"staying: {age}, and another would gain {gain_s:.0f} s on the side at most"
         elif breach is not None:
             reason = f"staying until a better moment: {breach}"
         else:
             reason = f"staying: {describe_range(ahead)}"
         values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
-        return Decision(now.time_s, plan, reason, values)
+        return Decision(now_s, plan, reason, values)
 
 
-def situation(
-    aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
-) -> Situation:
-    """Return what is known at a decision, as the loops see it.
+def scene_at(
+    aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float, looker: Looker
+) -> Scene:
+    """Return what is to be decided about.
 
     Args:
         aircraft: State of the aircraft.
@@ -327,20 +324,22 @@ def situation(
         present: The plan that is flown.
         wind: Estimate of the wind.
         latency_s: Time until a new plan can depart, s.
+        looker: Constants and memory of the planner.
     """
-    return Situation(
+    return scene_of(
         aircraft.time_s,
-        aircraft.east_m,
-        aircraft.north_m,
-        aircraft.course_rad,
+        LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m),
         aircraft.ground_speed_m_s,
-        aircraft.curvature_per_m,
         known(target),
         *line_of(present),
         wind.east_m_s,
         wind.north_m_s,
         latency_s,
         aircraft.time_s - present.departure_s,
+        looker.target_speed_max_m_s,
+        looker.craft,
+        looker.wish,
+        looker.memory,
     )
 
 

@@ -35,34 +35,14 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
 _AIRSPEED_S, _AIRSPEED_GAP_S, _AIRSPEED_STEP, _AIRSPEED_OFF = 60.0, 2.0, 0.02, 0.16
 
 
-class Situation(NamedTuple):
-    """What is known at a decision, in the plane: the aircraft on its plan, the target, and the wind.
-
-    line (5, n), circle: of the present plan, which departed age_s ago. latency_s: until another one can depart.
-    """
-
-    time_s: float
-    east_m: float
-    north_m: float
-    course_rad: float
-    speed_m_s: float
-    curvature_per_m: float
-    target: Known
-    line: FloatArray
-    circle: Circling
-    wind_east_m_s: float
-    wind_north_m_s: float
-    latency_s: float
-    age_s: float
-
-
 class Scene(NamedTuple):
     """What one decision looks at: where the present plan will have led by the departure, and the target from there.
 
     The frame has its origin at the target and its y axis along the watch course; mirror is -1 where left and right
-    are swapped. velocity and air are in the frame, start is in the plane. arc_m counts along the present plan as
-    :mod:`sidelong.mission.geometry.progress` does. radius_m is that of the circles which moves end in, turn_radius_m
-    that of the tightest turn on the way.
+    are swapped. velocity and air are in the frame; start, target, line (5, n), circle and the aircraft's place are in
+    the plane. line and circle are those of the present plan, which departed age_s ago; arc_m counts along it as
+    :mod:`sidelong.mission.geometry.progress` does. A new plan departs in latency_s. radius_m is that of the circles
+    which moves end in, turn_radius_m that of the tightest turn on the way.
     """
 
     departure_s: float
@@ -78,47 +58,74 @@ class Scene(NamedTuple):
     doubt: Doubt
     radius_m: float
     turn_radius_m: float
+    target: Known
+    line: FloatArray
+    circle: Circling
+    aircraft_east_m: float
+    aircraft_north_m: float
+    latency_s: float
+    age_s: float
 
 
 @compiled
-def flown_airspeed_m_s(now: Situation, craft: Craft, memory: FloatArray) -> float:
-    """Take the velocity over the ground, in the order of time, and return the airspeed that is really flown."""
-    east_m_s = now.speed_m_s * math.sin(now.course_rad) - now.wind_east_m_s
-    north_m_s = now.speed_m_s * math.cos(now.course_rad) - now.wind_north_m_s
+def flown_airspeed_m_s(
+    time_s: float, east_m_s: float, north_m_s: float, wind_m_s: float, craft: Craft, memory: FloatArray
+) -> float:
+    """Take the velocity through the air, in the order of time, and return the airspeed that is really flown."""
     share = math.hypot(east_m_s, north_m_s) / craft.airspeed_m_s
-    since_s = now.time_s - memory[AIRSPEED_S]
-    memory[AIRSPEED_S] = now.time_s
+    since_s = time_s - memory[AIRSPEED_S]
+    memory[AIRSPEED_S] = time_s
     if since_s > 0.0:
         share = min(max(share, 1.0 - _AIRSPEED_OFF), 1.0 + _AIRSPEED_OFF)
         new = 1.0 - math.exp(-min(since_s, _AIRSPEED_GAP_S) / _AIRSPEED_S)
         memory[AIRSPEED_SHARE] += new * (share - memory[AIRSPEED_SHARE])
     steps = round((memory[AIRSPEED_SHARE] - 1.0) / _AIRSPEED_STEP)
     flown_m_s = craft.airspeed_m_s * (1.0 + _AIRSPEED_STEP * steps)
-    wind_m_s = math.hypot(now.wind_east_m_s, now.wind_north_m_s)
     return flown_m_s if flown_m_s > wind_m_s else craft.airspeed_m_s
 
 
 @compiled
-def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wish, memory: FloatArray) -> Scene:
-    """Return what is to be decided about."""
-    target, line, circle = now.target, now.line, now.circle
-    wind_m_s = math.hypot(now.wind_east_m_s, now.wind_north_m_s)
-    airspeed_m_s = flown_airspeed_m_s(now, craft, memory)
+def scene_of(
+    time_s: float,
+    aircraft: LinePoint,
+    speed_m_s: float,
+    target: Known,
+    line: FloatArray,
+    circle: Circling,
+    wind_east_m_s: float,
+    wind_north_m_s: float,
+    latency_s: float,
+    age_s: float,
+    target_speed_max_m_s: float,
+    craft: Craft,
+    wish: Wish,
+    memory: FloatArray,
+) -> Scene:
+    """Return what is to be decided about at time_s, with the aircraft's place, course and curvature.
+
+    line (5, n), circle: of the present plan, which departed age_s ago. latency_s: until another one can depart.
+    """
+    wind_m_s = math.hypot(wind_east_m_s, wind_north_m_s)
+    air_east_m_s = speed_m_s * math.sin(aircraft.course_rad) - wind_east_m_s
+    air_north_m_s = speed_m_s * math.cos(aircraft.course_rad) - wind_north_m_s
+    airspeed_m_s = flown_airspeed_m_s(time_s, air_east_m_s, air_north_m_s, wind_m_s, craft, memory)
     fastest_m_s = max(airspeed_m_s, craft.airspeed_m_s) + wind_m_s
     # The tightest circle over the ground whose bank stays within the limit where the wind is astern.
     radius_m = max(craft.radius_m, fastest_m_s * fastest_m_s / (GRAVITY_M_S2 * math.tan(craft.bank_max_rad)))
     turn_m = turn_radius_m(radius_m, fastest_m_s, craft)
-    arc_m = nearest_arc_m(line, circle, now.east_m, now.north_m, now.course_rad)
-    start = point_at(line, circle, arc_m, now.east_m, now.north_m)
-    off_m = math.hypot(now.east_m - start.east_m, now.north_m - start.north_m)
-    flown_m = now.speed_m_s * now.latency_s
-    if off_m > OFF_TRACK_M or abs(remainder(now.course_rad - start.course_rad)) > OFF_TRACK_RAD:
-        tight_per_m = min(max(now.curvature_per_m, -1.0 / turn_m), 1.0 / turn_m)
-        start = arc_point(LinePoint(now.east_m, now.north_m, now.course_rad, tight_per_m), 0.0, flown_m)
+    arc_m = nearest_arc_m(line, circle, aircraft.east_m, aircraft.north_m, aircraft.course_rad)
+    start = point_at(line, circle, arc_m, aircraft.east_m, aircraft.north_m)
+    off_m = math.hypot(aircraft.east_m - start.east_m, aircraft.north_m - start.north_m)
+    flown_m = speed_m_s * latency_s
+    if off_m > OFF_TRACK_M or abs(remainder(aircraft.course_rad - start.course_rad)) > OFF_TRACK_RAD:
+        tight_per_m = min(max(aircraft.curvature_per_m, -1.0 / turn_m), 1.0 / turn_m)
+        start = arc_point(
+            LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, tight_per_m), 0.0, flown_m
+        )
     else:
         arc_m += flown_m
-        start = point_at(line, circle, arc_m, now.east_m, now.north_m)
-    departure_s = now.time_s + now.latency_s
+        start = point_at(line, circle, arc_m, aircraft.east_m, aircraft.north_m)
+    departure_s = time_s + latency_s
     view = viewpoint(start.east_m, start.north_m, target, wish, memory)
     # An estimate overshoots when the target turns: a speed beyond the greatest of the target counts only
     # if it is certain.
@@ -141,14 +148,21 @@ def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wi
         east_m_s * sin_c + north_m_s * cos_c,
         Air(
             airspeed_m_s,
-            mirror * (now.wind_east_m_s * cos_c - now.wind_north_m_s * sin_c),
-            now.wind_east_m_s * sin_c + now.wind_north_m_s * cos_c,
+            mirror * (wind_east_m_s * cos_c - wind_north_m_s * sin_c),
+            wind_east_m_s * sin_c + wind_north_m_s * cos_c,
         ),
         Doubt(
             math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0)), sigma_m_s, view.course_sigma_rad
         ),
         radius_m,
         turn_m,
+        target,
+        line,
+        circle,
+        aircraft.east_m,
+        aircraft.north_m,
+        latency_s,
+        age_s,
     )
 
 

@@ -37,7 +37,7 @@ from sidelong.mission.predictive.cost_kernel import (
 )
 from sidelong.mission.predictive.moves_kernel import STEP_S, move_from, ramp_on
 from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures, Pose
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame
+from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 from sidelong.mission.predictive.second_moves_kernel import (
     LEVELS,
     SAMPLES,
@@ -155,19 +155,19 @@ def room_for(f: Futures, air: Air) -> Room:
 
 
 @compiled
-def staying_ahead(scene: Scene, now: Situation, under_way: bool) -> tuple[FloatArray, int]:
+def staying_ahead(scene: Scene, under_way: bool) -> tuple[FloatArray, int]:
     """Return the present plan (x, y, heading, curvature) (4, k), and the second from which it is on its circle.
 
     The circle is flown from where the aircraft departs, also if that is not on it.
     """
-    line, circle = now.line, now.circle
+    line, circle = scene.line, scene.circle
     length_m, arc_m, from_east_m, from_north_m = 0.0, 0.0, scene.start.east_m, scene.start.north_m
     if under_way:
         length_m, arc_m, from_east_m, from_north_m = (
             line[ARC, line.shape[1] - 1],
             scene.arc_m,
-            now.east_m,
-            now.north_m,
+            scene.aircraft_east_m,
+            scene.aircraft_north_m,
         )
     else:
         course_rad, radius_m = scene.start.course_rad, circle.radius_m

@@ -43,7 +43,6 @@ FORMS = (
     "RangeReading",
     "Sighting",
     "TargetEstimate",
-    "Situation",
     "Scene",
     "Plan",
     "Decision",
@@ -53,7 +52,7 @@ FORMS = (
     "MissionLayout",
     "SendMessage",
 )
-"""In the order of the path. With the frame at both of its ends they are 14."""
+"""In the order of the path. With the frame at both of its ends they are 13."""
 
 MOST = {Flavour.ARDUPLANE: (24, 56), Flavour.PX4: (24, 56)}
 """Files and functions."""

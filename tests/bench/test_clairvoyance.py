@@ -32,11 +32,11 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive import planner as planner_module
-from sidelong.mission.predictive.decision_kernel import Looker, commitment, look_deeper
+from sidelong.mission.predictive.decision_kernel import Looker, choices, commitment, look_deeper
 from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, classes_about
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Futures
-from sidelong.mission.predictive.scene_kernel import Scene, Situation
+from sidelong.mission.predictive.scene_kernel import Scene
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
@@ -71,13 +71,11 @@ class Clairvoyant(PredictivePlanner):
         with mock.patch.object(planner_module, "weigh", self._weigh):
             return super().decide(aircraft, target, present, wind, latency_s)
 
-    def _weigh(
-        self, scene: Scene, now: Situation, looker: Looker, sight: Sight, costs: np.ndarray
-    ) -> tuple[float, float]:
+    def _weigh(self, scene: Scene, looker: Looker, sight: Sight) -> tuple[float, float, np.ndarray]:
         """Weigh the moves by what the target does, in place of what it may do."""
         futures = self._futures(scene, looker)
-        min_gain_s = commitment(scene, now, futures, looker)
-        return look_deeper(scene, now, futures, looker, sight, min_gain_s, costs), min_gain_s
+        min_gain_s, costs = commitment(scene, futures, looker), np.empty(choices(looker))
+        return look_deeper(scene, futures, looker, sight, min_gain_s, costs), min_gain_s, costs
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)

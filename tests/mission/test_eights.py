@@ -26,7 +26,7 @@ from sidelong.mission.predictive.cost_kernel import blind_rate
 from sidelong.mission.predictive.decision_kernel import commitment
 from sidelong.mission.predictive.eights_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.foresight_kernel import foresee
-from sidelong.mission.predictive.planner import PredictivePlanner, price_s, situation, table_configuration
+from sidelong.mission.predictive.planner import PredictivePlanner, price_s, scene_at, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air
 from sidelong.mission.predictive.value_iteration import compute
 
@@ -133,12 +133,12 @@ def test_a_young_plan_is_given_up_where_it_leads_beyond_the_pan_limits(table, le
     plan = Plan(Circle(-350.0, 100.0 - leg_m, RADIUS_M, clockwise=True), path, -2.0)
     state = AircraftState(0.0, -300.0, 100.0, math.pi, AIRSPEED_M_S, 0.0)
     target = TargetEstimate(0.0, 0.0, 0.0, 0.0, 2.0, np.diag([1.0, 1.0, 0.04, 0.04]), TrackQuality.GOOD, 0.0)
-    now, looker = situation(state, target, plan, Wind(), 0.5), planner.lookers[0]
-    scene, _ = planner.outlook(now, looker)
-    futures, judged_by = foresee(scene, now, looker)
+    looker = planner.lookers[0]
+    scene = scene_at(state, target, plan, Wind(), 0.5, looker)
+    futures, judged_by = foresee(scene, looker)
     anywhere = judged_by._replace(terms=judged_by.terms._replace(blind=0.0))
-    assert commitment(scene, now, futures, anywhere) == looker.prices.commit > 0.0
-    assert commitment(scene, now, futures, judged_by) == (0.0 if given_up else looker.prices.commit)
+    assert commitment(scene, futures, anywhere) == looker.prices.commit > 0.0
+    assert commitment(scene, futures, judged_by) == (0.0 if given_up else looker.prices.commit)
 
 
 def flown(planner, corners, speed_m_s):

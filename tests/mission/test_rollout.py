@@ -9,7 +9,7 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
-from sidelong.mission.geometry.line_kernel import circle_after, craft_of, line_at
+from sidelong.mission.geometry.line_kernel import LinePoint, circle_after, craft_of, line_at
 from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
@@ -19,7 +19,7 @@ from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
-from sidelong.mission.predictive.scene_kernel import Situation, in_frame, scene_of
+from sidelong.mission.predictive.scene_kernel import in_frame, scene_of
 from sidelong.mission.predictive.second_kernel import (
     MOVE_BRANCHES,
     STAY_BRANCHES,
@@ -79,21 +79,17 @@ class Look:
             self.state = AircraftState(0.0, *line[1:4, here].tolist(), 10.0, float(line[4, here]))
             scene = self._scene(target, present)
         self.scene, self.present, self.under_way = scene, present, under_way
-        self.now = self._now(target, present)
-
-    def _now(self, target, present):
-        s, wind = self.state, self.wind
-        place = s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m
-        return Situation(*place, target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.4, 0.0)
 
     def _scene(self, target, present):
-        return scene_of(self._now(target, present), 5.0, self.craft, WISH, fresh_memory(self.side))
+        s, wind = self.state, (self.wind.east_m_s, self.wind.north_m_s)
+        here = s.time_s, LinePoint(s.east_m, s.north_m, s.course_rad, s.curvature_per_m), s.ground_speed_m_s
+        known = 5.0, self.craft, WISH, fresh_memory(self.side)
+        return scene_of(*here, target, *line_of(present), *wind, 0.4, 0.0, *known)
 
     def compiled(self, futures=None, kept=None):
         costs, motions, c = np.empty(MOVES), self.table.motions, self.table.configuration
         stay = kernel.look_ahead(
             self.scene,
-            self.now,
             futures or going_straight(self.scene, motions),
             kernel.Looker(
                 *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
@@ -234,9 +230,11 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         for time_s in range(61):
             velocity = (0.0, 4.0) if time_s < 60 else (4.0, 0.0)
             target = Known(float(time_s), 0.0, 4.0 * time_s, *velocity, np.diag([0.25, 0.09, 0.04, 0.04]))
-            place = float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0
-            now = Situation(*place, target, *line_of(present), 0.0, 0.0, 0.0, 0.0)
-            scene = scene_of(now, 5.0, craft_of(paper_aircraft), wish, memory)
+            here, known = (
+                LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
+                (5.0, craft_of(paper_aircraft), wish, memory),
+            )
+            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
         future = winding(scene, motions, wish, memory, STRAIGHT)
         seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
         ahead_s = np.arange(seen.size)
@@ -257,9 +255,9 @@ def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share
     for time_s in range(300):
         course = 0.15 * time_s
         speed = float(ground_speeds_m_s(np.array([course]), 10.0 * share, wind)[0])
-        place = float(time_s), *present.circle.position_at_course(course), course, speed, 1.0 / 60.0
-        now = Situation(*place, target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0)
-        found.append(scene_of(now, 5.0, craft, WISH, memory).air.airspeed_m_s)
+        here = LinePoint(*present.circle.position_at_course(course), course, 1.0 / 60.0)
+        known = target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0, 5.0, craft, WISH, memory
+        found.append(scene_of(float(time_s), here, speed, *known).air.airspeed_m_s)
     assert found[0] == 10.0
     assert found[-1] == pytest.approx(10.0 * given)
 
@@ -300,9 +298,11 @@ def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft,
             turned, past_m = divmod(4.0 * time_s, 200.0)
             north_m, speed_m_s = (past_m, 4.0) if turned % 2 == 0 else (200.0 - past_m, -4.0)
             target = Known(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
-            place = float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0
-            now = Situation(*place, target, *line_of(present), 0.0, 0.0, 0.0, 0.0)
-            scene = scene_of(now, 5.0, craft_of(paper_aircraft), wish, memory)
+            here, known = (
+                LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
+                (5.0, craft_of(paper_aircraft), wish, memory),
+            )
+            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
         futures = winding(scene, motions, wish, memory, turns)
         straight, again = futures.place[0], futures.place[1]
         assert futures.weight.sum() == pytest.approx(1.0)
@@ -327,7 +327,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     memory[STANDING] = 0.0
     futures = winding(scene, table.motions, wish, memory, TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
-    ahead, end = staying_ahead(scene, look.now, under_way)
+    ahead, end = staying_ahead(scene, under_way)
     moved = moving_ahead(scene, look.craft, 20)
     assert (end > 0) is under_way
     ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms
