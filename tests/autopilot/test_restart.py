@@ -50,15 +50,3 @@ def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, 
     assert resumed_s < 2.0 * first_s + 10.0
     assert vehicle.do(lambda: flown_line(vehicle))[-1] == before[-1]
     assert second.end()["outcome"] == "interrupted"
-
-
-def test_killed_while_it_commands_circles_and_started_again(vehicle_of, launch):
-    vehicle = vehicle_of("arduplane")
-    first = launch(vehicle.url, "--guidance", "command")
-    first.wait_for(WATCHED)
-    first.kill()
-    vehicle.wait(30.0)
-    second = launch(vehicle.url, "--guidance", "command")
-    second.wait_for(WATCHED)
-    assert "taking over the circle that is flown" in second.announced
-    assert second.end()["outcome"] == "interrupted"

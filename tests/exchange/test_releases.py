@@ -23,14 +23,20 @@ def of_release(flavour, release):
 @pytest.mark.parametrize(("flavour", "release"), RELEASES)
 def test_plans_are_flown_and_nothing_is_yielded(in_the_air, flavour, release, guidance):
     flight = in_the_air(flavour, settings=of_release(flavour, release), faults=BAD, guidance=guidance)
-    flight.run(90.0)
+
+    def departures():
+        return [one for one in flight.found(PlanStatus) if one.stage == "departed"]
+
+    assert flight.run(90.0, lambda: len(departures()) >= 2)
+    flight.run(10.0)
     assert not flight.found(Yield)
-    assert len([one for one in flight.found(PlanStatus) if one.stage == "departed"]) >= 2
 
 
-@pytest.mark.parametrize(("flavour", "release"), RELEASES)
-def test_a_circle_that_is_flown_is_taken_over_again(in_the_air, flavour, release):
-    flight = in_the_air(flavour, settings=of_release(flavour, release))
+@pytest.mark.parametrize(
+    ("flavour", "release", "guidance"), [*((*one, "mission") for one in RELEASES), (*RELEASES[2], "command")]
+)
+def test_a_circle_that_is_flown_is_taken_over_again(in_the_air, flavour, release, guidance):
+    flight = in_the_air(flavour, settings=of_release(flavour, release), guidance=guidance)
     flight.run(5.0)
     flight.core = flight.make_core(flight.planner)
     flight.forget_outputs()

@@ -76,10 +76,12 @@ def test_the_sensor_looks_off_the_right_wing_lower_than_the_wing_does(flown):
 
 
 def test_a_recorded_log_gives_a_packet_every_fifth_of_a_second(tmp_path):
-    write_export(DATA / "px4-follow-walk-and-drive.tlog", Format.KLV, tmp_path / "flight.klv")
+    whole = (DATA / "px4-follow-walk-and-drive.tlog").read_bytes()
+    (tmp_path / "cut.tlog").write_bytes(whole[: len(whole) // 2])
+    write_export(tmp_path / "cut.tlog", Format.KLV, tmp_path / "flight.klv")
     found = packets(tmp_path / "flight.klv")
     times = [datetime.fromisoformat(values[2]) for values in found]
-    assert 900 < (times[-1] - times[0]).total_seconds() < 940
+    assert 450 < (times[-1] - times[0]).total_seconds() < 480
     assert all(0.0 < (later - earlier).total_seconds() < 1.0 for earlier, later in pairwise(times))
     assert sum(40 in values for values in found) > 0.9 * len(found)
 
