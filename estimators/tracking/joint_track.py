@@ -30,6 +30,7 @@ _COMPARED_EVERY_S = 1.0
 _REFUSED_AFTER_S, _ACCEPTED_AFTER_S = 3.0, 10.0
 # Squared distance from the best accepted payload at which the filter restarts: it followed a faulty payload.
 _REJECTED = 50.0
+_CIRCLE_95 = 5.99  # chi-square with two degrees of freedom
 
 
 class JointTrack:
@@ -63,6 +64,7 @@ class JointTrack:
         self._fed: set[int] = set()
         self._latest: dict[int, AnySighting] = {}
         self._compared_s = -float("inf")
+        self._apart_m2 = 0.0  # by which the payloads in use differ, unexplained by their own covariances
 
     def _new(self) -> Track:
         def start(settings: TrackerSettings, sighting: AnySighting, biases: Biases, _ground: None) -> TargetImm:
@@ -134,7 +136,13 @@ class JointTrack:
         if time_s - self._compared_s >= _COMPARED_EVERY_S:
             self._compared_s = time_s
             self._compare(time_s)
-        return self._track.estimate(time_s) if self.is_led else self._covering(time_s)
+        if not self.is_led:
+            return self._covering(time_s)
+        joint = self._track.estimate(time_s)
+        if joint is None or not self._apart_m2:
+            return joint
+        apart = np.diag((self._apart_m2, self._apart_m2, 0.0, 0.0))
+        return replace(joint, covariance=joint.covariance + apart)
 
     @property
     def refused(self) -> Mapping[str, str]:
@@ -185,10 +193,23 @@ class JointTrack:
         used = [payload for payload in group if payload not in self._refused]
         was_led, self.is_led = self.is_led, bool(used) or (self.is_led and leads)
         joint = self._track.estimate(time_s)
+        self._apart_m2 = self._unexplained_m2([alive[payload] for payload in used], joint)
         if used and (
             not was_led or (self._refused and joint and squared_distance(joint, alive[used[0]]) > _REJECTED)
         ):
             self._begin(used)
+
+    def _unexplained_m2(self, used: Sequence[TargetEstimate], joint: TargetEstimate | None) -> float:
+        """Return the greatest squared distance of a payload's track from the joint one, beyond its 95 % circle, m^2.
+
+        An error that begins in flight may be too small for a contradiction, and no track's covariance knows of it.
+        """
+        if joint is None or len(used) < 2:
+            return 0.0
+        beyond_m2 = (
+            apart_m(own, joint) ** 2 - _CIRCLE_95 * float(np.trace(own.covariance[:2, :2])) / 2.0 for own in used
+        )
+        return max(0.0, *beyond_m2)
 
     def _find_parted(self, alive: Iterable[int], group: Sequence[int], time_s: float) -> None:
         """Find the payloads that jumped away from others with which they had agreed: these are the wrong ones."""

@@ -115,6 +115,13 @@ def test_of_two_that_contradict_each_other_neither_is_called_right(confirmed):
     assert covers(track, 45.0, 60.0)
 
 
+def test_a_difference_too_small_for_a_contradiction_widens_the_ellipse():
+    track, _ = watched(("west", "south"), 60.0, south=(50.0, 8.0))
+    assert not track.refused
+    assert covers(track, 60.0, 0.0)
+    assert covers(track, 60.0, 8.0)
+
+
 def test_a_short_silence_of_one_of_two_that_contradict_does_not_let_the_other_one_lead():
     track, _ = watched(("west", "south"), 45.0, south=(0.0, 60.0))
     rng = np.random.default_rng(4)
