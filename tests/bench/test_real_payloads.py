@@ -1,10 +1,11 @@
 """Your own SITL programs with each payload's own protocol, each flight next to the same one by MAVLink messages.
 
     export SIDELONG_PROGRAMS=FOLDER SIDELONG_TARGETS=FOLDER
-    python -m pytest tests/bench/test_real_payloads.py -s
+    RATE=1 AT_ONCE=5 python -m pytest tests/bench/test_real_payloads.py -s
 
 The first of the targets is flown, or TARGET=NAME. AT_ONCE flights are flown at the same time; DURATION, RATE and
-GUIDANCE are those of test_real_flights.py.
+GUIDANCE are those of test_real_flights.py. The payloads run by the machine's clock: at RATE=4 their readings are a
+quarter as many, and four times as late.
 """
 
 from __future__ import annotations
