@@ -43,9 +43,9 @@ def agreeing(tracks: Mapping[Name, TargetEstimate], trust: Callable[[Name], int]
 
     def rank(name: Name) -> tuple[int, int, float, Name]:
         group = groups[name]
-        return -len(group), -max(map(trust, group)), _spread_m2(tracks[name]), name
+        return -len(group), -max(map(trust, group)), spread_m2(tracks[name]), name
 
-    return sorted(groups[min(groups, key=rank)], key=lambda name: _spread_m2(tracks[name]))
+    return sorted(groups[min(groups, key=rank)], key=lambda name: spread_m2(tracks[name]))
 
 
 def apart_m(a: TargetEstimate, b: TargetEstimate) -> float:
@@ -73,7 +73,12 @@ def _squared(a: TargetEstimate, b: TargetEstimate, more: np.ndarray) -> float:
     return float(off @ np.linalg.solve(a.covariance + b.covariance + more, off))
 
 
-def _spread_m2(track: TargetEstimate) -> float:
+def spread_m2(track: TargetEstimate) -> float:
+    """Return the sum of the position's variances of a track, m^2.
+
+    Args:
+        track: The track.
+    """
     return float(track.covariance[0, 0] + track.covariance[1, 1])
 
 

@@ -22,7 +22,7 @@ from sidelong.estimators.filters.imm import TargetImm, prior_of
 from sidelong.estimators.filters.imm_kernel import ERRORS, ERRORS_AND_CLOCK
 from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.tracking.fusion import agreeing, apart_m, squared_distance, state_of
+from sidelong.estimators.tracking.fusion import agreeing, apart_m, spread_m2, squared_distance, state_of
 from sidelong.estimators.tracking.track import Track
 
 _COMPARED_EVERY_S = 1.0
@@ -206,10 +206,7 @@ class JointTrack:
         """
         if joint is None or len(used) < 2:
             return 0.0
-        beyond_m2 = (
-            apart_m(own, joint) ** 2 - _CIRCLE_95 * float(np.trace(own.covariance[:2, :2])) / 2.0 for own in used
-        )
-        return max(0.0, *beyond_m2)
+        return max(0.0, *(apart_m(own, joint) ** 2 - _CIRCLE_95 * spread_m2(own) / 2.0 for own in used))
 
     def _find_parted(self, alive: Iterable[int], group: Sequence[int], time_s: float) -> None:
         """Find the payloads that jumped away from others with which they had agreed: these are the wrong ones."""

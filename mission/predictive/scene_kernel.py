@@ -26,6 +26,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
     AIRSPEED_SHARE,
     Known,
     Wish,
+    position_sigma_m,
     velocity_sigma_m_s,
     viewpoint,
 )
@@ -151,9 +152,7 @@ def scene_of(
             mirror * (wind_east_m_s * cos_c - wind_north_m_s * sin_c),
             wind_east_m_s * sin_c + wind_north_m_s * cos_c,
         ),
-        Doubt(
-            math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0)), sigma_m_s, view.course_sigma_rad
-        ),
+        Doubt(position_sigma_m(target), sigma_m_s, view.course_sigma_rad),
         radius_m,
         turn_m,
         target,
