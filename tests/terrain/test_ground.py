@@ -37,11 +37,22 @@ def test_a_patch_reports_slope_and_doubt(ground: Ground) -> None:
     assert patch is not None
     assert (patch.slope_east, patch.slope_north) == pytest.approx((0.1, -0.05), abs=1e-6)
     assert patch.height_m == pytest.approx(tilted(123.0, -321.0), abs=1e-4)
-    assert patch.sigma_m == pytest.approx(math.hypot(4.0, 0.25 * STEP_M * math.hypot(0.1, 0.05)), rel=1e-5)
+    assert patch.sigma_m == pytest.approx(math.hypot(4.0, 0.15 * STEP_M * math.hypot(0.1, 0.05)), rel=1e-5)
     steep = patch_of(ground, 5000.0, 1000.0)
     assert steep is not None
     ahead = ground.height_m(5000.0 + 1.0, 1000.0) - ground.height_m(5000.0 - 1.0, 1000.0)
     assert steep.slope_east == pytest.approx(ahead / 2.0, abs=1e-4)
+
+
+def test_doubt_of_heights_is_one_to_three_times_the_error_of_data_with_half_the_posts(ground: Ground) -> None:
+    step_m = 2.0 * ground.step_east_m, 2.0 * ground.step_north_m
+    coarse = Ground(ground.heights_m[::2, ::2].copy(), ground.west_m, ground.south_m, *step_m, sigma_m=0.0)
+    at_m = np.random.default_rng(1).uniform(-8000.0, 8000.0, (2000, 2)).tolist()
+    patches = [patch for patch in (patch_of(coarse, *one) for one in at_m) if patch is not None]
+    off_m = [patch.height_m - ground.height_m(patch.east_m, patch.north_m) for patch in patches]
+    doubt_m = [patch.sigma_m for patch in patches]
+    assert len(patches) > 1500
+    assert 1.0 <= float(np.sqrt(np.mean(np.square(doubt_m))) / np.std(off_m)) <= 3.0
 
 
 def test_at_the_rim_the_last_posts_count_and_beyond_nothing_is_known() -> None:
