@@ -43,9 +43,9 @@ def payload_lines(name: str, status: PayloadStatus) -> list[str]:
         f"  range at {status.range_hz:.1f} Hz, angles at {status.angles_hz:.1f} Hz{delay}{damaged}",
     ]
     now = []
-    if status.range is not None:
+    if status.range is not None and status.range_hz:
         now.append(f"range {values['range_m']:.1f} m")
-    if status.angles is not None:
+    if status.angles is not None and status.angles_hz:
         frame = {"vehicle": "heading", "body": "airframe", "earth": "north"}[status.angles.frame]
         now.append(f"yaw {values['yaw_deg']:.1f}, pitch {values['pitch_deg']:.1f} degrees, relative to {frame}")
     if now:

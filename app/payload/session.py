@@ -18,6 +18,7 @@ _RESTART_S = 1.0  # of a lost payload
 _PAUSE_MAX_S = 0.25  # between two calls: a longer time in which this program was busy is no silence of the payload
 _NO_RANGE_AFTER_S = 10.0  # lasers miss for seconds
 _RATE_OVER_S = 2.0
+_NOT_UNDERSTOOD = "bytes arrive, but nothing of its protocol: check its kind and its baud rate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ class PayloadSession:
         self._name, self._driver, self._report = name, driver, report
         self._delays_s = {RangeMeasured: range_delay_s, AnglesMeasured: angles_delay_s}
         self._called_s: float | None = None
-        self._latest_s = self._range_s = self._restarted_s = -math.inf
+        self._latest_s = self._range_s = self._restarted_s = self._bytes_s = -math.inf
         self._is_lost = self._is_rangeless = False
         self._model = ""
         self._consistency = Consistency()
@@ -92,6 +93,7 @@ class PayloadSession:
 
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
         """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        self._bytes_s = now_s
         measured = [
             replace(one, time_s=one.time_s - self._delays_s[type(one)]) for one in self._driver.receive(data, now_s)
         ]
@@ -133,7 +135,8 @@ class PayloadSession:
         )
         missing = []
         if not angles_hz and not range_hz:
-            missing.append("it does not answer: check power, address and wiring")
+            silent = "it does not answer: check power, address and wiring"
+            missing.append(_NOT_UNDERSTOOD if self._is_not_understood(now_s) else silent)
         elif not angles_hz:
             missing.append("no gimbal angles arrive")
         if self._driver.identity.has_laser is False:
@@ -171,13 +174,18 @@ class PayloadSession:
         if silent_s > LOST_AFTER_S:
             if not self._is_lost:
                 self._is_lost = True
-                self._report(f"payload {self._name}: no data for {silent_s:.0f} s: check its power and its link")
+                silent = f"no data for {silent_s:.0f} s: check its power and its link"
+                self._report(f"payload {self._name}: {_NOT_UNDERSTOOD if self._is_not_understood(now_s) else silent}")
             if now_s - self._restarted_s > _RESTART_S:
                 self._restarted_s = now_s
                 self._driver.restart(now_s)
         elif now_s - self._range_s > _NO_RANGE_AFTER_S and not self._is_rangeless and identity.has_laser is not False:
             self._is_rangeless = True
             self._report(f"payload {self._name}: angles arrive, but no range for {_NO_RANGE_AFTER_S:.0f} s")
+
+    def _is_not_understood(self, now_s: float) -> bool:
+        """Return whether bytes arrive that are of another protocol, or at another baud rate."""
+        return now_s - self._bytes_s < LOST_AFTER_S and not self._driver.identity.model
 
     def _returned(self, now_s: float) -> None:
         if self._is_rangeless and self._range_s == now_s:

@@ -110,6 +110,8 @@ class SiyiDriver(FramedDriver):
     def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
         *_, command = _HEAD.unpack_from(frame)
         data = frame[_HEAD.size : -_CRC_BYTES]
+        if not data or command == _STREAM:
+            return ()  # what we sent, on a line that echoes: an answer has data
         if command in _STREAMS and not self._trips.awaits(command, now_s):
             self._streamed_s[command] = now_s
         time_s = self._trips.measured_s(command, now_s)
@@ -118,7 +120,7 @@ class SiyiDriver(FramedDriver):
                 return (self._angles(time_s, data),)
             case 0x15 if len(data) == 2:
                 return (self._range(time_s, data),)
-            case 0x02 if data:
+            case 0x02:
                 self._take_model(data)
             case 0x01 if len(data) >= 8 and any(data[:3]):
                 self.identity.firmware = f"{data[6]}.{data[5]}.{data[4]}"

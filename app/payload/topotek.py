@@ -30,6 +30,7 @@ _GIMBAL, _LENS, _SYSTEM = "G", "M", "D"
 _ANGLES_MESSAGES = (b"GIA", b"GIC")
 _ANGLE_UNIT_RAD = math.radians(0.01)
 _SPEED = 99  # the greatest
+_QUERY = "00"  # data of a query
 _PERIODS_S = {"identity": 1.0, "angles": 1.0, "range": 0.1, "ranging": 1.0}
 _PUSHED_S = 0.5  # without a range for this long, it is polled
 
@@ -46,9 +47,9 @@ class TopotekDriver(FramedDriver):
         requests: list[bytes] = []
         if self._due["identity"].is_due(now_s):
             if not self.identity.model:
-                requests.append(encode(_GIMBAL, "r", "PA2", "00"))
+                requests.append(encode(_GIMBAL, "r", "PA2", _QUERY))
             self._trips.sent(b"VSN", now_s)
-            requests.append(encode(_SYSTEM, "r", "VSN", "00"))
+            requests.append(encode(_SYSTEM, "r", "VSN", _QUERY))
         if self._due["angles"].is_due(now_s):
             requests.append(encode(_GIMBAL, "w", "GIA", "01"))
         if self._due["ranging"].is_due(now_s) and now_s - self._range_s > _PERIODS_S["ranging"]:
@@ -57,7 +58,7 @@ class TopotekDriver(FramedDriver):
         pushed = now_s - self._pushed_s <= _PUSHED_S
         if not pushed and not self._trips.awaits(b"LRF", now_s) and self._due["range"].is_due(now_s):
             self._trips.sent(b"LRF", now_s)
-            requests.append(encode(_LENS, "r", "LRF", "00"))
+            requests.append(encode(_LENS, "r", "LRF", _QUERY))
         return requests
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
@@ -72,6 +73,8 @@ class TopotekDriver(FramedDriver):
 
     def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
         command, data = frame[7:_HEAD_BYTES], frame[_HEAD_BYTES:-_CHECKSUM_BYTES]
+        if data == _QUERY.encode():
+            return ()  # what we sent, on a line that echoes
         if command == b"LRF" and not self._trips.awaits(command, now_s):
             self._pushed_s = now_s
         time_s = self._trips.measured_s(command, now_s)

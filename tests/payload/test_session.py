@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from sidelong.app.commands.payload_status import payload_lines
 from sidelong.app.payload.driver import RangeMeasured
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
@@ -80,3 +81,34 @@ def test_status_reports_rates_and_model():
     assert status.angles_hz == pytest.approx(20.0, abs=2.0)
     assert status.round_trip_s == pytest.approx(0.06, abs=0.011)
     assert status.missing == ()
+
+
+def test_bytes_of_another_protocol_or_baud_rate_are_not_reported_as_silence():
+    wired = Wired("siyi")
+    wired.plugged = False
+    for _ in range(500):
+        wired.step(SEES(wired.now_s))
+        wired.session.receive(b"#tpGUCrGIAEC78", wired.now_s)
+    words = "bytes arrive, but nothing of its protocol: check its kind and its baud rate"
+    assert [text for _, text in wired.reports] == [f"payload siyi: {words}"]
+    assert wired.session.status(wired.now_s).missing == (words,)
+
+
+@pytest.mark.parametrize("kind", DEVICES)
+def test_line_that_echoes_our_requests_costs_neither_rate_nor_round_trip(kind):
+    wired = Wired(kind, Quirks(streams=False), delay_s=0.02, echoes=True)
+    wired.run(20.0, SEES)
+    status, models = wired.session.status(wired.now_s), [text for _, text in wired.reports]
+    assert status.range_hz == pytest.approx(10.0, abs=1.0)
+    assert status.angles_hz >= 9.0
+    assert status.round_trip_s == pytest.approx(0.04, abs=0.011)
+    assert models == [f"payload {kind}: {status.identity.model}"]
+
+
+def test_only_what_arrives_now_is_printed_as_of_now():
+    wired = Wired("siyi")
+    wired.run(5.0, SEES)
+    assert any("now: range 300.0 m" in line for line in payload_lines("siyi", wired.session.status(wired.now_s)))
+    wired.plugged = False
+    wired.run(5.0, SEES)
+    assert not [line for line in payload_lines("siyi", wired.session.status(wired.now_s)) if "now:" in line]

@@ -37,7 +37,10 @@ class Wired:
         delay_s: float = 0.0,
         seed: int = 1,
         range_delay_s: float = 0.0,
+        *,
+        echoes: bool = False,
     ) -> None:
+        """echoes: whether the line returns what is sent to the device, as some serial adapters do."""
         self._kind, self._quirks, self._seed = kind, quirks, seed
         self.driver = kind_by_name(kind).make(settings)
         self.device = DEVICES[kind](quirks, np.random.default_rng(seed))
@@ -45,7 +48,7 @@ class Wired:
         self.session = PayloadSession(kind, self.driver, self._note, range_delay_s)
         self.now_s = 0.0
         self.plugged = True
-        self._delay_s = delay_s
+        self._delay_s, self._echoes = delay_s, echoes
         self._steps = 0
         self._order = itertools.count()
         self._flying: list[tuple[float, int, bool, bytes]] = []
@@ -82,3 +85,5 @@ class Wired:
     def _put(self, to_device: bool, frame: bytes) -> None:
         if self.plugged:
             heapq.heappush(self._flying, (self.now_s + self._delay_s, next(self._order), to_device, frame))
+            if to_device and self._echoes:
+                heapq.heappush(self._flying, (self.now_s, next(self._order), False, frame))
