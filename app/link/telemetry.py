@@ -215,8 +215,8 @@ class Telemetry:
         distance_m = fields["current_distance"] * 1e-2
         min_m, max_m = fields["min_distance"] * 1e-2, fields["max_distance"] * 1e-2
         signal = int(fields.get("signal_quality") or 0)  # 0: unknown; absent in MAVLink 1
-        if not 0.0 < distance_m <= max_m or distance_m < min_m or signal == _SIGNAL_INVALID:
-            return None
+        if not 0.0 < distance_m < max_m or distance_m < min_m or signal == _SIGNAL_INVALID:
+            return None  # what is beyond the reach, or has no echo, is often sent as the greatest distance
         covariance_cm2 = fields["covariance"]
         orientation = int(fields["orientation"])
         quaternion = fields.get("quaternion") if orientation == _ORIENTATION_CUSTOM else None

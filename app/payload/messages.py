@@ -49,7 +49,7 @@ def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]
     return "DISTANCE_SENSOR", {
         "time_boot_ms": boot_ms,
         "min_distance": 0,
-        "max_distance": max(DISTANCE_SENSOR_MAX_CM, math.ceil(centimetres)),
+        "max_distance": max(DISTANCE_SENSOR_MAX_CM, math.floor(centimetres) + 1),
         "current_distance": centimetres,
         "type": mavlink.MAV_DISTANCE_SENSOR_LASER,
         "id": _SENSOR_ID,

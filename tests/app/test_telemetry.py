@@ -82,7 +82,13 @@ def test_a_slant_range_comes_in_metres_with_its_source(telemetry):
 
 @pytest.mark.parametrize(
     "nothing",
-    [{"current_distance": 0}, {"current_distance": 65_501}, {"current_distance": 50}, {"signal_quality": 1}],
+    [
+        {"current_distance": 0},
+        {"current_distance": 65_500},  # the greatest
+        {"current_distance": 65_501},
+        {"current_distance": 50},
+        {"signal_quality": 1},
+    ],
 )
 def test_a_laser_without_an_echo_is_no_range(telemetry, nothing):
     assert telemetry.event(laser(**nothing)) is None
