@@ -415,7 +415,8 @@ class StandoffController:
             cleared = self.cleared(decision.plan)
             if isinstance(cleared, str):
                 decision = replace(decision, plan=None, reason=f"staying: {cleared}")
-                announced = (*announced, Announce(self.time_s, "decision", decision.reason))
+                if self.decision is None or self.decision.reason != decision.reason:
+                    announced = (*announced, Announce(self.time_s, "decision", decision.reason))
             else:
                 decision = replace(decision, plan=cleared)
         self.decision, plan = decision, decision.plan

@@ -275,6 +275,13 @@ def test_a_plan_that_breaks_a_fence_is_not_sent():
     assert any("keep_in" in command.text for command in kinds(commands, Announce))
 
 
+def test_plans_that_a_fence_forbids_again_and_again_are_announced_once():
+    fence = {THERE: "the circle leaves keep_in"}
+    controller = make(Scripted([THERE] * 20), check=lambda plan: fence.get(plan.circle))
+    texts = [command.text for command in kinds(engaged(controller, 20.0), Announce)]
+    assert sum("keep_in" in text for text in texts) == 1
+
+
 def test_a_changed_mode_yields_at_once_and_for_good():
     controller = make(Scripted([THERE] * 5))
     engaged(controller, 3.0)
