@@ -236,13 +236,13 @@ def _replay_run(
             frames.plane = plane
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings)))
     if verify:
-        if steps.difference is not None:
-            raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
-        if journal.damaged_lines:
+        if journal.damaged_lines:  # by which the replay may differ, too
             raise FlightError(
                 f"{journal.path}: {journal.damaged_lines} damaged lines were passed over, so the flight cannot be "
                 "verified; use an undamaged copy, or leave out --verify."
             )
+        if steps.difference is not None:
+            raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
         console.print(f"{steps.compared} decisions and commands compared: {steps.sameness()}", soft_wrap=True)
     elif steps.difference is not None and not quiet:
         console.print(Text(f"first difference from the flight {steps.difference}"))

@@ -175,6 +175,16 @@ def test_a_damaged_journal_is_not_verified(run_folder, tmp_path):
     assert "1 damaged lines of the journal were passed over" in ended.output
 
 
+def test_damaged_lines_that_change_decisions_are_reported_before_the_differences(run_folder, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(run_folder, run)
+    lines = RunFolder(run).journal.read_bytes().splitlines(keepends=True)
+    damaged = [line.replace(b"time_s", b"tame_s") if b"RangeReading" in line else line for line in lines]
+    RunFolder(run).journal.write_bytes(b"".join(damaged))
+    ended = CliRunner().invoke(app, ["replay", str(run), "--verify"])
+    assert "damaged lines were passed over, so the flight cannot be verified" in str(ended.exception)
+
+
 def test_a_link_that_takes_no_message_ends_in_one_sentence(monkeypatch, capsys):
     def launch(_arguments):
         raise LinkError("PARAM_REQUEST_READ could not be sent: MAVSDK did not take it")
