@@ -151,7 +151,8 @@ def recorded_targets(
             flown.append(target)
     if not flown:
         where = ", ".join(map(str, places))
-        reason = f"the first: {skipped[0][0]}, {skipped[0][1]}" if skipped else "there is no .csv or .gpx track"
+        nothing = "there is no .csv or .gpx track with its columns"
+        reason = f"the first: {skipped[0][0]}, {skipped[0][1]}" if skipped else nothing
         raise InputError(
             f"--targets: no track to fly in {where} ({reason}); give tracks with the columns t_s, east_m, north_m, "
             f"or raise --target-speed-max from {speed_max_m_s:g} m/s."

@@ -216,3 +216,9 @@ def test_the_whole_track_is_flown():
     assert flown.time_s[-1] == pytest.approx(tracks[0].duration_s, abs=0.2)
     end = tracks[0].at(flown.time_s[-1])
     assert tuple(flown.target_m[-1]) == pytest.approx((end.east_m, end.north_m))
+
+
+def test_tables_without_a_tracks_columns_are_not_called_missing(tmp_path):
+    write(tmp_path / "a.csv", eastward(2.0), header="t_s,x,y")
+    with pytest.raises(InputError, match=r"no \.csv or \.gpx track with its columns"):
+        recorded_targets([tmp_path], 5.0)
