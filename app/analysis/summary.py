@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -10,19 +12,65 @@ from typing import Any, Literal
 import numpy as np
 from rich.table import Table
 
-from sidelong.app.analysis.input_times import InputTime, InputTimes
 from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score, within_pan_limits
 from sidelong.app.analysis.truth import Truth
 from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5
 _UNKNOWN_MAX = 0.05
 _PROMPT_S = 0.05  # a smaller delay is not worth a setting
 _EYE_M = 1.0  # of the target over its ground
+
+
+@dataclass(frozen=True, slots=True)
+class InputTime:
+    """How long an input was in a state, and how often it came into it."""
+
+    input: Input
+    state: InputState
+    seconds: float
+    times: int
+
+
+class InputTimes:
+    """Notes since when each input is in its state."""
+
+    def __init__(self) -> None:
+        self._latest: tuple[InputReport, ...] = ()
+        self._changes: dict[Input, list[tuple[float, InputState]]] = defaultdict(list)
+
+    def note(self, reports: tuple[InputReport, ...]) -> None:
+        """Take the present states of all inputs, as a snapshot has them."""
+        if reports is self._latest:  # displays ask at every event
+            return
+        self._latest = reports
+        for one in reports:
+            changes = self._changes[one.input]
+            if not changes or changes[-1] != (one.since_s, one.state):
+                changes.append((one.since_s, one.state))
+
+    def between(self, start_s: float, end_s: float) -> tuple[InputTime, ...]:
+        """Return the time that each input was in each state other than ok.
+
+        Args:
+            start_s: Earlier time does not count.
+            end_s: Until when the present states have lasted.
+        """
+        seconds: dict[tuple[Input, InputState], list[float]] = defaultdict(list)
+        for kind, changes in self._changes.items():
+            for (since_s, state), (until_s, _) in itertools.pairwise([*changes, (end_s, InputState.OK)]):
+                lasted_s = min(until_s, end_s) - max(since_s, start_s)
+                if state is not InputState.OK and 0.0 < lasted_s < math.inf:
+                    seconds[kind, state].append(lasted_s)
+        return tuple(
+            InputTime(kind, state, round(sum(lasted_s), 1), len(lasted_s))
+            for (kind, state), lasted_s in seconds.items()
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,7 @@ from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check, checks
 from sidelong.app.flight.session import connected
-from sidelong.app.flight.source_rates import SourceRates
-from sidelong.app.flight.source_use import describe_use
+from sidelong.app.flight.source_rates import SourceRates, describe_use
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table

@@ -39,14 +39,13 @@ from sidelong.app.flight.recording import beginning
 from sidelong.app.flight.route_input import check_route, give_route
 from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles
-from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse, key_in_use
+from sidelong.app.link.mavsdk_link import SETTLING_S
 from sidelong.app.link.message import Message
 from sidelong.app.link.queries import is_flying
 from sidelong.app.link.raw_links import opened_url
-from sidelong.app.link.shared import sharing_opener
 from sidelong.app.link.signing import signing_time
-from sidelong.app.link.transport import Transport
+from sidelong.app.link.transport import Transport, sharing_opener
 from sidelong.app.records.journal import Header, JournalWriter
 from sidelong.app.records.run_folder import FleetFolder
 from sidelong.estimators.frames import LocalPlane

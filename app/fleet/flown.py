@@ -22,8 +22,7 @@ from sidelong.app.fleet.summary import (
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.mapped_file import Progress
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
-from sidelong.app.report.results import read_summary
-from sidelong.app.report.sources import Flown, read_flight
+from sidelong.app.report.sources import Flown, read_flight, read_summary
 from sidelong.app.section import validated
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, VehicleReported

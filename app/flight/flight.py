@@ -23,27 +23,24 @@ from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.alarm_watch import AlarmWatch
-from sidelong.app.flight.changes import MissionChanges
+from sidelong.app.flight.changes import MissionChanges, PanLimitInput
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.loop import ControlLoop, Display, Observer, Stepped
 from sidelong.app.flight.one_task import OneTask
 from sidelong.app.flight.outputs import open_beacon, outputs
-from sidelong.app.flight.pan_limit_input import PanLimitInput
 from sidelong.app.flight.payload_input import PayloadRunner
-from sidelong.app.flight.point_gimbal import GimbalPointer
-from sidelong.app.flight.point_payload import PayloadPointer
+from sidelong.app.flight.point_gimbal import GimbalPointer, PayloadPointer
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.route_input import check_route, give_route
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
-from sidelong.app.flight.stopped_clock import StoppedClock
 from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, wants_few
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
+from sidelong.app.link.quality import RoundTripWatch
 from sidelong.app.link.queries import home_of, is_flying, mode_of, pan_limits_rad, reported_pan_limits_rad
 from sidelong.app.link.status_texts import StatusText
 from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
@@ -94,6 +91,31 @@ class _Ready:
     home: Home
     parameters: tuple[RequiredParameter, ...]
     table: ParameterTable
+
+
+class StoppedClock:
+    """Counts by this computer's clock while the vehicle's clock stands still.
+
+    Attributes:
+        seconds: For how long it has stood still; 0 once it has gone on by more than that.
+    """
+
+    def __init__(self, now_s: float, wall_s: float) -> None:
+        self.seconds = 0.0
+        self._now_s, self._wall_s = now_s, wall_s
+
+    def update(self, now_s: float, wall_s: float) -> None:
+        """Compare both clocks.
+
+        Args:
+            now_s: The vehicle's clock.
+            wall_s: This computer's clock.
+        """
+        if now_s == self._now_s:
+            self.seconds += wall_s - self._wall_s
+        elif abs(now_s - self._now_s) > self.seconds:
+            self.seconds = 0.0
+        self._now_s, self._wall_s = now_s, wall_s
 
 
 class Flight:

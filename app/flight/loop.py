@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from sidelong.app.flight.executor import CommandExecutor
+from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
@@ -37,6 +37,40 @@ _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
 _TICK_CHECKS = 2  # a tick of the clock is a second
 _FINISH_S = 3.0  # time limit after the end for pending work
+
+
+class CommandExecutor:
+    """One vehicle's hands. ``run`` must be running."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._waiting: asyncio.Queue[SendMessage] = asyncio.Queue()
+        self._sending = False
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something waits to be sent."""
+        return self._sending or not self._waiting.empty()
+
+    def send(self, message: SendMessage) -> None:
+        """Send a message after those that wait already."""
+        self._waiting.put_nowait(message)
+
+    def drop(self) -> None:
+        """Send nothing of what still waits."""
+        while not self._waiting.empty():
+            self._waiting.get_nowait()
+
+    async def run(self) -> None:
+        """Send until cancelled."""
+        while True:
+            self._sending = False
+            message = await self._waiting.get()
+            self._sending = True
+            try:
+                await self._vehicle.transmit(message.name, message.fields)
+            except LinkError:
+                continue  # the core repeats unanswered messages
 
 
 class Log(Protocol):

@@ -1,4 +1,4 @@
-"""Send the estimate to the vehicle, so that the gimbal can follow it or find the target again.
+"""Point the gimbal at the estimate, by the vehicle or by the payload's own protocol.
 
 Without a tracking camera the gimbal then points at the estimate, and the laser measures whatever is there: the
 camera or the operator must correct it.
@@ -19,11 +19,14 @@ from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.rotations import rotate
+from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.exchange.vehicle_command import describe_result
 from sidelong.mission.upload.mission_item import e7
 
-_EVERY_S = 1.0  # of the vehicle's time
+# Of the vehicle's time; in the second one a circling aircraft turns by 4 degrees.
+_BY_VEHICLE_EVERY_S, _BY_PAYLOAD_EVERY_S = 1.0, 0.2
 _ONE_SIGMA = 1.0 - math.exp(-0.5)
 
 
@@ -59,7 +62,7 @@ class GimbalPointer:
             return
         if snapshot.time_s < self._next_s or self._sending.is_running:
             return
-        self._next_s = snapshot.time_s + _EVERY_S
+        self._next_s = snapshot.time_s + _BY_VEHICLE_EVERY_S
         east_m, north_m = estimate.position_m(snapshot.time_s)
         range_m = math.hypot(aircraft.east_m - east_m, aircraft.north_m - north_m)
         self._sending.begin(lambda: self._send(estimate, east_m, north_m, range_m))
@@ -85,6 +88,52 @@ class GimbalPointer:
             self._points = False
             why = describe_result(result)
             self._announce(f"the vehicle does not point its gimbal ({why}); it is sent the target's place only")
+
+
+class PayloadPointer:
+    """An ``Observer`` that commands the gimbal's angles five times a second at most.
+
+    Nothing is commanded while the track is lost, before the mission or after a yield.
+
+    Args:
+        point: takes pitch and yaw of the gimbal in its mount, level and relative to the aircraft's heading, rad.
+        heading_rad: returns the aircraft's heading, None while it is not known.
+        tracker: knows the mount and the gimbal's yaw error.
+        target_height_m: returns the target's height above home at a place (east, north), m.
+    """
+
+    def __init__(
+        self,
+        point: Callable[[float, float], object],
+        heading_rad: Callable[[], float | None],
+        tracker: Tracker,
+        target_height_m: Callable[[float, float], float],
+    ) -> None:
+        self._point, self._heading_rad = point, heading_rad
+        self._tracker, self._target_height_m = tracker, target_height_m
+        self._next_s = -math.inf
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Command the angles if it is time to."""
+        estimate, aircraft, heading_rad = snapshot.estimate, snapshot.aircraft, self._heading_rad()
+        if not snapshot.phase.in_control or estimate is None or aircraft is None or heading_rad is None:
+            return
+        if estimate.quality is TrackQuality.LOST or snapshot.time_s < self._next_s:
+            return
+        self._next_s = snapshot.time_s + _BY_PAYLOAD_EVERY_S
+        target_east_m, target_north_m = estimate.position_m(snapshot.time_s)
+        east_m, north_m = target_east_m - aircraft.east_m, target_north_m - aircraft.north_m
+        down_m = snapshot.sensor_status.height_m - self._target_height_m(target_east_m, target_north_m)
+        if not math.isfinite(down_m):
+            return
+        # The gimbal reports its yaw with the error, and so turns too far by it.
+        yaw_rad = math.atan2(east_m, north_m) - heading_rad + self._tracker.calibration.yaw_bias_rad
+        level_m = math.hypot(east_m, north_m)
+        w, x, y, z = self._tracker.parent_from_mount
+        forward_m, right_m, down_m = rotate(
+            (w, -x, -y, -z), (level_m * math.cos(yaw_rad), level_m * math.sin(yaw_rad), down_m)
+        )
+        self._point(-math.atan2(down_m, math.hypot(forward_m, right_m)), math.atan2(right_m, forward_m))
 
 
 def _geo_status(estimate: TargetEstimate, x: int, y: int, z: float, range_m: float) -> dict[str, Any]:

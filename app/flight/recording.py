@@ -13,8 +13,7 @@ from sidelong.app.config import Config, config_from
 from sidelong.app.errors import InputError
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.records.tlog import TlogWriter
-from sidelong.app.records.vehicle_time import VehicleTime
+from sidelong.app.records.tlog import TlogWriter, VehicleTime
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Event, StepOutput
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output

@@ -13,10 +13,9 @@ from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.release import Release
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import autopilot_of, check_release
-from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
-from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
+from sidelong.app.link.mavsdk_link import SETTLING_S, FrameListener, MavsdkLink
 from sidelong.app.link.queries import release_of
 from sidelong.app.link.senders import SenderCheck
 from sidelong.app.link.telemetry import Telemetry

@@ -19,7 +19,7 @@ from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.simulated import SimulatedVehicles
-from sidelong.app.link.discovery import SETTLING_S
+from sidelong.app.link.mavsdk_link import SETTLING_S
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.mission.control.controller import StandoffController
 

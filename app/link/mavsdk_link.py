@@ -31,7 +31,6 @@ from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDir
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 
 from sidelong.app.errors import InputError
-from sidelong.app.link.discovery import SETTLING_S, check_alone, the_vehicle
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
@@ -52,6 +51,8 @@ OWN_SYSTEM_ID = 245
 """MAVLink system id that this program speaks as."""
 
 FrameListener = Callable[[bytes], None]
+SETTLING_S = 2.2  # two heartbeat periods: every vehicle present has sent one by then
+_POLL_S = 0.1
 
 
 @mavsdk.logging.LogCallback  # type: ignore[untyped-decorator]  # MAVSDK has no types; the module keeps it alive
@@ -135,12 +136,12 @@ class MavsdkLink:
             await instance.add_any_connection("raw://", ForwardingOption.OFF)
             raw.start(instance._mavsdk.pass_received_raw_bytes)
             where = " and ".join(map(repr, urls))
-            system = await the_vehicle(instance, where, timeout_s, system_id)
+            system = await _the_vehicle(instance, where, timeout_s, system_id)
             if system is None:
                 raise InputError(_not_received(where, timeout_s, raw.reports()))
             link = cls(instance, system, await system.get_system_id(), own, raw, ours)
             if system_id is None:
-                await check_alone(instance, where, (raw.received_since_s or time.monotonic()) + settling_s)
+                await _check_alone(instance, where, (raw.received_since_s or time.monotonic()) + settling_s)
         except BaseException:
             await _ended(instance, ours)
             raise
@@ -267,3 +268,46 @@ async def _ended(instance: Mavsdk, ours: contextlib.ExitStack) -> None:
         _, hanging = await asyncio.wait((ending,), timeout=_STEP_OF_CLOSE_S)
         if hanging:
             return
+
+
+async def _the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: int | None) -> Any | None:
+    """Return the MAVSDK system with ``system_id``, or the first one received; None if no vehicle is received.
+
+    Raises:
+        InputError: Only vehicles with other system ids are received.
+    """
+    first = await instance.first_autopilot(timeout_s)
+    if first is None or system_id is None:
+        return first
+    deadline_s = time.monotonic() + timeout_s
+    while time.monotonic() < deadline_s:
+        vehicles = await _vehicles(instance)
+        if system_id in vehicles:
+            return vehicles[system_id]
+        await asyncio.sleep(_POLL_S)
+    found = await _described(await _vehicles(instance))
+    raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another --system-id.")
+
+
+async def _check_alone(instance: Mavsdk, url: str, until_s: float) -> None:
+    """Listen for other vehicles until then, on the monotonic clock. Raises InputError when there are several."""
+    await asyncio.sleep(max(0.0, until_s - time.monotonic()))
+    vehicles = await _vehicles(instance)
+    if len(vehicles) > 1:
+        found = await _described(vehicles)
+        raise InputError(
+            f"{url}: several vehicles share the link: {found}; select one with --system-id or link.system_id."
+        )
+
+
+async def _vehicles(instance: Mavsdk) -> dict[int, Any]:
+    systems: Sequence[Any] = await instance.get_systems()
+    return {await system.get_system_id(): system for system in systems if await system.has_autopilot()}
+
+
+async def _described(vehicles: Mapping[int, Any]) -> str:
+    described = []
+    for system_id, vehicle in sorted(vehicles.items()):
+        kinds = [(await vehicle.autopilot_type()).name, (await vehicle.vehicle_type()).name]
+        described.append(f"system {system_id} ({', '.join(kind.replace('_', ' ').lower() for kind in kinds)})")
+    return ", ".join(described)

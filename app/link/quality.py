@@ -13,6 +13,7 @@ from typing import Any
 _WINDOW_S = 5.0
 _DELAYS_KEPT = 9
 _REORDERED = 128  # a sequence number this far ahead belongs to a late frame
+_CHANGED_S, _CHANGED_SHARE = 0.05, 0.2  # of a round trip that is news
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,3 +146,25 @@ class LinkQuality:
             while now_s - self._seconds[0].begin_s > _WINDOW_S + 1.0:
                 self._seconds.popleft()
         return self._seconds[-1]
+
+
+class RoundTripWatch:
+    """Detects changes of a link's round trip."""
+
+    def __init__(self) -> None:
+        self._announced_s: float | None = None
+
+    def news(self, links: Sequence[LinkReport], rate: float = 1.0) -> float | None:
+        """Return the round trip of the link in use, in the vehicle's time, if it differs from the last one returned.
+
+        rate: how much faster the vehicle's clock runs than the link's.
+        """
+        measured_s = next((link.measured.round_trip_s for link in links if link.in_use), None)
+        before_s = self._announced_s
+        if measured_s is None:
+            return None
+        now_s = measured_s * rate
+        if before_s is not None and abs(now_s - before_s) <= max(_CHANGED_S, _CHANGED_SHARE * before_s):
+            return None
+        self._announced_s = now_s
+        return now_s

@@ -29,11 +29,12 @@ import numpy as np
 from sidelong.app.errors import InputError
 from sidelong.app.records.appender import Appender
 from sidelong.app.records.mapped_file import Progress, unseen
-from sidelong.app.records.old_formats import OLDEST_FORMAT, upgraded
 from sidelong.estimators.frames import LocalPlane
 
 if TYPE_CHECKING:
     import cattrs
+
+import re
 
 FORMAT = 2
 
@@ -46,6 +47,16 @@ _LINE_MAX_BYTES = 4 << 20  # a plan takes a hundredth of that
 
 
 _Record = TypeVar("_Record")
+OLDEST_FORMAT = 1
+
+_NAMES_IN_1 = {
+    "Engaged": "ControlAcquired",
+    "Prepare": "UploadPlan",
+    "Depart": "ActivatePlan",
+    "SwapReported": "PlanStatus",
+    "Decided": "DecisionRecord",
+}
+_UNIT_IN_1 = re.compile(r"_1_(m2|m|s)$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,3 +245,20 @@ def _whole_body(line: bytes) -> bytes | None:
     start = line.rfind(_OPENING)
     body = line[start:-_CHECKSUM_BYTES]
     return body if start >= 0 and line.endswith(_CHECKSUM % zlib.crc32(body)) else None
+
+
+def upgraded(name: str, fields: dict[str, Any], written_format: int) -> tuple[str, dict[str, Any]]:
+    """Return a record's type name and fields as the present format spells them."""
+    if name == "Announce" and fields.get("kind") == "swap":  # until late in format 2
+        fields = fields | {"kind": "plan"}
+    if written_format > OLDEST_FORMAT:
+        return name, fields
+    return _NAMES_IN_1.get(name, name), _with_units(fields)
+
+
+def _with_units(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {_UNIT_IN_1.sub(r"_per_\1", key): _with_units(item) for key, item in value.items()}
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return [_with_units(item) for item in value]
+    return value

@@ -1,13 +1,14 @@
-"""The folder that a run leaves behind."""
+"""The folder that a run leaves behind, and how many of them are kept."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
@@ -18,6 +19,8 @@ from sidelong.app.text_file import read_text, write_text
 _SUMMARY_MAX_BYTES = 1 << 20
 _LEAST_FREE_BYTES = 20_000_000
 _RECORDED_BYTES_S = 17_000.0  # journal, tlog, links and truth of one aircraft: 60 MB an hour
+_RUN = re.compile(r"(\d{8}T\d{6}Z)")  # how a run folder's name begins; nothing else is touched
+_STAMP = "%Y%m%dT%H%M%SZ"  # in full
 
 
 def recording(path: Path) -> Path:
@@ -76,7 +79,7 @@ class _Folder:
 
         Raises InputError when it cannot be made.
         """
-        stamp = now.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+        stamp = now.astimezone(UTC).strftime(_STAMP)
         with _making(parent):
             parent.mkdir(parents=True, exist_ok=True)
             for attempt in count(1):
@@ -156,3 +159,44 @@ def _making(parent: Path) -> Iterator[None]:
         raise InputError(
             f"no run folder can be made in {parent} ({error.strerror}); give a folder of your own to --out."
         ) from error
+
+
+def rotate(parent: Path, budget_bytes: float, keep: timedelta, now: datetime, present: Path | None = None) -> int:
+    """Delete run folders that are too old or beyond the budget; return the bytes that the others take.
+
+    Args:
+        parent: Where the run folders are.
+        budget_bytes: What all of them may take together.
+        keep: How old they may become.
+        now: The time in UTC.
+        present: The run that is being written.
+    """
+    total = 0
+    for begun, run in sorted(_runs(parent), reverse=True):  # newest first
+        size = _size(run)
+        too_old = now - begun > keep
+        if run != present and (too_old or total + size > budget_bytes):
+            shutil.rmtree(run, ignore_errors=True)
+            size = _size(run)  # what could not be deleted
+        total += size
+    return total
+
+
+def _runs(parent: Path) -> list[tuple[datetime, Path]]:
+    found = []
+    with contextlib.suppress(OSError):
+        for path in parent.iterdir():
+            match = _RUN.match(path.name)
+            if match and path.is_dir() and not path.is_symlink():
+                with contextlib.suppress(ValueError):
+                    found.append((datetime.strptime(match[1], _STAMP).replace(tzinfo=UTC), path))
+    return found
+
+
+def _size(run: Path) -> int:
+    size = 0
+    with contextlib.suppress(OSError):  # a person may delete it in the meantime
+        for path in run.rglob("*"):
+            with contextlib.suppress(OSError):
+                size += path.lstat().st_blocks * 512
+    return size

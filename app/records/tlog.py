@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+import threading
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -24,6 +25,10 @@ _STAMP = struct.Struct(">Q")
 _STAMP_MIN_US, _STAMP_MAX_US = 10**15, 4 * 10**15  # 2001 to 2096: anything else was not written as a stamp
 _PROGRESS_FRAMES = 1000
 _NAMES: dict[int, str] = {number: kind.msgname for number, kind in dialect.mavlink_map.items()}
+_ATTITUDE, _GLOBAL_POSITION_INT = 30, 33
+_AUTOPILOT_COMPONENT = 1
+_LATE_MAX_S = 1.0  # messages of one moment overtake one another
+_SPEED_MAX, _AHEAD_MAX_S = 100.0, 5.0  # what a clock may gain over the wall's, and at once
 
 
 class TlogWriter(Appender):
@@ -32,6 +37,54 @@ class TlogWriter(Appender):
     def write(self, frame: bytes, time_s: float) -> None:
         """Append a frame that was received or sent at ``time_s``, seconds since 1970."""
         self.append(_STAMP.pack(round(time_s * 1e6)) + frame)
+
+
+class VehicleTime:
+    """Gives each frame, from any thread, the wall's time at the first one carried on by the vehicle's stamps.
+
+    ATTITUDE and GLOBAL_POSITION_INT of the autopilot of ``system_id`` (None: of the first that speaks) move it.
+    Where the vehicle's clock jumps it is carried on by the wall's.
+    """
+
+    def __init__(self) -> None:
+        self.system_id: int | None = None
+        self._lock = threading.Lock()
+        self._now_s: float | None = None
+        self._wall_s = 0.0  # when now_s was moved
+        self._boot_s: float | None = None  # the vehicle's time then
+
+    def stamp_s(self, frame: bytes, wall_s: float) -> float:
+        """Return the time of a frame that came or went at ``wall_s``, seconds since 1970."""
+        with self._lock:
+            if self._now_s is None:
+                self._now_s, self._wall_s = wall_s, wall_s
+            boot_s = self._boot_time_s(frame)
+            if boot_s is not None:
+                self._move(boot_s, wall_s)
+            elif self._boot_s is None:
+                self._now_s += max(wall_s - self._wall_s, 0.0)
+                self._wall_s = wall_s
+            return self._now_s
+
+    def _move(self, boot_s: float, wall_s: float) -> None:
+        assert self._now_s is not None
+        waited_s = max(wall_s - self._wall_s, 0.0)
+        gained_s = waited_s if self._boot_s is None else boot_s - self._boot_s
+        if -_LATE_MAX_S < gained_s < 0.0:
+            return
+        if not 0.0 <= gained_s <= _SPEED_MAX * waited_s + _AHEAD_MAX_S:
+            gained_s = waited_s
+        self._now_s += gained_s
+        self._wall_s, self._boot_s = wall_s, boot_s
+
+    def _boot_time_s(self, frame: bytes) -> float | None:
+        """Return time_boot_ms of a frame that moves the time, in seconds."""
+        read = Frame(frame)
+        if read.component_id != _AUTOPILOT_COMPONENT or read.message_id not in {_ATTITUDE, _GLOBAL_POSITION_INT}:
+            return None
+        if self.system_id is None:
+            self.system_id = read.system_id
+        return int.from_bytes(read.payload[:4], "little") * 1e-3 if read.system_id == self.system_id else None
 
 
 def _frames(path: Path, progress: Progress = unseen) -> Iterator[tuple[float, Frame]]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from sidelong.app.analysis.replay import require_sightings
+from sidelong.app.analysis.score import from_band, judge_moments, score
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.analysis.truth import read_truth
 from sidelong.app.assembly import fence_outlines, ground_of, tracker_of
@@ -20,9 +24,11 @@ from sidelong.app.records.log import Log, open_log
 from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.run_folder import RunFolder, recording
 from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
-from sidelong.app.report.results import read_summary, summary_of
+from sidelong.app.report.series import estimate_errors
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Event, StepOutput
+
+_SUMMARY = TypeAdapter(Summary)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,3 +144,35 @@ def _built(
     if true is not None:
         true.require_same_flight([(one.time_s, one.east_m, one.north_m) for one in builder.positions], plane)
     return builder.build(wanted, plane, true)
+
+
+def summary_of(history: History, outcome: str) -> Summary:
+    """Return the summary of a flight that left none: it was cut off, or it is another system's log."""
+    asked, changes = history.requirements, history.plan_changes
+    moments = from_band(history.moments, asked)
+    judged = judge_moments(moments, asked)
+    departures_s = [change.departed_s for change in changes if change.departed_s is not None]
+    errors = estimate_errors(history)
+    if history.judged_by_truth:
+        scored = score(judged, "truth", departures_s)
+    else:
+        known = np.array([one.known for one in moments], dtype=bool)
+        scored = score(judged, "estimate", departures_s, history.end_s, known)
+    return Summary(
+        **asdict(scored),
+        uploads=len(changes),
+        upload_failures=sum(bool(change.failed) for change in changes),
+        sightings=len(history.sightings),
+        rejected=sum(not outcome.accepted for outcome in history.sightings),
+        estimate_rmse_m=None if errors is None else float(np.sqrt(np.mean(np.square(errors.error_m)))),
+        outcome=outcome,
+    )
+
+
+def read_summary(values: dict[str, Any], name: str) -> Summary:
+    """Return the summary that a run wrote, without what later programs add. Raises InputError by ``name``."""
+    try:
+        return _SUMMARY.validate_python(values, strict=False)
+    except ValidationError as error:
+        field = ".".join(map(str, error.errors()[0]["loc"]))
+        raise InputError(f"{name}: its {field} is missing or wrong; delete it to have it written again.") from error

@@ -15,7 +15,9 @@ import asyncio
 import contextlib
 import tempfile
 from collections.abc import AsyncIterator, Callable
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +35,12 @@ from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.single import FlightEnded, fly_single
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
-from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve.control_socket import serving
 from sidelong.app.serve.display import ServiceDisplay
 from sidelong.app.serve.memory import release_unused
-from sidelong.app.serve.rotation import rotate
 from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.standby import Standby, VehicleGoneError
-from sidelong.app.serve.state import State, Status
 from sidelong.app.serve.triggers import Request, Triggers
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase
@@ -58,6 +58,46 @@ Decorate = Callable[[ServiceDisplay], contextlib.AbstractAsyncContextManager[Fli
 async def undecorated(display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
     """Show a watch nowhere else."""
     yield display
+
+
+class State(StrEnum):
+    """What the service does now."""
+
+    WAITING = "waiting"  # for a vehicle, its payload or what the checks miss
+    READY = "ready"
+    WATCHING = "watching"
+    YIELDED = "yielded"
+    FAULT = "fault"  # the last watch failed; a request to watch tries again
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What ``sidelong status`` shows.
+
+    Attributes:
+        state: What the service does now.
+        reason: Why, in words; '' where there is nothing to add.
+        vehicle: The vehicle that is connected, '' if none is.
+        run: The folder of the present watch, or of the last one; '' before the first.
+        watches: How many watches have begun since the service started.
+        disk_mb: What all run folders take, MB.
+        records: Why records of the present or last watch are incomplete, '' if they are not.
+    """
+
+    state: State
+    reason: str = ""
+    vehicle: str = ""
+    run: str = ""
+    watches: int = 0
+    disk_mb: float = 0.0
+    records: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        return f"{self.state}: {self.reason}" if self.reason else str(self.state)
 
 
 class Resident:

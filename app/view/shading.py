@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import io
+import math
 import shutil
 import tempfile
 import threading
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+import png
 
 from sidelong.app.assembly import ground_of
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.terrain.hillshade import hillshade
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 
 _REACH_M, _END_S = 15_000.0, 5.0
+_PIXELS_MAX = 1200  # each way
+_STEEPER = 2.0  # gentle hills would hardly be seen
+_LIGHT_FROM_RAD, _LIGHT_ABOVE_RAD = math.radians(315.0), math.radians(45.0)
+_OPACITY_MAX, _LEVEL_GREY = 0.7, 0.25
 
 
 class Shading:
@@ -47,3 +57,57 @@ class Shading:
             shade = hillshade(ground, _REACH_M)
             self.file.write_bytes(shade.png)
             self.edges_m = (shade.west_m, shade.south_m, shade.east_m, shade.north_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hillshade:
+    """A PNG, north up, and where its edges lie in the plane.
+
+    Slopes away from the light are black, steep ones towards it white, the steeper the less transparent. Level ground
+    is a little grey, so that gentle slopes towards the light show on a bright page too; voids are left clear.
+    """
+
+    png: bytes
+    west_m: float
+    south_m: float
+    east_m: float
+    north_m: float
+
+
+def hillshade(ground: Ground, reach_m: float = math.inf) -> Hillshade:
+    """Return the shading of the ground, or of that within ``reach_m`` of the plane's origin each way."""
+    rows = _posts_within(ground.south_m, ground.step_north_m, ground.heights_m.shape[0], reach_m)
+    columns = _posts_within(ground.west_m, ground.step_east_m, ground.heights_m.shape[1], reach_m)
+    thin = max(1, math.ceil(max(len(rows), len(columns)) / _PIXELS_MAX))
+    rows, columns = rows[::thin], columns[::thin]
+    heights_m = _STEEPER * ground.heights_m[rows[0] : rows[-1] + 1 : thin, columns[0] : columns[-1] + 1 : thin]
+    step_east_m, step_north_m = thin * ground.step_east_m, thin * ground.step_north_m
+    slope_north, slope_east = np.gradient(heights_m, step_north_m, step_east_m)
+    towards_light = slope_east * math.sin(_LIGHT_FROM_RAD) + slope_north * math.cos(_LIGHT_FROM_RAD)
+    level = math.sin(_LIGHT_ABOVE_RAD)
+    lit = (level - math.cos(_LIGHT_ABOVE_RAD) * towards_light) / np.sqrt(1.0 + slope_east**2 + slope_north**2)
+    change = np.where(lit > level, (lit - level) / (1.0 - level), lit / level - 1.0) - _LEVEL_GREY
+    change = np.nan_to_num(change)
+    pixels = np.zeros((*change.shape, 4), np.uint8)
+    pixels[..., :3] = np.where(change > 0.0, 255, 0)[..., None]
+    pixels[..., 3] = np.rint(255.0 * _OPACITY_MAX * np.abs(np.clip(change, -1.0, 1.0)))
+    height, width, _ = pixels.shape
+    picture = io.BytesIO()
+    png.Writer(width, height, greyscale=False, alpha=True).write(picture, np.flipud(pixels).reshape(height, -1))
+    # A pixel reaches half a step about its post.
+    return Hillshade(
+        picture.getvalue(),
+        ground.west_m + columns[0] * ground.step_east_m - 0.5 * step_east_m,
+        ground.south_m + rows[0] * ground.step_north_m - 0.5 * step_north_m,
+        ground.west_m + columns[-1] * ground.step_east_m + 0.5 * step_east_m,
+        ground.south_m + rows[-1] * ground.step_north_m + 0.5 * step_north_m,
+    )
+
+
+def _posts_within(first_m: float, step_m: float, count: int, reach_m: float) -> range:
+    """Return the posts of one axis within reach of its origin, two at least."""
+    if math.isinf(reach_m):
+        return range(count)
+    first = min(max(math.ceil((-reach_m - first_m) / step_m), 0), count - 2)
+    last = min(max(math.floor((reach_m - first_m) / step_m), first + 1), count - 1)
+    return range(first, last + 1)

@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from sidelong.app.analysis.input_times import InputTimes
-from sidelong.app.analysis.summary import SummaryCollector, summarise
+from sidelong.app.analysis.summary import InputTimes, SummaryCollector, summarise
 from sidelong.app.config import Config
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from tests.faults.flight import FaultedFlight, Scenario

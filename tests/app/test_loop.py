@@ -7,8 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sidelong.app.flight.executor import CommandExecutor
-from sidelong.app.flight.loop import ControlLoop
+from sidelong.app.flight.loop import CommandExecutor, ControlLoop
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry

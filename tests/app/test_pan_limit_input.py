@@ -12,7 +12,7 @@ from sidelong.app.analysis.replay import JournalReplay
 from sidelong.app.analysis.summary import SummaryCollector
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
-from sidelong.app.flight.pan_limit_input import PanLimitInput
+from sidelong.app.flight.changes import PanLimitInput
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.payload.pan_limits import usable_pan_limit_deg
 from sidelong.app.records.journal import JournalReader

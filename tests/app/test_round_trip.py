@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from sidelong.app.flight.round_trip import RoundTripWatch
-from sidelong.app.link.quality import LinkReport, Measured
+from sidelong.app.link.quality import LinkReport, Measured, RoundTripWatch
 
 
 def measured(round_trip_s: float | None, in_use: bool = True) -> LinkReport:

@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.link.frames import Frame
 from sidelong.app.link.key_file import key_in_use, make_key
 from sidelong.app.link.raw_links import RawLinks
-from sidelong.app.link.shared import sharing_opener
 from sidelong.app.link.signing import LinkSigning, Refusal, signing_time
+from sidelong.app.link.transport import sharing_opener
 from sidelong.sitl.protocol.signing import read_key as sitl_key
 from sidelong.sitl.settings import Settings
 from sidelong.sitl.simulation import Simulation

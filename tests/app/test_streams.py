@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from sidelong.app.flight.stopped_clock import StoppedClock
+from sidelong.app.flight.flight import StoppedClock
 from sidelong.app.flight.streams import StreamKeeper
 from sidelong.mission.core.events import HealthChanged
 from sidelong.mission.core.inputs import Input, InputReport, InputState

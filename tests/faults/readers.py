@@ -24,7 +24,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import Header, JournalReader, encode
 from sidelong.app.records.log import open_log
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.report.results import read_summary
+from sidelong.app.report.sources import read_summary
 from sidelong.app.sharing.beacon import decode
 from sidelong.app.value_cache import stored_table
 from sidelong.app.view.background import background, readable_tile

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from pymavlink import mavutil
 
-from sidelong.app.records.tlog import TlogWriter
-from sidelong.app.records.vehicle_time import VehicleTime
+from sidelong.app.records.tlog import TlogWriter, VehicleTime
 
 WALL_S = 1.7e9
 

@@ -24,14 +24,12 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.link.vehicle_status import VehicleStatus
-from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve import control_socket
 from sidelong.app.serve.display import ServiceDisplay
-from sidelong.app.serve.resident import Resident
-from sidelong.app.serve.rotation import rotate
+from sidelong.app.serve.resident import Resident, State
 from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.standby import Standby
-from sidelong.app.serve.state import State
 from sidelong.app.serve.triggers import Triggers
 from sidelong.app.view.address import Address
 from sidelong.estimators.frames import LocalPlane

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from sidelong.app.terrain.hillshade import hillshade
+from sidelong.app.view.shading import hillshade
 from sidelong.estimators.terrain.ground import Ground
 
 

@@ -14,10 +14,9 @@ from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import checks
-from sidelong.app.flight.terrain_server import TerrainServer
+from sidelong.app.flight.terrain_server import TerrainServer, answers
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.terrain_data import answers
 from sidelong.sitl.settings import Home, Settings
 from sidelong.sitl.simulation import Simulation
 from tests.messages import latest, message
