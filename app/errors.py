@@ -10,13 +10,7 @@ class InputError(Exception):
 
 
 def missing_package(what: str, package: str, otherwise: str = "") -> InputError:
-    """Return the error of a feature whose optional package is not installed.
-
-    Args:
-        what: The feature, as the beginning of the sentence.
-        package: What pip has to install.
-        otherwise: Another way out.
-    """
+    """Return the error of a feature whose optional package is not installed; otherwise: another way out."""
     way_out = f", or {otherwise}" if otherwise else ""
     return InputError(f"{what} needs the package {package}: run {sys.executable} -m pip install {package}{way_out}.")
 

@@ -43,13 +43,10 @@ MADE_UP_ROUTE = route_of(np.array([-300.0, 300.0]), np.zeros(2))
 
 
 def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None:
-    """Run what decides and follows a plan.
+    """Run what decides and follows a plan. The planner must not be flown afterwards.
 
-    Args:
-        planner: The planner, which must not be flown afterwards.
-        beyond_m: In the last decisions the target is this much farther away, out of the band, so that the planner
-            lays out a new circle as well.
-        with_route: Whether the target's route is known.
+    In the last decisions the target is ``beyond_m`` farther away, out of the band, so that the planner lays out a new
+    circle as well.
     """
     if with_route and isinstance(planner, RoutePlanner):
         planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
@@ -80,11 +77,7 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
 
 
 def warm_up_track(track: Track) -> None:
-    """Run what estimates the target and the payload's delays.
-
-    Args:
-        track: The track, which must not be flown afterwards.
-    """
+    """Run what estimates the target and the payload's delays. The track must not be flown afterwards."""
     times_s, zero, one = np.arange(4.0), np.zeros(4), np.ones(4)
     positions, sights = np.column_stack([times_s, zero, zero, one, zero]), np.column_stack([times_s, zero, one, zero])
     scene = Scene(positions, sights[:0], sights, np.column_stack([times_s, one]), "earth", (0.01, 1.0))
@@ -97,14 +90,7 @@ def warm_up_track(track: Track) -> None:
 
 
 def warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: SightField) -> None:
-    """Run what a flight calls over elevation data only.
-
-    Args:
-        ground: The elevation data.
-        track: The track, which must not be flown afterwards.
-        heights: The heights to fly at.
-        field: Where the ground hides a target.
-    """
+    """Run what a flight calls over elevation data only. The track must not be flown afterwards."""
     track.stand_on(ground)
     for time_s in (0.0, 0.5):
         track.add(_sighting(time_s))

@@ -45,12 +45,7 @@ Asked = Sequence[tuple[float, Requirement]]
 
 
 def middle_rad(requirement: Requirement, course_rad: Angle) -> Angle | float:
-    """Return the direction from the target to the centre of the required observation sector.
-
-    Args:
-        requirement: the observation requirement.
-        course_rad: the target's course, one value or an array.
-    """
+    """Return the direction from the target, on its course, to the centre of the required observation sector."""
     if requirement.sector is not None:
         return requirement.sector.middle_rad
     return course_rad + requirement.side.normal_turn_rad

@@ -55,12 +55,7 @@ class InputTimes:
                 changes.append((one.since_s, one.state))
 
     def between(self, start_s: float, end_s: float) -> tuple[InputTime, ...]:
-        """Return the time that each input was in each state other than ok.
-
-        Args:
-            start_s: Earlier time does not count.
-            end_s: Until when the present states have lasted.
-        """
+        """Return how long each input was not ok, and in which state; the present ones last until ``end_s``."""
         seconds: dict[tuple[Input, InputState], list[float]] = defaultdict(list)
         for kind, changes in self._changes.items():
             for (since_s, state), (until_s, _) in itertools.pairwise([*changes, (end_s, InputState.OK)]):

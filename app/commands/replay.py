@@ -35,9 +35,8 @@ from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
-from sidelong.app.view.frames import Frames
+from sidelong.app.view.frames import SPEED_MAX, Frames
 from sidelong.app.view.panel import clock
-from sidelong.app.view.player import SPEED_MAX
 from sidelong.app.view.state import StateEncoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
@@ -163,11 +162,7 @@ def _changes(given: list[str], planner: str | None) -> _Changes:
 
 
 def _changed(flown: Config, config: Path | None, changes: _Changes) -> Config:
-    """Return the configuration with other values.
-
-    Raises:
-        InputError: It cannot be flown; that of a flight is accepted unchanged.
-    """
+    """Return the configuration with other values. Raises InputError if it cannot be flown; a flight's own can."""
     settings = with_values(flown, changes, "--set")
     if config is not None or settings != flown:
         check_flyable(settings)

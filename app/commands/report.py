@@ -79,8 +79,7 @@ def write_report(
 
 
 def _write_fleet(folder: FleetFolder, out: Path) -> None:
-    from sidelong.app.fleet.flown import read_fleet  # noqa: PLC0415
-    from sidelong.app.fleet.page import fleet_page  # noqa: PLC0415
+    from sidelong.app.fleet.flown import fleet_page, read_fleet  # noqa: PLC0415
     from sidelong.app.report.page import report_page  # noqa: PLC0415
 
     with share_progress(f"reading {folder.path.name}") as progress:

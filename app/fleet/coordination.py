@@ -46,16 +46,12 @@ _STANDING_S = 1.0  # of the wall clock: without any vehicle's clock, mission tim
 
 
 class Participant:
-    """One aircraft of the fleet.
+    """One aircraft of the fleet; mission_s and to_mission_s are as ``VehicleClockReader`` has them.
 
     Args:
-        name: Its name.
-        controller: Its control step.
         put_event: Puts an event into its core.
         now_s: Returns the time of its clock, s.
         home_above_m: Height of its home above the common home, m.
-        mission_s: Returns the mission time that the others have reached, s.
-        to_mission_s: Converts the time of a source into mission time.
     """
 
     def __init__(

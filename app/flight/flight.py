@@ -94,10 +94,9 @@ class _Ready:
 
 
 class StoppedClock:
-    """Counts by this computer's clock while the vehicle's clock stands still.
+    """Counts, in ``seconds``, for how long the vehicle's clock stands still.
 
-    Attributes:
-        seconds: For how long it has stood still; 0 once it has gone on by more than that.
+    They are 0 again once it has gone on by more than that.
     """
 
     def __init__(self, now_s: float, wall_s: float) -> None:
@@ -105,12 +104,7 @@ class StoppedClock:
         self._now_s, self._wall_s = now_s, wall_s
 
     def update(self, now_s: float, wall_s: float) -> None:
-        """Compare both clocks.
-
-        Args:
-            now_s: The vehicle's clock.
-            wall_s: This computer's clock.
-        """
+        """Compare the vehicle's clock with this computer's."""
         if now_s == self._now_s:
             self.seconds += wall_s - self._wall_s
         elif abs(now_s - self._now_s) > self.seconds:

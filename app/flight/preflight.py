@@ -59,14 +59,9 @@ class Check:
 
 
 def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
-    """Check that no flying aircraft is silently taken out of a return, a landing or a failsafe.
+    """Raise InputError for a flying aircraft in a return, a landing or a failsafe, out of which it would be taken.
 
-    Args:
-        vehicle: The vehicle, whose heartbeat was received.
-        allowed: The modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
-
-    Raises:
-        InputError: It flies in such a mode, and the operator has not allowed it.
+    allowed: modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
     """
     if not is_flying(vehicle):
         return
@@ -102,8 +97,7 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
 def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
     """Return a remark on the firmware's release, None where it is one that sidelong knows.
 
-    Raises:
-        InputError: The release is older than supported.
+    Raises InputError for a release that is older than supported.
     """
     name, supported = autopilot.name, autopilot.releases
     oldest, newest = supported.oldest.series, supported.newest.series

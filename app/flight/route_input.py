@@ -19,12 +19,7 @@ _FAR_M = 20_000.0  # from the origin of the plane: farther routes are probably w
 
 
 def check_route(route: RouteSection, own_ids: Collection[int]) -> None:
-    """Raise InputError if the route is to be read from the aircraft itself.
-
-    Args:
-        route: The configuration.
-        own_ids: MAVLink system ids of the aircraft of the flight.
-    """
+    """Raise InputError if the route is to be read from an aircraft of the flight itself, by its system id."""
     if route.system_id in own_ids:
         raise InputError(f"system {route.system_id} is the aircraft itself: give the system id of the target.")
 
@@ -38,15 +33,7 @@ def give_route(
 ) -> None:
     """Pass on the configured route, as an event of the vehicle's time; the target's mission once it is read.
 
-    Args:
-        route: The configuration.
-        session: The connected vehicle, whose links the target's mission is read on.
-        plane: The local plane of the flight.
-        put: Receives the route.
-        note: Receives in words why there is none, or that it is far away.
-
-    Raises:
-        InputError: The route file cannot be used.
+    ``note`` receives why there is no route, or that it is far away. Raises InputError for a file that cannot be used.
     """
 
     def pass_on(east_m: Iterable[float], north_m: Iterable[float], lap: bool) -> None:

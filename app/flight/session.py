@@ -68,7 +68,7 @@ async def connected(
         urls: URL of each link.
         timeout_s: How long to wait for a vehicle, s.
         on_frame: Receives each frame.
-        key: Signing key.
+        key: Signing key, or its file; with it every link is signed.
         note: Receives link faults, from any thread.
         system_id: Selects the vehicle if there are several.
         settling_s: How long to listen for other vehicles, s.

@@ -49,10 +49,9 @@ async def release_of(vehicle: Vehicle) -> Release | None:
 
 
 async def pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
-    """Return how far the gimbal turns to the left and to the right of the nose, as its gimbal manager reports it.
+    """Return the gimbal's least and greatest yaw off the nose, as its gimbal manager reports it.
 
-    Returns:
-        The least and the greatest yaw; None if there is no limit or none is reported.
+    None if there is no limit or none is reported.
     """
     # Any component may be the manager: https://mavlink.io/en/services/gimbal_v2.html#discovery-of-gimbal-manager
     await _requested(vehicle, _GIMBAL_MANAGER_INFORMATION, _GIMBAL_MANAGER_INFORMATION_ID, target_component=0)

@@ -25,12 +25,7 @@ _BOOT_MS_WRAP = 1 << 32
 
 
 def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]]:
-    """Return name and fields of the message for a measurement.
-
-    Args:
-        measured: the measurement.
-        vehicle_s: its time, s on the vehicle's clock.
-    """
+    """Return name and fields of the message for a measurement, vehicle_s being its time on the vehicle's clock."""
     boot_ms = round(1000.0 * vehicle_s) % _BOOT_MS_WRAP
     if isinstance(measured, AnglesMeasured):
         return "GIMBAL_DEVICE_ATTITUDE_STATUS", {

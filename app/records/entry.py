@@ -33,9 +33,7 @@ class Entry(NamedTuple):
 def in_order(entries: Iterator[tuple[float, Entry]], progress: Progress) -> Iterator[Entry]:
     """Yield the entries of a log in order of time, stretch by stretch, without those whose time stamp is damaged.
 
-    Args:
-        entries: with the share of the file that is read.
-        progress: called with that share.
+    Each comes with the share of the file that is read, which ``progress`` is called with.
     """
     while stretch := list(islice(entries, _STRETCH)):
         progress(stretch[-1][0])

@@ -32,16 +32,9 @@ def recording(path: Path) -> Path:
 
 
 def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[str], object]) -> None:
-    """Check the free space for the records of a flight, before it begins.
+    """Raise InputError if there is hardly any space for records in ``parent``, which need not exist yet.
 
-    Args:
-        parent: The folder in which the run folder will be made; it need not exist yet.
-        duration_s: How long the flight watches.
-        aircraft: How many aircraft are recorded.
-        warn: Called with a sentence if the space is less than the flight needs.
-
-    Raises:
-        InputError: There is hardly any space.
+    warn: called with a sentence if the space is less than this many aircraft need for a flight of ``duration_s``.
     """
     present = next(path for path in (parent.absolute(), *parent.absolute().parents) if path.exists())
     free = shutil.disk_usage(present).free
@@ -162,14 +155,9 @@ def _making(parent: Path) -> Iterator[None]:
 
 
 def rotate(parent: Path, budget_bytes: float, keep: timedelta, now: datetime, present: Path | None = None) -> int:
-    """Delete run folders that are too old or beyond the budget; return the bytes that the others take.
+    """Delete run folders, but ``present``, that are older than ``keep`` or, the oldest first, beyond the budget.
 
-    Args:
-        parent: Where the run folders are.
-        budget_bytes: What all of them may take together.
-        keep: How old they may become.
-        now: The time in UTC.
-        present: The run that is being written.
+    Returns the bytes that the others take.
     """
     total = 0
     for begun, run in sorted(_runs(parent), reverse=True):  # newest first

@@ -14,16 +14,9 @@ _PRINTED = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", 
 
 
 class ServiceDisplay:
-    """Of one watch.
+    """Of one watch: ``request`` passes on an operator's wish once the flight takes any.
 
-    Args:
-        log: Receives a line for people.
-        changed: Called when the flight is in another phase.
-        refused: Receives why a resumption is refused.
-
-    Attributes:
-        request: Passes on an operator's wish, None before the flight takes any.
-        snapshot: The latest one.
+    changed: called when the flight is in another phase; refused: receives why a resumption is refused.
     """
 
     def __init__(

@@ -101,15 +101,7 @@ class Status:
 
 
 class Resident:
-    """One vehicle's service.
-
-    Args:
-        config: The configuration, which has a link.
-        out: Where run folders are made.
-        log: Receives a line for people, from any thread.
-        sharing: Outputs to the vehicle.
-        decorate: Shows each watch somewhere else, too.
-    """
+    """One vehicle's service. log receives lines, from any thread; decorate shows each watch elsewhere, too."""
 
     def __init__(
         self,

@@ -16,8 +16,7 @@ from sidelong.app.config import Config
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.address import Address
-from sidelong.app.view.feed import Feed
-from sidelong.app.view.process import page_line, start_page, under_flight
+from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json, StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane

@@ -1,34 +1,125 @@
-"""Start the page's process, and send it the data common to flights and replays."""
+"""The page's process: started, spoken to in lines without ever waiting for it, and sent what all pages need."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import secrets
-from collections.abc import Sequence
+import select
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
 
 from sidelong.app.errors import InputError
 from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.view.address import Address
-from sidelong.app.view.feed import Feed, FeedError
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json
 
 _UP_S = 30.0  # a second or two; a machine that is busy takes many times that
+_END_S = 2.0
+
+
+class FeedError(Exception):
+    """The process did not come up; the text is its own complaint."""
+
+
+class Feed:
+    """Starts ``command``; ``send`` and ``lines`` return at once whatever the process does."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+        # A session of its own keeps the terminal's Ctrl-C from ending it before the flight has ended.
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # closed by close(); a pipe could fill up
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._complaints,
+            env=environment,
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
+        os.set_blocking(self._in, False)
+        os.set_blocking(self._out, False)
+        self._unsent = b""
+        self._unread = b""
+        self.alive = True
+
+    def send(self, line: bytes) -> bool:
+        """Send a line (without its end); False, and nothing sent, while the pipe is full or the process gone."""
+        self.flush()
+        if self._unsent or not self.alive:
+            return False
+        self._unsent = line + b"\n"
+        self.flush()
+        return self.alive
+
+    @property
+    def ready(self) -> bool:
+        """Whether the last line has gone out whole, so that the next would be taken."""
+        self.flush()
+        return self.alive and not self._unsent
+
+    def flush(self) -> None:
+        """Send what is left of the last line, as far as it fits."""
+        if not self._unsent:
+            return
+        try:
+            self._unsent = self._unsent[os.write(self._in, self._unsent) :]
+        except BlockingIOError:
+            return
+        except OSError:
+            self.alive = False
+
+    def lines(self) -> list[bytes]:
+        """Return the whole lines that have come since the last call."""
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._out, 65536):
+                self._unread += data
+            self.alive = False
+        *whole, self._unread = self._unread.split(b"\n")
+        return whole
+
+    def wait_for_line(self, timeout_s: float) -> bytes:
+        """Return the first line, for which the process is given ``timeout_s``. Raises FeedError."""
+        deadline_s = time.monotonic() + timeout_s
+        while (remaining_s := deadline_s - time.monotonic()) > 0.0:
+            select.select([self._out], [], [], remaining_s)
+            lines = self.lines()
+            if lines:
+                return lines[0]
+            if not self.alive:
+                break
+        self._process.kill()
+        self._process.wait()
+        self._complaints.seek(0)
+        complaint = self._complaints.read().decode(errors="replace").strip().splitlines()
+        self.close()
+        raise FeedError(complaint[-1] if complaint else f"it was not ready within {timeout_s:g} s")
+
+    def close(self) -> None:
+        """End the process: it exits when its input is closed."""
+        self.alive = False
+        for stream in (self._process.stdin, self._process.stdout, self._complaints):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()) -> tuple[Feed, str, str]:
-    """Start the server and wait for it.
+    """Start the server, wait for it, and return the feed to it and the URLs for the operator and for viewers.
 
-    Args:
-        address: Where the page is served.
-        replay: Accept only the requests of a replay's page.
-        fleet: The names of the aircraft that may be relieved.
-
-    Returns:
-        The feed to the server, and the URLs for the operator and for viewers.
-
-    Raises:
-        InputError: The server does not start, for example because the port is in use.
+    replay: accept only the requests of a replay's page; fleet: the names of the aircraft that may be relieved. Raises
+    InputError when it does not come up, for example because the port is in use.
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))

@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 from sidelong.app.config import Config
 from sidelong.app.view.address import Address
-from sidelong.app.view.frames import Frames
-from sidelong.app.view.player import Player
+from sidelong.app.view.frames import Frames, Player
 from sidelong.app.view.process import page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import setting

@@ -8,7 +8,7 @@ from contextlib import closing
 
 import pytest
 
-from sidelong.app.view.feed import Feed, FeedError
+from sidelong.app.view.process import Feed, FeedError
 
 # Prints that it is up, then reads nothing until the test opens the named pipe for writing.
 LAZY = """

@@ -9,8 +9,7 @@ import pytest
 from sidelong.app.analysis.replay import Proposals, Replayed
 from sidelong.app.assembly import controller_of, settle
 from sidelong.app.config import Config
-from sidelong.app.view.frames import Frames
-from sidelong.app.view.player import Player
+from sidelong.app.view.frames import Frames, Player
 from sidelong.app.view.server import replay_button_of
 from sidelong.app.view.state import StateEncoder
 from sidelong.estimators.frames import LocalPlane
