@@ -53,9 +53,9 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
                     f"margin_m = {config.fences.margin_m:g}; change one of them."
                 )
     if config.sharing.cot is not None:
-        from sidelong.app.flight.outputs import check_certificates  # noqa: PLC0415  # it loads MAVLink
+        from sidelong.app.flight.outputs import tls_of  # noqa: PLC0415  # it loads MAVLink
 
-        check_certificates(config.sharing)
+        tls_of(config.sharing)
 
 
 def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[str, Callable[[], object]]]:

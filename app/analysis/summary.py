@@ -17,6 +17,7 @@ from sidelong.app.analysis.truth import Truth
 from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement
@@ -282,8 +283,7 @@ def summarise(
     truth: Truth | None,
     plane: LocalPlane | None,
     start_s: float,
-    sightings: int,
-    rejected: int,
+    tracker: Tracker,
     outcome: str,
 ) -> Summary:
     """Return the summary of a mission that ended at ``snapshot``."""
@@ -295,8 +295,8 @@ def summarise(
         **asdict(result),
         uploads=snapshot.uploads,
         upload_failures=snapshot.upload_failures,
-        sightings=sightings,
-        rejected=rejected,
+        sightings=tracker.sightings,
+        rejected=tracker.rejected,
         estimate_rmse_m=rmse_m,
         outcome=outcome,
         time_in_sight=in_sight,

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from sidelong.app.commands.options import AIRCRAFT, panel
-from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.commands.radius import RadiusOption, warn_of_band, warn_of_settings
 from sidelong.app.config import Config, check_alone, load_config, unflyable
@@ -134,17 +134,15 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         prediction = predict(settings, table_progress(console.print))
         values["prediction"] = prediction.as_json()
         console.print(f"predicted from {prediction.flights} simulated flights of {FLIGHT_S / 60.0:.0f} minutes:")
-        console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
-        console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
+        say(f"  time in band  {prediction.time_in_band or '-'}")
+        say(f"  time on side  {prediction.time_on_side or '-'}")
         if not settings.simulation.laser:
-            console.print(
-                "  these flights have a laser; without one, expect about 1 point less on side", soft_wrap=True
-            )
+            say("  these flights have a laser; without one, expect about 1 point less on side")
         if prediction.time_within_pan_limits is not None:
-            console.print(f"  time within the pan limits  {prediction.time_within_pan_limits}", soft_wrap=True)
+            say(f"  time within the pan limits  {prediction.time_within_pan_limits}")
         reasons = prediction.shortcoming(settings)
         if prediction.doubt():
-            console.print(f"close to the limit: {prediction.doubt()}", soft_wrap=True)
+            say(f"close to the limit: {prediction.doubt()}")
     return {"feasible": not reasons, **values}, reasons
 
 

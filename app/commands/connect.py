@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
-from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.commands.payload_status import degrees_of, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_files, check_single
@@ -25,7 +25,7 @@ from sidelong.app.flight.source_rates import SourceRates, describe_use
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
-from sidelong.app.link.queries import home_of, mode_of, pan_limits_rad
+from sidelong.app.link.queries import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.url import checked_url
 from sidelong.app.payload.address import read_payload
@@ -152,7 +152,9 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
         inputs.close()
         sources.close()
         vehicle.listeners.remove(estimate_delays)
-        home, pan_rad = await home_of(vehicle), await pan_limits_rad(vehicle)
+        home = await home_of(vehicle)
+        await request_pan_limits(vehicle)
+        pan_rad = reported_pan_limits_rad(vehicle)
         parameters = await read_table(vehicle, autopilot, session.release)
         values, notes = parameters.values, parameters.notes()
         required_parameters = parameters.as_on_board(
@@ -183,14 +185,14 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             described = describe_use(config, kind, [rate.source for rate in of_kind])
             for rate in of_kind:
                 uses[str(rate)] = described[rate.source]
-                console.print(f"{kind}: {rate}: {described[rate.source]}", soft_wrap=True)
+                say(f"{kind}: {rate}: {described[rate.source]}")
         for line in () if status is None else payload_lines(config.payload.kind, status):
-            console.print(line, soft_wrap=True)
+            say(line)
         for words in filter(None, (*pan_words(pan_rad), contradiction(config.aircraft.pan_limit_deg, pan_rad))):
-            console.print(words, soft_wrap=True)
+            say(words)
         delays, taken = tracker.delays, "gimbal {:g} s, laser {:g} s as configured".format(*tracker.latencies_s)
         unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
-        console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)
+        say(f"delays of the payload's stamps: {delays or unknown}")
         return {
             "autopilot": autopilot.name,
             "release": None if session.release is None else str(session.release),

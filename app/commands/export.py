@@ -10,7 +10,7 @@ import typer
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_name
-from sidelong.app.commands.output import checked_file, console, warn_of_log, writing
+from sidelong.app.commands.output import checked_file, say, warn_of_log, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES
@@ -81,9 +81,9 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
             _write_klv(aircraft[0], partial)
         else:
             write([_flight(one) for one in aircraft], wanted, partial)
-    console.print(f"{wanted}: {out}", soft_wrap=True)
+    say(f"{wanted}: {out}")
     if wanted is Format.MCAP and not fleet.journal.is_file():
-        console.print(f"a layout for Foxglove (Import from file...): {LAYOUT}", soft_wrap=True)
+        say(f"a layout for Foxglove (Import from file...): {LAYOUT}")
 
 
 class _Aircraft(NamedTuple):

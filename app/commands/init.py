@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import typer
 from pydantic.fields import FieldInfo
 
-from sidelong.app.commands.output import checked_file, console, writing
+from sidelong.app.commands.output import checked_file, say, writing
 from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
@@ -99,7 +99,7 @@ def init(
         raise InputError(f"{file} is there already; give another name, or --force to write over it.")
     with writing(file, "init"):
         write_text(file, config_text(preset, fleet))
-    console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)
+    say(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}")
 
 
 def _check_preset(preset: str | None, fleet: int | None) -> None:

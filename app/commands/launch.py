@@ -16,6 +16,7 @@ from sidelong.app.commands.output import (
     checked_output,
     console,
     latitude_longitude_deg,
+    say,
     shielded_output,
     standard,
     warn,
@@ -321,7 +322,7 @@ def _write_mcap(run: Path) -> None:
 
 def _announce(ended: FlightEnded | FleetEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
-    console.print(f"run folder: {ended.folder.path}", soft_wrap=True)
+    say(f"run folder: {ended.folder.path}")
     try:
         ended.folder.write_summary(ended.summary.as_json())
     except OSError as error:

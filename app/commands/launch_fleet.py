@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 from sidelong.app.commands.flying import kept_if_armed, run_flight, warn_of_prediction
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import console, say
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.flight import FleetEnded, FleetFlight
@@ -57,5 +56,5 @@ async def _displayed(
             return
         sides = {name: asked.side for name, asked in fleet.asked.items()}
         page = FleetView(panel, {one.name: one.config for one in fleet.members}, address, sides)
-        async with served(page, partial(console.print, soft_wrap=True)) as view:
+        async with served(page, say) as view:
             yield panel, view

@@ -7,12 +7,11 @@ import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 from sidelong.app.assembly import controller_of
 from sidelong.app.commands.flying import kept_if_armed, run_flight, warn_of_prediction
-from sidelong.app.commands.output import console, warn
+from sidelong.app.commands.output import console, say, warn
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import DEMONSTRATION, Config
 from sidelong.app.errors import FlightError
@@ -79,5 +78,5 @@ async def _displayed(config: Config, quiet: bool, address: Address | None) -> As
         if address is None:
             yield panel
             return
-        async with served(ViewDisplay(panel, config, address), partial(console.print, soft_wrap=True)) as view:
+        async with served(ViewDisplay(panel, config, address), say) as view:
             yield view

@@ -73,6 +73,11 @@ standard = _Standard()
 console = _Console(file=cast(TextIO, standard), highlight=False, markup=False)
 
 
+def say(text: str) -> None:
+    """Print a line, which a narrow terminal does not break."""
+    console.print(text, soft_wrap=True)
+
+
 def print_whole(table: Table) -> None:
     """Print a table with all its columns: on a narrow terminal rather broken lines than a column less."""
     needed = Measurement.get(console, console.options.update_width(_WIDE), table).maximum
@@ -115,7 +120,7 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
 def warn_of_log(source: Path, warning: str) -> None:
     """Print what keeps the results of a log from being those of one flight; nothing if the warning is empty."""
     if warning:
-        console.print(f"{source.name}: {warning}", soft_wrap=True)
+        say(f"{source.name}: {warning}")
 
 
 @contextlib.contextmanager

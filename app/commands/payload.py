@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.commands.payload_status import payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import FlightError, InputError
@@ -112,10 +112,10 @@ async def _serve(
             if time.monotonic() >= next_status_s:
                 next_status_s += _STATUS_EVERY_S
                 for line in payload_lines(name, runner.status()):
-                    console.print(line, soft_wrap=True)
+                    say(line)
     finally:
         for line in payload_lines(name, runner.status()):
-            console.print(line, soft_wrap=True)
+            say(line)
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
         if target is not None:

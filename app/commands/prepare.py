@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import say
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import check_alone, check_flyable, load_config
 
@@ -32,7 +32,7 @@ def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (T
     from sidelong.estimators.compiled import FOLDER  # noqa: PLC0415
 
     def announce(text: str) -> None:
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        say(text)
 
     controller_of(settings, table_progress(announce), announce)
     took_s = time.monotonic() - begun_s

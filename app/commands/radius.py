@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from sidelong.app.commands.options import AIRCRAFT
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import say
 from sidelong.app.config import Config, reach_warning, room_warning, setting_notes
 
 
@@ -31,10 +31,10 @@ def warn_of_band(config: Config) -> None:
     """Warn about a band that leaves too little margin for the circle, or is wider than the laser's reach."""
     for warning in (room_warning(config), reach_warning(config)):
         if warning is not None:
-            console.print(f"note: {warning}", soft_wrap=True)
+            say(f"note: {warning}")
 
 
 def warn_of_settings(config: Config) -> None:
     """Print a note for each key that has no effect, or that contradicts another one."""
     for note in setting_notes(config):
-        console.print(f"note: {note}", soft_wrap=True)
+        say(f"note: {note}")

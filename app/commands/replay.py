@@ -25,7 +25,7 @@ from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.assembly import controller_of, mission_controller_of, settle
 from sidelong.app.autopilots.registry import autopilot_by_name
 from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption
-from sidelong.app.commands.output import JsonOption, checked_output, console, warn_of_log, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, console, say, warn_of_log, write_json
 from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.config import Config, check_flyable, load_config, with_values
 from sidelong.app.errors import FlightError, InputError
@@ -146,7 +146,7 @@ def _show(
             pass
     from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
 
-    serve_replay(frames, what_if, flown, address, name, speed, lambda text: console.print(text, soft_wrap=True))
+    serve_replay(frames, what_if, flown, address, name, speed, say)
 
 
 def _changes(given: list[str], planner: str | None) -> _Changes:
@@ -196,7 +196,7 @@ def _replay_log(
     require_sightings(controller.tracker.sightings, log)
     result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))
-    console.print(f"plans proposed: {result.uploads}; a log of another program flies none of them", soft_wrap=True)
+    say(f"plans proposed: {result.uploads}; a log of another program flies none of them")
     return replace(result, uploads=0, upload_failures=0)
 
 
@@ -238,20 +238,20 @@ def _replay_run(
             )
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
-        console.print(f"{steps.compared} decisions and commands compared: {steps.sameness()}", soft_wrap=True)
+        say(f"{steps.compared} decisions and commands compared: {steps.sameness()}")
     elif steps.difference is not None and not quiet:
         console.print(Text(f"first difference from the flight {steps.difference}"))
     if settings != flown:
-        console.print("the summary is of the path as flown: other values change only what is decided", soft_wrap=True)
+        say("the summary is of the path as flown: other values change only what is decided")
     if truth is None and folder.truth.is_file():
         truth = read_truth(folder.truth)
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
     if journal.damaged_lines:
-        console.print(f"{journal.damaged_lines} damaged lines of the journal were passed over", soft_wrap=True)
+        say(f"{journal.damaged_lines} damaged lines of the journal were passed over")
     truncated = folder.truncated()
     if truncated:
         at = clock(max(controller.time_s - (start_s or 0.0), 0.0))
-        console.print(f"the record ends early, at {at}: {truncated}", soft_wrap=True)
+        say(f"the record ends early, at {at}: {truncated}")
     return judged.summary(truth, plane, start_s)
 
 
@@ -314,7 +314,6 @@ class _Judged:
         return "" if self.engaged_s is None else clock(max(time_s - self.engaged_s, 0.0))
 
     def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
-        tracker = self.controller.tracker
         if truth is not None and plane is not None:
             moments, _ = self.collector.moments(None, None, -math.inf)
             places = [(one.time_s, one.aircraft_east_m, one.aircraft_north_m) for one in moments]
@@ -325,7 +324,6 @@ class _Judged:
             truth=truth,
             plane=plane,
             start_s=start_s if start_s is not None else -math.inf,
-            sightings=tracker.sightings,
-            rejected=tracker.rejected,
+            tracker=self.controller.tracker,
             outcome="replayed",
         )

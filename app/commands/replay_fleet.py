@@ -7,7 +7,7 @@ from typing import Any, cast, get_args
 
 from sidelong.app.analysis.replay import Comparison
 from sidelong.app.analysis.summary import Summary
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import console, say
 from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.assembly import coordinator_of
@@ -48,7 +48,7 @@ def replay_fleet(folder: FleetFolder, replay_one: Callable[[RunFolder], Summary]
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the coordinator's replay differs from the flight {steps.difference}")
         compared = steps.compared
-        console.print(f"{compared} commands of the coordinator compared: {steps.sameness()}", soft_wrap=True)
+        say(f"{compared} commands of the coordinator compared: {steps.sameness()}")
     return {"aircraft": aircraft, "coordinator_commands_compared": compared}
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sidelong.app.analysis.truth import read_truth
-from sidelong.app.commands.output import console, warn_of_log, writing
+from sidelong.app.commands.output import say, warn_of_log, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, recording
@@ -75,7 +75,7 @@ def write_report(
     if png is not None:
         with writing(png, "--png", "folder"):
             files = save_png(flown, png)
-        console.print(f"figures: {len(files)} in {png}", soft_wrap=True)
+        say(f"figures: {len(files)} in {png}")
 
 
 def _write_fleet(folder: FleetFolder, out: Path) -> None:
@@ -94,4 +94,4 @@ def _write_fleet(folder: FleetFolder, out: Path) -> None:
 def _write(out: Path, page: str) -> None:
     with writing(out, "--out"):
         write_text(out, page)
-    console.print(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)
+    say(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)")

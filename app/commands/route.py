@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.output import JsonOption, checked_file, checked_output, console, write_json, writing
+from sidelong.app.commands.output import JsonOption, checked_file, checked_output, console, say, write_json, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.report.sources import read_flight
@@ -74,7 +74,7 @@ def route(
     table.add_row("from end to start", f"{values['end_to_start_m']:.0f} m")
     console.print(table)
     for warning in values["warnings"]:
-        console.print(f"{file.name}: {warning}", soft_wrap=True)
+        say(f"{file.name}: {warning}")
     if png is not None:
         _draw(found, east_m, north_m, png)
     write_json(json, values)
@@ -149,7 +149,7 @@ def _write_from(source: Path, file: Path) -> None:
     text = writer([flown.plane.latitude_longitude_deg(*point) for point in line.coords])
     with writing(file, "route"):
         write_text(file, text)
-    console.print(f"route: {file}", soft_wrap=True)
+    say(f"route: {file}")
 
 
 def _csv(places_deg: list[tuple[float, float]]) -> str:

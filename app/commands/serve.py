@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sidelong.app.commands.options import MAP
-from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, say, shielded_output, write_json
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
@@ -65,7 +65,7 @@ def serve(
     share_one_heap()
 
     def log(text: str) -> None:
-        console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+        say(plain(text))
 
     obstacle = "" if address is None else address.obstacle
     if address is not None and obstacle:  # its network may come up later
@@ -120,10 +120,10 @@ def status(json: JsonOption = None) -> None:
     answer = ask("status")
     if json is None or str(json) != "-":
         reported = answer["status"]
-        console.print(plain(answer["text"]), markup=False, highlight=False, soft_wrap=True)
+        say(plain(answer["text"]))
         for name in ("vehicle", "run", "records"):
             if reported[name]:
-                console.print(plain(f"{name}: {reported[name]}"), markup=False, highlight=False, soft_wrap=True)
+                say(plain(f"{name}: {reported[name]}"))
     write_json(json, answer["status"])
 
 
@@ -152,4 +152,4 @@ def _ask(request: str) -> None:
     text = f"{answer['text']}".rstrip(".")
     if not answer["accepted"]:
         raise FlightError(f"{request} refused: {text}.")
-    console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+    say(plain(text))

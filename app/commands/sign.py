@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import console, say
 from sidelong.app.errors import InputError
 from sidelong.app.link.key_file import key_in_use, make_key, read_key
 from sidelong.app.link.key_setup import KeySetup, checked_local_url
@@ -40,21 +40,18 @@ def sign(
         raise InputError(f"{key} is not there; --remove needs the key that the vehicle has.")
     else:
         make_key(key)
-        console.print(f"made {key}: copy it only to machines that may command the vehicle", soft_wrap=True)
+        say(f"made {key}: copy it only to machines that may command the vehicle")
     if connect is None:
         return
     with (
         key_in_use(key, signing_time(time.time()), console.print) as used,
         KeySetup(connect, used) as setup,
     ):
-        console.print(f"waiting for a heartbeat on {connect}", soft_wrap=True)
+        say(f"waiting for a heartbeat on {connect}")
         if remove:
             setup.take_back(timeout)
             console.print("the vehicle no longer signs and accepts commands from any sender")
         elif setup.give(timeout):
             console.print("the vehicle signs, and refuses frames that are not signed with the key")
         else:
-            console.print(
-                "the vehicle signs; on this very port it still takes what is unsigned (ArduPlane does so on USB)",
-                soft_wrap=True,
-            )
+            say("the vehicle signs; on this very port it still takes what is unsigned (ArduPlane does so on USB)")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.errors import InputError
 from sidelong.app.terrain.elevation_data import Coverage, ElevationData
 from sidelong.app.terrain.tile import Bounds
@@ -41,7 +41,7 @@ def terrain(
             heights,
         )
     console.print(table)
-    console.print(_words(coverage), soft_wrap=True)
+    say(_words(coverage))
     write_json(json, _as_json(coverage))
 
 

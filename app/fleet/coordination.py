@@ -130,10 +130,6 @@ class Coordination:
         offset_s = self.coordinator.offset_s(participant.name)
         return -math.inf if offset_s is None else participant.now_s() + offset_s
 
-    def offset_s(self, name: str) -> float | None:
-        """Return the offset from an aircraft's time to mission time; None before it is known."""
-        return self.coordinator.offset_s(name)
-
     async def keep_time(self) -> None:
         """Send clock events to the coordinator until cancelled."""
         while True:

@@ -342,7 +342,7 @@ class FleetFlight:
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
             stepped(event, outputs)
             aircraft, height_m = one.controller.aircraft, one.controller.flown_height_m
-            offset_s = coordination.offset_s(one.name)
+            offset_s = coordination.coordinator.offset_s(one.name)
             if aircraft is not None and height_m is not None and offset_s is not None:
                 one.track.add(aircraft.time_s + offset_s, aircraft.east_m, aircraft.north_m, height_m)
 
@@ -379,7 +379,7 @@ class FleetFlight:
                 one.name,
                 one.summary(truths[one.name], ended),
                 one.flight.moments(truths[one.name]),
-                coordination.offset_s(one.name) or 0.0,
+                coordination.coordinator.offset_s(one.name) or 0.0,
                 one.track,
             )
             for one in self._aircraft

@@ -79,22 +79,20 @@ class AlarmWatch:
 
     def show(self, snapshot: Snapshot) -> None:
         """Take what is flown; cheap but for once in half a second."""
-        if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
+        before, self._snapshot = self._snapshot, snapshot
+        if before is None or snapshot.time_s != before.time_s:
             self._received_at_s = self._clock_s()
-        connection = self._snapshot is None or snapshot.sensor_status.connected != self._connected
-        self._snapshot = snapshot
-        if connection or snapshot.time_s >= self._looked_s + _LOOK_EVERY_S:
+        link_changed = before is None or snapshot.sensor_status.connected != before.sensor_status.connected
+        if link_changed or snapshot.time_s >= self._looked_s + _LOOK_EVERY_S:
             self._look(snapshot)
-
-    @property
-    def _connected(self) -> bool:
-        return self._snapshot is not None and self._snapshot.sensor_status.connected
 
     def _look(self, snapshot: Snapshot) -> None:
         self._looked_s, self._looked_at_s = snapshot.time_s, self._clock_s()
         if not math.isfinite(snapshot.time_s):
             return
-        status = self._recent_status()
+        if self._known is None or self._clock_s() >= self._known_at_s + _STATUS_EVERY_S:
+            self._known, self._known_at_s = self._status(), self._clock_s()
+        status = self._known
         self._watch_battery(snapshot, status)
         raised, cleared = self._alarms.update(self._situation(snapshot, status))
         for alarm in cleared:
@@ -104,11 +102,6 @@ class AlarmWatch:
         if raised and snapshot.phase.in_control and snapshot.time_s >= self._sent_s + _TEXT_EVERY_S:
             self._sent_s = snapshot.time_s
             self._send(f"sidelong: {raised[0].text}")
-
-    def _recent_status(self) -> VehicleStatus:
-        if self._known is None or self._clock_s() >= self._known_at_s + _STATUS_EVERY_S:
-            self._known, self._known_at_s = self._status(), self._clock_s()
-        return self._known
 
     def _watch_battery(self, snapshot: Snapshot, status: VehicleStatus) -> None:
         if status.battery_percent is None or snapshot.aircraft is None:

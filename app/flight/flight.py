@@ -41,7 +41,7 @@ from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
-from sidelong.app.link.queries import home_of, is_flying, mode_of, pan_limits_rad, reported_pan_limits_rad
+from sidelong.app.link.queries import home_of, is_flying, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.link.status_texts import StatusText
 from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
 from sidelong.app.planners.registry import planner_by_name
@@ -272,7 +272,8 @@ class Flight:
         )
         shared.callback(changes.stop)
         observers += self._pan_limits(changes)
-        tables = self._wind_tables(loop)
+        kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
+        tables = WindTables(kind, self._controller, winds, loop.put, self._display.note)
         shared.callback(tables.stop)
         observers.append(tables)
 
@@ -381,19 +382,14 @@ class Flight:
         planner, configured_deg = self._controller.planning.planner, self._config.aircraft.pan_limit_deg
         if not (isinstance(planner, PanLimitPlanner) and planner.plans_pan_limits):
             return []
-        if self._payload is None:
-            self._begin(self._request_pan_limits())
-        return [PanLimitInput(configured_deg, self._reported_pan_limits_rad, changes, self._display.note)]
+        vehicle, payload = self._vehicle, self._payload
+        if payload is None:
+            self._begin(request_pan_limits(vehicle))
 
-    def _reported_pan_limits_rad(self) -> tuple[float, float] | None:
-        return reported_pan_limits_rad(self._vehicle) if self._payload is None else self._payload.pan_limits_rad
+        def reported_rad() -> tuple[float, float] | None:
+            return reported_pan_limits_rad(vehicle) if payload is None else payload.pan_limits_rad
 
-    async def _request_pan_limits(self) -> None:
-        await pan_limits_rad(self._vehicle)
-
-    def _wind_tables(self, loop: ControlLoop) -> WindTables:
-        kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
-        return WindTables(kind, self._controller, winds, loop.put, self._display.note)
+        return [PanLimitInput(configured_deg, reported_rad, changes, self._display.note)]
 
     def _alarm_watch(self, loop: ControlLoop) -> AlarmWatch:
         def send(text: str) -> None:
@@ -511,7 +507,6 @@ class Flight:
 
     def summary(self, outcome: str, truth: Truth | None) -> Summary:
         """Return the summary, judged by the truth where that is known."""
-        tracker = self._controller.tracker
         begin, end = self._battery_percent, self._status().battery_percent
         judged = summarise(
             self._collector,
@@ -519,8 +514,7 @@ class Flight:
             truth=truth,
             plane=self._telemetry.plane,
             start_s=self._start_s,
-            sightings=tracker.sightings,
-            rejected=tracker.rejected,
+            tracker=self._controller.tracker,
             outcome=outcome,
         )
         return judged if begin is None or end is None else replace(judged, battery_percent=(begin, end))

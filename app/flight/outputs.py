@@ -27,9 +27,11 @@ def check_hosts(sharing: SharingSection) -> None:
             Address.read(text, ("udp", "tcp", "tls")).resolved(name)
 
 
-def check_certificates(sharing: SharingSection) -> None:
-    """Raise InputError, which names field and file, for certificates or keys that cannot be used."""
-    _tls(sharing)
+def tls_of(sharing: SharingSection) -> ssl.SSLContext | None:
+    """Return how CoT is encrypted, None where it is not. Raises InputError, which names field and file."""
+    if sharing.cot is None or not sharing.cot.startswith("tls:"):
+        return None
+    return tls_context(sharing.cot_certificate_file, sharing.cot_key_file, sharing.cot_authority_file, _COT)
 
 
 def outputs(
@@ -43,7 +45,7 @@ def outputs(
 
     ``latest`` holds the vehicle's latest message of each name; the callback receives the state of the connections.
     target_altitude_m: returns the target's altitude above the sea at a place (east, north). Raises InputError as
-    :func:`check_hosts` and :func:`check_certificates`.
+    :func:`check_hosts` and :func:`tls_of`.
     """
     if sharing.cot is not None:
         address = Address.read(sharing.cot, ("udp", "tcp", "tls"))
@@ -51,7 +53,7 @@ def outputs(
         if address.scheme == "udp":
             sender = DatagramSender(address, _COT)
         else:
-            sender = StreamSender(address, _tls(sharing), sharing.cot_server_name, announce)
+            sender = StreamSender(address, tls_of(sharing), sharing.cot_server_name, announce)
         names = CotNames(
             sharing.cot_type,
             sharing.cot_callsign,
@@ -101,9 +103,3 @@ def height_above_ellipsoid_m(latest: Mapping[str, Message]) -> float | None:
         return None
     geoid_mm = gps.fields["alt_ellipsoid"] - gps.fields["alt"]
     return float(position.fields["alt"] + geoid_mm) * 1e-3
-
-
-def _tls(sharing: SharingSection) -> ssl.SSLContext | None:
-    if sharing.cot is None or not sharing.cot.startswith("tls:"):
-        return None
-    return tls_context(sharing.cot_certificate_file, sharing.cot_key_file, sharing.cot_authority_file, _COT)

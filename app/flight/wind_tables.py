@@ -7,6 +7,7 @@ event when it is ready, so a replay of the journal uses the table from the same 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from sidelong.app.flight.one_task import OneTask
@@ -37,7 +38,7 @@ class WindTables:
         self._kind, self._controller, self._put, self._note = kind, controller, put, note
         self._ready_m_s = [0.0, *winds_m_s]
         self._airspeed_m_s = controller.settings.aircraft.airspeed_m_s
-        self._mean_m_s: float | None = None
+        self._mean_m_s = math.nan
         self._since_s = self._latest_s = 0.0
         self._prepared = 0
         self._making = OneTask()
@@ -47,7 +48,7 @@ class WindTables:
         if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
             return
         wind_m_s, now_s = snapshot.wind.speed_m_s, snapshot.time_s
-        if self._mean_m_s is None:
+        if math.isnan(self._mean_m_s):
             self._mean_m_s, self._since_s, self._latest_s = wind_m_s, now_s, now_s
         share = min((now_s - self._latest_s) / _AVERAGED_OVER_S, 1.0)
         self._mean_m_s += share * (wind_m_s - self._mean_m_s)
@@ -55,19 +56,15 @@ class WindTables:
         if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == _AT_MOST or self._making.is_running:
             return
         step_m_s = _STEP * self._airspeed_m_s
-        nearest_m_s = min(self._ready_m_s, key=lambda one: abs(one - self._mean))
-        if abs(nearest_m_s - self._mean) > 0.75 * step_m_s:
+        nearest_m_s = min(self._ready_m_s, key=lambda one: abs(one - self._mean_m_s))
+        if abs(nearest_m_s - self._mean_m_s) > 0.75 * step_m_s:
             self._prepared += 1
-            speed_m_s = round(round(self._mean / step_m_s) * step_m_s, 2)
+            speed_m_s = round(round(self._mean_m_s / step_m_s) * step_m_s, 2)
             self._making.begin(lambda: self._make(speed_m_s))
 
     def stop(self) -> None:
         """Give up what is under way."""
         self._making.stop()
-
-    @property
-    def _mean(self) -> float:
-        return self._mean_m_s or 0.0
 
     async def _make(self, speed_m_s: float) -> None:
         settings, made_for = self._controller.settings, None

@@ -48,18 +48,14 @@ async def release_of(vehicle: Vehicle) -> Release | None:
     return None if message is None else release_in(message.fields)
 
 
-async def pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
-    """Return the gimbal's least and greatest yaw off the nose, as its gimbal manager reports it.
-
-    None if there is no limit or none is reported.
-    """
+async def request_pan_limits(vehicle: Vehicle) -> None:
+    """Request how far the gimbal turns off the nose, unless its gimbal manager has reported that."""
     # Any component may be the manager: https://mavlink.io/en/services/gimbal_v2.html#discovery-of-gimbal-manager
     await _requested(vehicle, _GIMBAL_MANAGER_INFORMATION, _GIMBAL_MANAGER_INFORMATION_ID, target_component=0)
-    return reported_pan_limits_rad(vehicle)
 
 
 def reported_pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
-    """Return the same as far as the vehicle has reported it, without a request."""
+    """Return the gimbal's least and greatest yaw off the nose; None if there is no limit or none was reported."""
     message = vehicle.latest.get(_GIMBAL_MANAGER_INFORMATION)
     if message is None or int(message.fields["cap_flags"]) & _INFINITE_YAW:
         return None

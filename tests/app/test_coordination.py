@@ -147,7 +147,7 @@ def test_of_two_that_report_another_utc_none_is_accepted(pair, monkeypatch, ahea
     coordination, _, _, _, noted, _ = pair
     wall = Wall(coordination, monkeypatch)
     wall.pass_by(10, {"a": 40.0, "b": 40.0 + ahead_s}, round_trip_s, rate)  # this computer's own clock may be wrong
-    apart_s = coordination.offset_s("a") - coordination.offset_s("b") - 490.0
+    apart_s = coordination.coordinator.offset_s("a") - coordination.coordinator.offset_s("b") - 490.0
     if not is_rejected:
         assert noted == []
         assert apart_s == pytest.approx(-ahead_s, abs=0.01)
@@ -185,7 +185,9 @@ def test_utc_that_comes_late_does_not_move_mission_time(pair, monkeypatch):
         if second > 3:
             assert coordination.now_s == pytest.approx(UTC_S + wall.now_s, abs=0.1)  # the clock of this computer
     assert noted == []
-    assert coordination.offset_s("a") - coordination.offset_s("b") == pytest.approx(490.0, abs=0.05)
+    assert coordination.coordinator.offset_s("a") - coordination.coordinator.offset_s("b") == pytest.approx(
+        490.0, abs=0.05
+    )
 
 
 def test_without_either_the_positions_report_the_clock_by_their_arrival(monkeypatch):

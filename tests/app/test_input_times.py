@@ -31,8 +31,9 @@ class Summarised(FaultedFlight):
         self.fly()
         end = self.controller.snapshot()
         start_s = end.time_s + end.position_age_s - DURATION_S
+        tracker = self.controller.tracker
         return summarise(
-            self.collector, end, truth=None, plane=None, start_s=start_s, sightings=0, rejected=0, outcome="completed"
+            self.collector, end, truth=None, plane=None, start_s=start_s, tracker=tracker, outcome="completed"
         )
 
 

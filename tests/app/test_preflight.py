@@ -1,6 +1,5 @@
 """What stands in the way of a mission, by the autopilots' parameters and their own words."""
 
-import asyncio
 import math
 
 import pytest
@@ -13,7 +12,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
 from sidelong.app.link.modes import RECOVERY_MODES
-from sidelong.app.link.queries import pan_limits_rad
+from sidelong.app.link.queries import reported_pan_limits_rad
 from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest
@@ -150,7 +149,7 @@ def test_an_aircraft_on_its_way_home_is_not_taken_over_silently(vehicle, allowed
     ],
 )
 def test_pan_limits_are_reported_with_the_share_of_a_lap_that_they_cost(fields, words):
-    limits_rad = asyncio.run(pan_limits_rad(Silent(GIMBAL_MANAGER_INFORMATION=fields)))
+    limits_rad = reported_pan_limits_rad(Silent(GIMBAL_MANAGER_INFORMATION=fields))
     assert (words is None) == (pan_words(limits_rad) == [])
     for line in pan_words(limits_rad):
         assert words in line
