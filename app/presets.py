@@ -80,40 +80,26 @@ class PayloadPreset:
         return found
 
 
+_SIYI, _GREMSY = "udp://192.168.144.25:37260", "udp://192.168.55.1:14566"
+_SERIAL = "serial:///dev/ttyUSB0:115200"
+_LASERLESS = "no laser: range from flat ground, or from elevation data (terrain.folder)"
+_ARDUPILOT_MOUNT = "ArduPilot AP_Mount"
+
 PAYLOAD_PRESETS = {
-    "siyi-zt30": PayloadPreset(
-        "SIYI ZT30, four sensors with laser", "siyi", "udp://192.168.144.25:37260", "SIYI's manuals"
-    ),
-    "siyi-zt6": PayloadPreset(
-        "SIYI ZT6, no laser: range from flat ground, or from elevation data (terrain.folder)",
-        "siyi",
-        "udp://192.168.144.25:37260",
-        "SIYI's manuals",
-        has_laser=False,
-    ),
+    "siyi-zt30": PayloadPreset("SIYI ZT30, four sensors with laser", "siyi", _SIYI, "SIYI's manuals"),
+    "siyi-zt6": PayloadPreset(f"SIYI ZT6, {_LASERLESS}", "siyi", _SIYI, "SIYI's manuals", has_laser=False),
     "siyi-a8-mini": PayloadPreset(
-        "SIYI A8 mini, no laser: range from flat ground, or from elevation data (terrain.folder)",
-        "siyi",
-        "udp://192.168.144.25:37260",
-        "A8 mini manual v1.5",
-        135.0,
-        has_laser=False,
+        f"SIYI A8 mini, {_LASERLESS}", "siyi", _SIYI, "A8 mini manual v1.5", 135.0, has_laser=False
     ),
     "viewpro-tcp": PayloadPreset(
         "Viewpro with a laser, by Ethernet", "viewpro", "tcp://192.168.2.119:2000", "Viewpro's TCP control document"
     ),
     "viewpro-serial": PayloadPreset(
-        "Viewpro with a laser, by a serial line",
-        "viewpro",
-        "serial:///dev/ttyUSB0:115200",
-        "ArduPilot AP_Mount_Viewpro",
+        "Viewpro with a laser, by a serial line", "viewpro", _SERIAL, f"{_ARDUPILOT_MOUNT}_Viewpro"
     ),
     "topotek-serial": PayloadPreset(
-        "Topotek with a laser, by a serial line",
-        "topotek",
-        "serial:///dev/ttyUSB0:115200",
-        "ArduPilot AP_Mount_Topotek",
+        "Topotek with a laser, by a serial line", "topotek", _SERIAL, f"{_ARDUPILOT_MOUNT}_Topotek"
     ),
-    "gremsy-vio": PayloadPreset("Gremsy VIO, laser", "gremsy", "udp://192.168.55.1:14566", "Gremsy PayloadSdk"),
-    "gremsy-orus-l": PayloadPreset("Gremsy Orus-L, laser", "gremsy", "udp://192.168.55.1:14566", "Gremsy PayloadSdk"),
+    "gremsy-vio": PayloadPreset("Gremsy VIO, laser", "gremsy", _GREMSY, "Gremsy PayloadSdk"),
+    "gremsy-orus-l": PayloadPreset("Gremsy Orus-L, laser", "gremsy", _GREMSY, "Gremsy PayloadSdk"),
 }

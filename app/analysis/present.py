@@ -96,13 +96,7 @@ class WatchShares:
         self._controlled = in_control
 
     def note(self, time_s: float, watch: Watch, *, in_control: bool) -> None:
-        """Take the watch of now.
-
-        Args:
-            time_s: Present time, s.
-            watch: How the target is watched; it counts until the next one, unknown for more than ``GAP_MAX_S``.
-            in_control: Whether sidelong controls the aircraft.
-        """
+        """Take the watch of now; it counts until the next one, as unknown for what is beyond ``GAP_MAX_S``."""
         if in_control and not self._controlled:
             self._begin(in_control=True)
         if self._last is None and not watch.in_band:

@@ -71,7 +71,7 @@ def _held(course_rad: FloatArray, known: npt.NDArray[np.bool_]) -> FloatArray:
 
 
 class TargetCourse:
-    """Both courses of a target whose estimates arrive one by one.
+    """Both courses of a target whose estimates arrive one by one; at horizon_s 0 both are the present one.
 
     Attributes:
         made_good_rad: the course made good, None until the target has moved.
@@ -89,23 +89,11 @@ class TargetCourse:
         self._hold = CourseHold()
 
     def take(self, time_s: float, velocity_m_s: Pair, horizon_s: float) -> None:
-        """Take the target's velocity at a time.
-
-        Args:
-            time_s: not before the last one.
-            velocity_m_s: (east, north).
-            horizon_s: time over which the course made good is taken; at 0 it is the present course.
-        """
+        """Take the target's velocity, east and north, at a time not before the last one."""
         self._take_place(time_s, self._expected_m(time_s, velocity_m_s), velocity_m_s, horizon_s)
 
     def take_estimate(self, time_s: float, estimate: TargetEstimate, horizon_s: float) -> None:
-        """Take the estimate at a time.
-
-        Args:
-            time_s: not before the last one.
-            estimate: the newest one.
-            horizon_s: time over which the course made good is taken; at 0 it is the present course.
-        """
+        """Take the newest estimate at a time not before the last one."""
         place_m = estimate.position_m(time_s)
         velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         if time_s - estimate.last_sighting_s <= _SEEN_S:

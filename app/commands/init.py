@@ -117,12 +117,7 @@ def _check_preset(preset: str | None, fleet: int | None) -> None:
 
 
 def config_text(preset: str | None = None, fleet: int | None = None) -> str:
-    """Return the file's text.
-
-    Args:
-        preset: names of presets, separated by commas; None: only defaults.
-        fleet: number of aircraft; None: the file is of one aircraft.
-    """
+    """Return the file's text with presets, named with commas between them; fleet: number of aircraft, None: one."""
     presets = {name: (PRESETS | PAYLOAD_PRESETS)[name] for name in (preset.split(",") if preset is not None else ())}
     return "\n".join(_lines(presets, fleet)) + "\n"
 

@@ -19,6 +19,7 @@ _UTC_VALID_S = 10.0
 _UTC_AWAITED_S = 3.0  # at the beginning, before the answers to TIMESYNC are used
 _ASKED_MAX_S = 10.0
 _RATE_OVER_S, _RATE_OFF_MAX = 4.0, 0.2  # of the vehicle's clock; a clock that is set once passes for a while only
+_WRAP_S = 2**32 * 1e-3  # time_boot_ms has 32 bits
 _AGREES_S = 0.25  # in addition to half a round trip: the delay of a busy computer
 
 
@@ -155,6 +156,3 @@ class VehicleClockReader:
         """Return a stamp of milliseconds in 32 bits on the vehicle's clock, which does not wrap around."""
         now_s = self._now_s()
         return stamp_s if not math.isfinite(now_s) else stamp_s + _WRAP_S * round((now_s - stamp_s) / _WRAP_S)
-
-
-_WRAP_S = 2**32 * 1e-3

@@ -17,6 +17,11 @@ _FLAGS_AT, _SEQUENCE_AT = 2, 4
 FRAME_MIN_BYTES = 8  # MAVLink 1, without a payload
 
 
+def message_ids(names: str) -> frozenset[int]:
+    """Return the numbers of messages by their names, which are separated by spaces."""
+    return frozenset(getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in names.split())
+
+
 class Frame:
     """One whole MAVLink frame whose checksum is right, ``data`` being all its bytes."""
 

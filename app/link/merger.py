@@ -24,23 +24,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
-from sidelong.app.link.frames import Frame
+from sidelong.app.link.frames import Frame, message_ids
 from sidelong.app.link.quality import Measured
 
 AUTOPILOT_COMPONENT = 1
-_ANSWERS = frozenset(
-    {
-        dialect.MAVLINK_MSG_ID_COMMAND_ACK,
-        dialect.MAVLINK_MSG_ID_PARAM_VALUE,
-        dialect.MAVLINK_MSG_ID_MISSION_ITEM,
-        dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-        dialect.MAVLINK_MSG_ID_MISSION_REQUEST,
-        dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
-        dialect.MAVLINK_MSG_ID_MISSION_COUNT,
-        dialect.MAVLINK_MSG_ID_MISSION_ACK,
-        dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-        dialect.MAVLINK_MSG_ID_STATUSTEXT,
-    }
+_ANSWERS = message_ids(
+    "COMMAND_ACK PARAM_VALUE MISSION_ITEM MISSION_ITEM_INT MISSION_REQUEST MISSION_REQUEST_INT MISSION_COUNT "
+    "MISSION_ACK AUTOPILOT_VERSION STATUSTEXT"
 )
 _SILENT_S, _SPARSE_SILENT_S, _SPARSE_BYTES_S = 1.0, 3.5, 200.0
 _FRESH_S = 0.5

@@ -21,7 +21,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.errors import InputError
-from sidelong.app.link.frames import Frame, FrameSplitter
+from sidelong.app.link.frames import Frame, FrameSplitter, message_ids
 from sidelong.app.link.key_file import KeyInUse, key_in_use
 from sidelong.app.link.merger import AUTOPILOT_COMPONENT, LinkMerger
 from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
@@ -33,43 +33,17 @@ _ASK_DELAY_S = 1.0
 _WATCH_S = 0.1
 _BACK_AFTER_S = 3.0  # after this silence, message rates are requested again on a link that returns
 _SPLITTERS_MAX = 64
-_HEARTBEAT, _COMMAND_LONG, _TIMESYNC = (
-    dialect.MAVLINK_MSG_ID_HEARTBEAT,
-    dialect.MAVLINK_MSG_ID_COMMAND_LONG,
-    dialect.MAVLINK_MSG_ID_TIMESYNC,
-)
+_COMMAND_LONG, _TIMESYNC = dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_TIMESYNC
+_ON_EVERY_LINK = message_ids("HEARTBEAT TIMESYNC")
 _SET_MESSAGE_INTERVAL = (511).to_bytes(2, "little")
-_MAY_WAIT = frozenset(
-    {
-        dialect.MAVLINK_MSG_ID_ATTITUDE,
-        dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        dialect.MAVLINK_MSG_ID_MISSION_CURRENT,
-        dialect.MAVLINK_MSG_ID_CURRENT_MODE,
-        dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR,
-        dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
-    }
+_MAY_WAIT = message_ids(
+    "ATTITUDE GLOBAL_POSITION_INT MISSION_CURRENT CURRENT_MODE DISTANCE_SENSOR GIMBAL_DEVICE_ATTITUDE_STATUS"
 )
 _WAIT_S, _WAITING_MAX = 0.05, 8  # frames; a fast simulation fills it sooner
-UNREAD = frozenset(
-    {
-        dialect.MAVLINK_MSG_ID_RAW_IMU,
-        dialect.MAVLINK_MSG_ID_SCALED_PRESSURE,
-        dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-        dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-        dialect.MAVLINK_MSG_ID_VFR_HUD,
-        dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET,
-        dialect.MAVLINK_MSG_ID_HIGHRES_IMU,
-        dialect.MAVLINK_MSG_ID_SCALED_IMU2,
-        dialect.MAVLINK_MSG_ID_POWER_STATUS,
-        dialect.MAVLINK_MSG_ID_SCALED_IMU3,
-        dialect.MAVLINK_MSG_ID_SCALED_PRESSURE2,
-        dialect.MAVLINK_MSG_ID_ALTITUDE,
-        dialect.MAVLINK_MSG_ID_AHRS,
-        dialect.MAVLINK_MSG_ID_VIBRATION,
-        dialect.MAVLINK_MSG_ID_ODOMETRY,
-    }
+UNREAD = message_ids(
+    "RAW_IMU SCALED_PRESSURE ATTITUDE_QUATERNION LOCAL_POSITION_NED SERVO_OUTPUT_RAW NAV_CONTROLLER_OUTPUT VFR_HUD "
+    "ATTITUDE_TARGET HIGHRES_IMU SCALED_IMU2 POWER_STATUS SCALED_IMU3 SCALED_PRESSURE2 ALTITUDE AHRS VIBRATION "
+    "ODOMETRY"
 )
 """What autopilots send unasked and nothing here reads: it is recorded and not passed on."""
 
@@ -185,7 +159,7 @@ class RawLinks:
             rate = frame.message_id == _COMMAND_LONG and frame.payload[28:30] == _SET_MESSAGE_INTERVAL
             if rate:
                 self._rates[frame.payload[:4]] = frame  # param1: which message
-            everywhere = rate or frame.message_id in (_HEARTBEAT, _TIMESYNC)
+            everywhere = rate or frame.message_id in _ON_EVERY_LINK
             for index in range(len(self._links)) if everywhere else (self._merger.in_use,):
                 self._send_on(index, frame)
 

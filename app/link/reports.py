@@ -39,14 +39,7 @@ _NUMBERS: dict[str, tuple[Any, ...]] = {
     "COMMAND_ACK": (CommandAcknowledged, "command", "result"),
     "POSITION_TARGET_GLOBAL_INT": (PositionTargetReported, "lat_int", "lon_int"),
 }
-_ANSWERS = {
-    "MISSION_COUNT",
-    "MISSION_REQUEST",
-    "MISSION_REQUEST_INT",
-    "MISSION_ITEM_INT",
-    "MISSION_ACK",
-    "COMMAND_ACK",
-}
+_UNASKED = {"MISSION_CURRENT", "POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_STATUS", "CURRENT_MODE"}
 
 
 class VehicleReports:
@@ -68,7 +61,7 @@ class VehicleReports:
         decoder = self._decoders.get(message.name)
         if decoder is None or message.component_id != AUTOPILOT_COMPONENT or time_s == -math.inf:
             return None
-        if message.name in _ANSWERS and not self._vehicle.is_for_us(message):
+        if message.name not in _UNASKED and not self._vehicle.is_for_us(message):
             return None
         if message.fields.get("mission_type", MISSION) != MISSION:
             return None

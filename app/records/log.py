@@ -73,16 +73,17 @@ def open_log(path: Path) -> Log:
             opening = file.read(len(ULOG_MAGIC))
         if not opening:
             raise InputError(f"{path} is empty.")
+        tlog, ulog, dataflash = (Log(path, *of_kind) for of_kind in _KINDS)
         if opening == ULOG_MAGIC:
-            return _ulog(path)
+            return ulog
         if opening.startswith(DATAFLASH_MAGIC):
-            return _dataflash(path)
+            return dataflash
         if is_tlog(path):
-            return _tlog(path)
+            return tlog
         if opening.startswith(_COMPRESSED):
             raise InputError(f"{path} is compressed; decompress it first.")
         # The first bytes may be damaged.
-        for log in (_ulog(path), _dataflash(path)):
+        for log in (ulog, dataflash):
             if log.contents():
                 return log
     except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
@@ -94,21 +95,6 @@ def _unreadable(path: Path, error: OSError | ValueError) -> InputError:
     return InputError(f"{path} cannot be read: {getattr(error, 'strerror', error)}.")
 
 
-def _tlog(path: Path) -> Log:
-    names = ("DISTANCE_SENSOR", "RANGEFINDER"), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
-    return Log(path, "tlog", *names, read_tlog, tlog_contents)
-
-
-def _ulog(path: Path) -> Log:
-    names = ("distance_sensor",), ("gimbal_device_attitude_status",)
-    return Log(path, "ULog", *names, _translated(Px4Messages, read_ulog), ulog_contents)
-
-
-def _dataflash(path: Path) -> Log:
-    names = ("RFND", "MNT.Dist"), ("MNT",)
-    return Log(path, "DataFlash log", *names, _translated(ArdupilotMessages, read_dataflash), dataflash_contents)
-
-
 def _translated(
     translator: Callable[[], Translator], entries: Callable[[Path, Collection[str], Progress], Iterator[Entry]]
 ) -> MessageReader:
@@ -118,3 +104,13 @@ def _translated(
         return (message for message in every if message.name in wanted)
 
     return messages
+
+
+_TLOG_NAMES = ("DISTANCE_SENSOR", "RANGEFINDER"), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
+_ULOG_NAMES = ("distance_sensor",), ("gimbal_device_attitude_status",)
+_DATAFLASH_NAMES = ("RFND", "MNT.Dist"), ("MNT",)
+_KINDS = (
+    ("tlog", *_TLOG_NAMES, read_tlog, tlog_contents),
+    ("ULog", *_ULOG_NAMES, _translated(Px4Messages, read_ulog), ulog_contents),
+    ("DataFlash log", *_DATAFLASH_NAMES, _translated(ArdupilotMessages, read_dataflash), dataflash_contents),
+)

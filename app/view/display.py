@@ -38,12 +38,8 @@ View = TypeVar("View", bound="ViewDisplay")
 class ShownAircraft:
     """A ``FlightDisplay`` of one aircraft around another, which shows it on the page too.
 
-    Attributes:
-        name: In a fleet; '' where there is one aircraft only.
-        encoder: Turns its snapshots into states.
-        snapshot: The latest one.
-        start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
-        vehicle: Its status as received last.
+    name: in a fleet; '' where there is one aircraft only. start_s: when watching began, on the clock of its
+    vehicle; None: not taken over yet, and times mean nothing.
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str = "") -> None:

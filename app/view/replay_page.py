@@ -29,7 +29,7 @@ def serve_replay(
     """Serve until Ctrl-C, or until the page's process ends. The callback receives the page's address."""
     player = Player(frames, speed, time.monotonic, what_if)
     feed, url, _ = start_page(address, replay=True)
-    has_ground = config.terrain.folder is not None and frames.plane is not None
+    has_ground = config.terrain.folder is not None
     shading = Shading(config, frames.plane) if has_ground and frames.plane is not None else None
     setting_sent = False
     announce(f"replay: {url} (Ctrl-C ends it)")
@@ -42,10 +42,8 @@ def serve_replay(
                     update = player.update()
                     new_shade = shading is not None and shading.is_new()
                     if not setting_sent or new_shade:
-                        base = setting(config, frames.plane, name, routes=frames.routes.values()) | {
-                            "replay": player.setting
-                        }
-                        update["setting"] = base | under_flight(address, shading)
+                        base = setting(config, frames.plane, name, routes=frames.routes.values())
+                        update["setting"] = base | {"replay": player.setting} | under_flight(address, shading)
                         setting_sent = True
                     if new_shade and shading is not None:
                         update["shade"] = str(shading.file)
