@@ -11,14 +11,10 @@ _STAGES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}  # FIRMWARE_VERSION_TY
 
 @dataclass(frozen=True, slots=True, order=True)
 class Release:
-    """A firmware release.
+    """A firmware release: its three numbers, then what releases are compared without.
 
-    Attributes:
-        major: First number.
-        minor: Second number.
-        patch: Third number.
-        stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
-        commit: First digits of the source's commit, "" where it is not reported. Releases are compared without it.
+    stage: dev, alpha, beta or rc; "" for an official release. commit: first digits of the source's commit, ""
+    where it is not reported.
     """
 
     major: int

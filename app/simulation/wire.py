@@ -44,12 +44,7 @@ class Decoder:
         self._parser.robust_parsing = True
 
     def messages(self, frame: bytes, received_s: float) -> Iterator[Message]:
-        """Yield the messages of a frame.
-
-        Args:
-            frame: whole, as it was sent.
-            received_s: when it arrived, by the link's clock.
-        """
+        """Yield the messages of a whole frame, as it was sent; received_s: when it arrived, by the link's clock."""
         for got in self._parser.parse_buffer(frame) or ():
             name = got.get_type()
             fields = {field: getattr(got, field) for field in got.get_fieldnames()}

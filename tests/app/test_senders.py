@@ -7,7 +7,7 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sidelong.app.link.senders import SenderCheck
+from sidelong.app.flight.session import SenderCheck
 from tests.messages import Sender, heartbeat, position
 
 
