@@ -8,10 +8,6 @@ from typing import SupportsFloat
 def convert_to_floats(instance: object, *names: str) -> None:
     """Replace whole numbers and NumPy scalars in a frozen dataclass by floats: compiled code accepts floats only.
 
-    Args:
-        instance: The dataclass instance, from its ``__post_init__``.
-        names: Its fields that hold a number.
-
     Raises:
         TypeError: A field holds something else; the message names it.
     """

@@ -21,11 +21,7 @@ class SourceChoice:
     orientation: int | None = None
 
     def matches(self, source: Source) -> bool:
-        """Return whether a source matches the selection; None matches any.
-
-        Args:
-            source: Message and component of a reading.
-        """
+        """Return whether a source matches the selection; None matches any."""
         return all(
             wanted is None or wanted == found
             for wanted, found in (

@@ -75,11 +75,7 @@ class Biases:
 
     @staticmethod
     def prior(settings: TrackerSettings) -> Biases:
-        """Return the errors before the first measurement: zero, with the configured standard deviations.
-
-        Args:
-            settings: Settings of the tracker.
-        """
+        """Return the errors before the first measurement: zero, with the configured standard deviations."""
         return Biases(np.zeros(3), np.diag(np.square(prior_sigmas(settings))))
 
     @property
@@ -90,9 +86,6 @@ class Biases:
 
 def prior_sigmas(settings: TrackerSettings) -> tuple[float, float, float]:
     """Return the standard deviations of the payload's errors before the first measurement.
-
-    Args:
-        settings: Settings of the tracker.
 
     Returns:
         Yaw error, rad; pitch error, rad; range error, m (1 sigma).

@@ -178,11 +178,7 @@ class TargetImm:
         return Biases(mean[TARGET:], covariance[TARGET:, TARGET:])
 
     def without_errors(self, sightings: Iterable[AnySighting]) -> list[AnySighting]:
-        """Return sightings without the payload's errors.
-
-        Args:
-            sightings: The sightings.
-        """
+        """Return sightings without the payload's errors."""
         biases = self.biases()
         return [one.without(*biases.mean[_errors_in(biases, one)].tolist()) for one in sightings]
 
@@ -272,11 +268,7 @@ def starting_moments(
 
 
 def seen(sighting: AnySighting) -> Seen:
-    """Return a sighting in the form of the compiled functions.
-
-    Args:
-        sighting: The sighting.
-    """
+    """Return a sighting in the form of the compiled functions."""
     if isinstance(sighting, Fix):
         return Seen(True, sighting.east_m, sighting.north_m, 0.0, *sighting.variances, 0.0, 0.0, 0.0)
     return Seen(

@@ -33,11 +33,7 @@ class LineOfSight:
 
 
 def ned_from_body(attitude: AttitudeReading) -> Quaternion:
-    """Return the aircraft's attitude as a rotation from body (forward, right, down) to north-east-down.
-
-    Args:
-        attitude: Roll, pitch and yaw of the aircraft.
-    """
+    """Return the aircraft's attitude as a rotation from body (forward, right, down) to north-east-down."""
     return from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
 
 

@@ -38,9 +38,6 @@ class History(Generic[T]):
     def add(self, item: T) -> bool:
         """Store a reading.
 
-        Args:
-            item: The reading.
-
         Returns:
             False for a duplicate.
         """
@@ -99,11 +96,7 @@ class PoseHistory:
         self.attitudes: History[AttitudeReading] = History(self._SPAN_S)
 
     def add(self, reading: PositionReading | AttitudeReading) -> None:
-        """Store a reading; late ones are inserted in the order of their times.
-
-        Args:
-            reading: Position or attitude of the aircraft.
-        """
+        """Store a reading; late ones are inserted in the order of their times."""
         if isinstance(reading, PositionReading):
             self.positions.add(reading)
         else:

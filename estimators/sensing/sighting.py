@@ -145,9 +145,6 @@ AnySighting = Sighting | Fix
 def measurement_by_biases(sighting: AnySighting) -> FloatArray:
     """Return the derivative of a measurement by the payload's errors.
 
-    Args:
-        sighting: The sighting.
-
     Returns:
         Derivative by the (yaw, pitch, range) errors, (3, 3); read only.
     """

@@ -95,11 +95,7 @@ class DelayFit:
         self._factor = 1.0  # of the ranges, in that
 
     def stand_on(self, ground: Ground) -> None:
-        """Let lines of sight end on a ground.
-
-        Args:
-            ground: The ground.
-        """
+        """Let lines of sight end on a ground."""
         self._on_hills = bool(np.ptp(ground.heights_m))
         # Flat ground is too high or too low as a whole, which is the bias of the ranges.
         self._ground_sigma_m = ground.sigma_m if self._on_hills else 0.0
@@ -125,27 +121,15 @@ class DelayFit:
         self._begin()
 
     def position(self, p: PositionReading) -> None:
-        """Take a position of the aircraft.
-
-        Args:
-            p: The position.
-        """
+        """Take a position of the aircraft."""
         self._positions.add(p.time_s, p.east_m, p.north_m, p.velocity_east_m_s, p.velocity_north_m_s)
 
     def attitude(self, a: AttitudeReading) -> None:
-        """Take an attitude of the aircraft.
-
-        Args:
-            a: The attitude.
-        """
+        """Take an attitude of the aircraft."""
         self._attitudes.add(a.time_s, a.roll_rad, a.pitch_rad, a.yaw_rad)
 
     def gimbal(self, reading: GimbalReading) -> None:
-        """Take a line of sight, with its own stamp.
-
-        Args:
-            reading: The line of sight.
-        """
+        """Take a line of sight, with its own stamp."""
         if reading.frame != self.frame:
             self.frame = reading.frame
             self._gimbals.clear()

@@ -49,22 +49,12 @@ def agreeing(tracks: Mapping[Name, TargetEstimate], trust: Callable[[Name], int]
 
 
 def apart_m(a: TargetEstimate, b: TargetEstimate) -> float:
-    """Return the horizontal distance of two tracks, m.
-
-    Args:
-        a: One track.
-        b: Another track, at the same time.
-    """
+    """Return the horizontal distance of two tracks, m."""
     return float(np.hypot(a.east_m - b.east_m, a.north_m - b.north_m))
 
 
 def squared_distance(a: TargetEstimate, b: TargetEstimate) -> float:
-    """Return the squared Mahalanobis distance of two tracks, treated as independent.
-
-    Args:
-        a: One track.
-        b: Another track, at the same time.
-    """
+    """Return the squared Mahalanobis distance of two tracks, treated as independent."""
     return _squared(a, b, 1e-9 * np.eye(4))
 
 
@@ -74,18 +64,10 @@ def _squared(a: TargetEstimate, b: TargetEstimate, more: np.ndarray) -> float:
 
 
 def spread_m2(track: TargetEstimate) -> float:
-    """Return the sum of the position's variances of a track, m^2.
-
-    Args:
-        track: The track.
-    """
+    """Return the sum of the position's variances of a track, m^2."""
     return float(track.covariance[0, 0] + track.covariance[1, 1])
 
 
 def state_of(track: TargetEstimate) -> np.ndarray:
-    """Return position (east, north), m, and velocity (east, north), m/s, of a track.
-
-    Args:
-        track: The track.
-    """
+    """Return position (east, north), m, and velocity (east, north), m/s, of a track."""
     return np.array([track.east_m, track.north_m, track.velocity_east_m_s, track.velocity_north_m_s])

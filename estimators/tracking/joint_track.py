@@ -150,11 +150,7 @@ class JointTrack:
         return {self._names[payload]: reason for payload, reason in self._refused.items()}
 
     def calibration(self, name: str) -> Calibration:
-        """Return the estimated errors of a payload.
-
-        Args:
-            name: Name of the payload's aircraft.
-        """
+        """Return the estimated errors of a payload."""
         last, _ = self._track.last
         biases = last.biases() if last is not None else prior_of(self._settings, self._clock_sigmas_s)
         first = ERRORS_AND_CLOCK * self._names.index(name)

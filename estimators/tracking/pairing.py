@@ -58,9 +58,6 @@ class Pairing:
     def add_gimbal(self, gimbal: GimbalReading) -> bool:
         """Store a line of sight.
 
-        Args:
-            gimbal: The line of sight.
-
         Returns:
             Whether it is new and its quaternion is a rotation.
         """
@@ -82,21 +79,13 @@ class Pairing:
         return True
 
     def change_gimbals(self, changed: Callable[[GimbalReading], GimbalReading]) -> None:
-        """Change the stored lines of sight.
-
-        Args:
-            changed: Returns what a line of sight becomes.
-        """
+        """Change the stored lines of sight."""
         before, self._gimbals = self._gimbals, History(_SPAN_S)
         for gimbal in before.since(-math.inf):
             self._gimbals.add(changed(gimbal))
 
     def add_range(self, reading: RangeReading) -> None:
-        """Store a range until it can be paired.
-
-        Args:
-            reading: The range.
-        """
+        """Store a range until it can be paired."""
         if self._ranges.add(reading):
             insort(self.waiting, reading, key=_time_s)
             if len(self.waiting) > _WAITING_MAX:

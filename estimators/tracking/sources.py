@@ -37,9 +37,6 @@ Rank = Callable[[Source], int | None]
 def range_rank(source: Source) -> int | None:
     """Return the preference for a source of ranges.
 
-    Args:
-        source: Message and component.
-
     Returns:
         Lower is better; None for a source that cannot be the payload's.
     """
@@ -52,9 +49,6 @@ def range_rank(source: Source) -> int | None:
 
 def sight_rank(source: Source) -> int | None:
     """Return the preference for a source of lines of sight: a target in the image comes before the camera's axis.
-
-    Args:
-        source: Message and component.
 
     Returns:
         Lower is better.

@@ -106,11 +106,7 @@ class Track:
             self.add(sighting)
 
     def stand_on(self, ground: Ground) -> None:
-        """Assume from now on that the target stands on a ground.
-
-        Args:
-            ground: The ground.
-        """
+        """Assume from now on that the target stands on a ground."""
         self._ground = ground
 
     def resume(self, last: TargetImm, last_sighting_s: float, gated_out: list[AnySighting]) -> None:
@@ -131,11 +127,7 @@ class Track:
         return self._filter, self._last_sighting_s
 
     def add(self, sighting: AnySighting) -> SightingOutcome:
-        """Update the track with a sighting, or reject it with a reason.
-
-        Args:
-            sighting: The sighting.
-        """
+        """Update the track with a sighting, or reject it with a reason."""
         settings = self._settings
         if sighting.quality is not None and sighting.quality < settings.quality_min:
             reason = f"signal quality {sighting.quality:.2f} is below {settings.quality_min:.2f}"

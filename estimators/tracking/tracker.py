@@ -99,9 +99,6 @@ class Tracker:
     def add(self, reading: Reading) -> tuple[SightingOutcome, ...]:
         """Process a reading.
 
-        Args:
-            reading: A position, attitude, range, line of sight or position fix.
-
         Returns:
             The outcome of each sighting that the reading completed.
         """
@@ -218,11 +215,7 @@ class Tracker:
             self._delay_fit.gimbal(reading)
 
     def corrected(self, reading: GimbalReading) -> GimbalReading:
-        """Return a line of sight in the configured frame, if any, and without the large yaw error, if one is known.
-
-        Args:
-            reading: The line of sight.
-        """
+        """Return a line of sight in the configured frame, if any, without the large yaw error, if one is known."""
         frame = self._settings.gimbal_frame
         if frame is not None and reading.frame != frame:
             reading = replace(reading, frame=frame)
@@ -240,9 +233,6 @@ class Tracker:
         """Correct the yaw by a large error that was found in the lines of sight as they are used now.
 
         The errors and delays that were found before are forgotten, unless they hold the error already.
-
-        Args:
-            yaw_error_rad: The error.
 
         Returns:
             Whether the lines of sight change.
@@ -272,11 +262,7 @@ class Tracker:
         self._track.restart(biases, self._pairing.repeated(now_s - _REPEATED_S))
 
     def without_found(self, sighting: AnySighting) -> AnySighting:
-        """Return a sighting without the errors that were found, for a filter that does not know them.
-
-        Args:
-            sighting: The sighting.
-        """
+        """Return a sighting without the errors that were found, for a filter that does not know them."""
         return sighting.without(*self._found_errors.mean.tolist())
 
     @property

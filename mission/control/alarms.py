@@ -132,9 +132,6 @@ class Alarms:
     def acknowledge(self, key: str) -> bool:
         """Mark an alarm as seen.
 
-        Args:
-            key: Key of the alarm.
-
         Returns:
             Whether it was active and not seen before.
         """
@@ -167,11 +164,7 @@ class Alarms:
         return None if settled else before
 
     def is_late(self, now: Situation) -> bool:
-        """Return whether the aircraft has had the time to reach band and side.
-
-        Args:
-            now: The situation.
-        """
+        """Return whether the aircraft has had the time to reach band and side."""
         return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
 
 

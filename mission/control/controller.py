@@ -487,9 +487,6 @@ class StandoffController:
     def cleared(self, plan: Plan) -> Plan | str:
         """Check a plan against fences, ground and other aircraft.
 
-        Args:
-            plan: The plan.
-
         Returns:
             The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
         """
@@ -648,11 +645,7 @@ class StandoffController:
         return (Announce(event.time_s, "operator", f"operator: {what}, {when}"),)
 
     def objection(self, change: MissionChange) -> str | None:
-        """Return which fence or ground keeps the present circle from being flown at another height; None: nothing.
-
-        Args:
-            change: The requested change.
-        """
+        """Return which fence or ground keeps the present circle from being flown at another height; None: nothing."""
         if change.height_m is None or self.present is None:
             return None
         circle = replace(self.present, transition=None)

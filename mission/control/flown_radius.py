@@ -62,9 +62,5 @@ class FlownRadius:
         self._circle, self._turned_rad, self._sum_m, self._count, self._last_rad = circle, 0.0, 0.0, 0, None
 
     def commanded(self, wanted: Circle) -> Circle:
-        """Return the circle to command so that the aircraft flies ``wanted``.
-
-        Args:
-            wanted: The required circle.
-        """
+        """Return the circle to command so that the aircraft flies ``wanted``."""
         return Circle(wanted.east_m, wanted.north_m, wanted.radius_m / self.ratio, wanted.clockwise)

@@ -13,10 +13,6 @@ from sidelong.mission.viewpoint.side_policy import watching_from
 def requirement_after(change: MissionChange, requirement: Requirement) -> Requirement:
     """Return the requirement after a change.
 
-    Args:
-        change: The change.
-        requirement: The present requirement.
-
     Raises:
         ValueError: The words for the side are invalid.
     """
@@ -27,23 +23,14 @@ def requirement_after(change: MissionChange, requirement: Requirement) -> Requir
 
 
 def aircraft_after(change: MissionChange, aircraft: Aircraft) -> Aircraft:
-    """Return the aircraft's limits after a change.
-
-    Args:
-        change: The change.
-        aircraft: The present limits.
-    """
+    """Return the aircraft's limits after a change."""
     radius_m = aircraft.radius_m if change.radius_m is None else change.radius_m
     pan_rad = aircraft.pan_limit_rad if change.pan_limit_deg is None else math.radians(change.pan_limit_deg)
     return replace(aircraft, radius_m=radius_m, pan_limit_rad=pan_rad)
 
 
 def describe_change(change: MissionChange) -> str:
-    """Return a change in words.
-
-    Args:
-        change: The change.
-    """
+    """Return a change in words."""
     words = (
         ("radius {:g} m", change.radius_m),
         ("least range {:g} m", change.range_min_m),

@@ -74,11 +74,7 @@ class PlanChanges:
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
     def observe(self, aircraft: AircraftState) -> None:
-        """Update the aircraft's state, unless it is dead reckoned.
-
-        Args:
-            aircraft: State of the aircraft.
-        """
+        """Update the aircraft's state, unless it is dead reckoned."""
         if self._commanded is not None:
             self._flown_radius.observe(aircraft, self._commanded)
 
@@ -201,11 +197,7 @@ class PlanChanges:
     # -- how the present plan is flown ---------------------------------------------------------------------
 
     def is_off_track(self, aircraft: AircraftState) -> bool:
-        """Return whether the aircraft has left its transition for good.
-
-        Args:
-            aircraft: State of the aircraft.
-        """
+        """Return whether the aircraft has left its transition for good."""
         present = self.present
         if present is None or present.transition is None:
             return False

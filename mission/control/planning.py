@@ -41,12 +41,7 @@ class Planning:
         self.planner: Planner = make_planner(aircraft, requirement)
 
     def renew(self, aircraft: Aircraft, requirement: Requirement) -> None:
-        """Rebuild the planner for a new aircraft or requirement.
-
-        Args:
-            aircraft: Limits of the aircraft.
-            requirement: How the target has to be observed.
-        """
+        """Rebuild the planner for a new aircraft or requirement."""
         self._aircraft, self._requirement = aircraft, requirement
         self.planner = self.make_planner(aircraft, requirement)
         if isinstance(self.planner, WindPlanner):
@@ -61,9 +56,6 @@ class Planning:
     def prepare_wind(self, speed_m_s: float) -> bool:
         """Prepare the planner for winds of a speed from tables in memory.
 
-        Args:
-            speed_m_s: Wind speed, m/s.
-
         Returns:
             Whether the planner was not prepared for it before.
         """
@@ -77,9 +69,6 @@ class Planning:
 
     def follow(self, given: RouteGiven) -> str:
         """Expect the target on a route.
-
-        Args:
-            given: The route.
 
         Returns:
             What that means for planning, in words.
@@ -120,11 +109,7 @@ class Planning:
     # -- the fleet -----------------------------------------------------------------------------------------
 
     def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
-        """Pass fleet advice, or a neighbour's plan, to the planner.
-
-        Args:
-            news: Advice of the coordinator, or the plans of another aircraft.
-        """
+        """Pass fleet advice, or a neighbour's plan, to the planner."""
         before = self.target
         if isinstance(news, NeighbourPlanned):
             self._neighbours[news.name] = news
@@ -164,11 +149,7 @@ class Planning:
         return "" if advice is None or time_s - advice.time_s > _ADVICE_S else advice.separation
 
     def watch_from(self, requirement: Requirement) -> None:
-        """Plan for the side that the fleet assigns; a cooperative planner receives the side with the advice.
-
-        Args:
-            requirement: How the target has to be observed.
-        """
+        """Plan for the side that the fleet assigns; a cooperative planner receives the side with the advice."""
         if isinstance(self.planner, CooperativePlanner):
             self._requirement = requirement
         else:

@@ -131,9 +131,6 @@ class Plausibility:
     def admit(self, event: Event) -> Admitted:
         """Check an event.
 
-        Args:
-            event: An event from telemetry, payload, operator or timer.
-
         Returns:
             The checked event, None if it is rejected, and the announcements for the operator.
         """

@@ -62,19 +62,11 @@ class PositionCheck:
         self._drifted_m = 0.0
 
     def allow(self, drifted_m: float) -> None:
-        """Increase the tolerance of the next reading: recent positions may have drifted.
-
-        Args:
-            drifted_m: Possible drift of recent positions, m.
-        """
+        """Increase the tolerance of the next reading: recent positions may have drifted."""
         self._drifted_m = drifted_m
 
     def shift(self, seconds: float) -> None:
-        """Follow a jump of the vehicle's clock.
-
-        Args:
-            seconds: Size of the jump, s.
-        """
+        """Follow a jump of the vehicle's clock."""
         if self.accepted is not None:
             self.accepted = replace(self.accepted, time_s=self.accepted.time_s + seconds)
         self._before = None
@@ -180,11 +172,7 @@ class VelocityCheck:
         self._off = 0
 
     def take(self, reading: PositionReading) -> None:
-        """Process a reading as it was reported.
-
-        Args:
-            reading: The reported position.
-        """
+        """Process a reading as it was reported."""
         since, last, self._last = self._since, self._last, reading
         if since is None or last is None or not 0.0 <= reading.time_s - last.time_s <= SILENT_S:
             self._since, self._flown_m = reading, (0.0, 0.0)
@@ -251,11 +239,7 @@ def _jump(last: PositionReading, reading: PositionReading, jump_m: float) -> str
 
 
 def length(metres: float) -> str:
-    """Return a distance in words.
-
-    Args:
-        metres: The distance, m.
-    """
+    """Return a distance in words."""
     return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:.0f} km"
 
 

@@ -42,13 +42,7 @@ class SensorStatus:
         return replace(self)
 
     def note(self, reading: Reading, outcomes: Iterable[SightingOutcome], tracker: Tracker) -> None:
-        """Process a reading after the tracker.
-
-        Args:
-            reading: The reading.
-            outcomes: What the tracker returned for it.
-            tracker: The tracker.
-        """
+        """Process a reading after the tracker."""
         match reading:
             case PositionReading():
                 self.height_m, self.delays = reading.height_m, tracker.delays

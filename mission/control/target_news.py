@@ -119,11 +119,7 @@ class JumpNews:
         self._restarted = False
 
     def note(self, outcomes: Sequence[SightingOutcome]) -> None:
-        """Process the outcomes of sightings.
-
-        Args:
-            outcomes: What the tracker returned.
-        """
+        """Process the outcomes of sightings."""
         self._restarted |= any(one.reason == RESTARTED for one in outcomes)
 
     def announce(

@@ -35,11 +35,7 @@ class UploadLatency:
         self._expect()
 
     def note_round_trip(self, round_trip_s: float) -> None:
-        """Process a measured round trip of the link.
-
-        Args:
-            round_trip_s: Round-trip time, s.
-        """
+        """Process a measured round trip of the link."""
         self._round_trip_s = round_trip_s
         self._expect()
 

@@ -41,21 +41,13 @@ class Change:
 
 
 def in_words(changes: Iterable[Change]) -> str:
-    """Return the reasons in words, each once, with all the changes of which one is sufficient.
-
-    Args:
-        changes: Possible changes of the configuration.
-    """
+    """Return the reasons in words, each once, with all the changes of which one is sufficient."""
     reasons = groupby(changes, key=lambda change: change.because)
     return "; ".join(f"{because}: {', or '.join(each.remedy for each in those)}" for because, those in reasons)
 
 
 def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...]:
     """Return why no planner can keep the requirement: a circle too tight, a target too fast, a band too narrow.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: How the target has to be observed.
 
     Returns:
         Possible changes; empty if the requirement can be kept.
@@ -98,10 +90,5 @@ def _band_too_narrow(aircraft: Aircraft, requirement: Requirement) -> Iterator[C
 
 
 def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
-    """Return whether the whole circle lies in the range band of a standing target (19).
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: How the target has to be observed.
-    """
+    """Return whether the whole circle lies in the range band of a standing target (19)."""
     return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m

@@ -88,8 +88,4 @@ class CooperativePlanner(Planner, Protocol):
     """A planner that counts on the others."""
 
     def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
-        """Process fleet data; the next decision uses it.
-
-        Args:
-            news: Advice of the coordinator, or the plans of another aircraft.
-        """
+        """Process fleet data; the next decision uses it."""

@@ -147,11 +147,7 @@ class WindPlanner(Planner, Protocol):
     """A planner that knows winds of some speeds better than others."""
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """Use the available tables for winds of this speed from the next decision on.
-
-        Args:
-            wind_speed_m_s: Wind speed, m/s.
-        """
+        """Use the available tables for winds of this speed from the next decision on."""
 
 
 @runtime_checkable

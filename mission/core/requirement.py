@@ -124,12 +124,7 @@ class Aircraft:
 
 
 def widest_radius_m(range_min_m: float, range_max_m: float) -> float:
-    """Return the radius of the widest circle that leaves room to move it within a range band.
-
-    Args:
-        range_min_m: Least range of the band, m.
-        range_max_m: Greatest range of the band, m.
-    """
+    """Return the radius of the widest circle that leaves room to move it within a range band."""
     return _WIDEST_OF_BAND * (range_max_m - range_min_m)
 
 

@@ -102,11 +102,7 @@ class Activation:
         self._outbox.send_mission("MISSION_REQUEST_LIST")
 
     def current(self, seq: int) -> None:
-        """Process a MISSION_CURRENT.
-
-        Args:
-            seq: Number of the current item.
-        """
+        """Process a MISSION_CURRENT."""
         if seq in self.layout:
             self.answer, self.index = Answer.FLOWN, seq
         elif seq in self.before and self._settled:
@@ -115,30 +111,18 @@ class Activation:
                 self.answer = Answer.NOT_TAKEN
 
     def target(self, report: PositionTargetReported) -> None:
-        """Process the reported position target; a new one is evidence of the switch.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process the reported position target; a new one is evidence of the switch."""
         if self._sends and not self._target_was_on_line and self._is_on_line(report):
             self.answer = Answer.FLOWN
 
     def counted(self, report: MissionCountReported) -> None:
-        """Process the answer to the query: later reports are newer than the last request.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process the answer to the query: later reports are newer than the last request."""
         if self.unanswered and not self._settled:
             self._settled = True
             self._outbox.end_reading()
 
     def track(self, aircraft: AircraftState) -> None:
-        """Process the aircraft's position: it is on the new plan, the old one, or neither.
-
-        Args:
-            aircraft: State of the aircraft.
-        """
+        """Process the aircraft's position: it is on the new plan, the old one, or neither."""
         if not self._sends or self.answer is not Answer.OPEN:
             return
         on_plan, off_plan = _flies(aircraft, self._command.plan)

@@ -66,33 +66,16 @@ class AutopilotDialect(Protocol):
     """How long its mission is kept at least, see ``MissionLayout``."""
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
-        """Return the items at the beginning of every mission.
-
-        Args:
-            home: Home position of the vehicle.
-        """
+        """Return the items at the beginning of every mission."""
 
     def tail(self, home: Home) -> tuple[MissionItem, ...]:
-        """Return the items that close every mission without ever being reached.
-
-        Args:
-            home: Home position of the vehicle.
-        """
+        """Return the items that close every mission without ever being reached."""
 
     def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
-        """Return how the autopilot flies along waypoints, for laying them out.
-
-        Args:
-            airspeed_m_s: Airspeed, m/s.
-            wind: Estimate of the wind.
-        """
+        """Return how the autopilot flies along waypoints, for laying them out."""
 
     def stored(self, item: MissionItem) -> MissionItem:
-        """Return the item as this autopilot stores it.
-
-        Args:
-            item: The mission item.
-        """
+        """Return the item as this autopilot stores it."""
 
     def start_mission(self) -> VehicleCommand:
         """Return the command to fly the mission."""
@@ -110,9 +93,6 @@ class AutopilotDialect(Protocol):
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
         """Return the circle that the autopilot reports in ``circle_mode``.
-
-        Args:
-            report: The report of the autopilot.
 
         Returns:
             The circle; radius 0 if it is not reported. None for any other report.

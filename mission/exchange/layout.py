@@ -52,9 +52,6 @@ class MissionLayout:
     def with_line(self, line: Sequence[MissionItem]) -> MissionLayout:
         """Return the mission with the present path in place and another path as the next one.
 
-        Args:
-            line: Items of the next path.
-
         Returns:
             The layout; its first item is the start of the next path.
         """

@@ -32,11 +32,6 @@ _AHEAD_RADII = 4.0
 def leading_circle(plan: Plan, aircraft: AircraftState, bank_max_rad: float) -> Circle | None:
     """Return the circle to command now.
 
-    Args:
-        plan: The plan that is flown.
-        aircraft: State of the aircraft.
-        bank_max_rad: Greatest bank angle, rad.
-
     Returns:
         The circle; None if the plan's own circle is to be flown from now on.
     """

@@ -73,10 +73,5 @@ def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: 
 
 
 def place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
-    """Return where an item lies (east, north), m.
-
-    Args:
-        item: The item.
-        plane: The local plane of the mission.
-    """
+    """Return where an item lies (east, north), m."""
     return plane.east_north_m(item.x * 1e-7, item.y * 1e-7)

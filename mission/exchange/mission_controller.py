@@ -116,9 +116,6 @@ class MissionController:
     def step(self, event: InboundEvent) -> tuple[Output, ...]:
         """Process one event.
 
-        Args:
-            event: The event.
-
         Returns:
             The resulting outputs, in order.
         """

@@ -118,11 +118,7 @@ class MissionItemBackend:
         self._judge_upload()
 
     def adopt(self, round_trip_s: float) -> None:
-        """Begin to read the mission that is flown; the result is in ``adopted``.
-
-        Args:
-            round_trip_s: Round-trip time of the link, s.
-        """
+        """Begin to read the mission that is flown; the result is in ``adopted``."""
         self._read = MissionRead(self._outbox, self._dialect.quirks, self._outbox.link_s + _READ_S, round_trip_s)
 
     @property
@@ -165,10 +161,6 @@ class MissionItemBackend:
 
     def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[MissionItem, ...]:
         """Return the items of a plan as the autopilot stores them.
-
-        Args:
-            plan: The plan.
-            wind: Estimate of the wind.
 
         Raises:
             UnflyableError: No waypoints lead along the plan.

@@ -81,27 +81,15 @@ class MissionOwnership:
             self._audit_s = self._outbox.link_s + _AUDIT_S
 
     def measured(self, round_trip_s: float) -> None:
-        """Process a measured round trip of the link.
-
-        Args:
-            round_trip_s: Round-trip time, s.
-        """
+        """Process a measured round trip of the link."""
         self._reports.round_trip_s = self._contents.round_trip_s = round_trip_s
 
     def adopted(self, report: MissionCurrentReported) -> None:
-        """Accept the mission that is flown as sidelong's own.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Accept the mission that is flown as sidelong's own."""
         self._identity.ours.add((report.total, report.mission_id))
 
     def writing(self, items: int) -> None:
-        """Begin to write a mission.
-
-        Args:
-            items: Number of its items.
-        """
+        """Begin to write a mission."""
         self._identity.writing = items - self._quirks.home_at_zero
 
     def written(self, items: tuple[MissionItem, ...], mission_id: int, accepted: bool) -> None:
@@ -127,11 +115,7 @@ class MissionOwnership:
         self._flown = -1
 
     def is_late(self, report: MissionCurrentReported) -> bool:
-        """Return whether a report is about a mission that the last upload replaced: its numbers mean other items.
-
-        Args:
-            report: What the autopilot reports.
-        """
+        """Return whether a report is about a mission that the last upload replaced: its numbers mean other items."""
         replaced = report.mission_id != self._latest_id and report.mission_id in self.mission_ids
         recent = report.link_s - self._latest_s < _LATE_S
         return replaced and recent and 0 not in (report.mission_id, self._latest_id)
@@ -171,12 +155,7 @@ class MissionOwnership:
                 self._flown = report.seq
 
     def target(self, report: PositionTargetReported, lines: Iterable[MissionLayout | None]) -> None:
-        """Take where the autopilot flies to: the only evidence of its mission's owner, if missions have no identity.
-
-        Args:
-            report: What the autopilot reports.
-            lines: Those that may be flown.
-        """
+        """Take where the autopilot flies to: the only evidence of the owner of a mission without identity."""
         if not self._begun or self._identified:
             return
         items = [item for line in lines if line is not None for item in line.line()]
@@ -189,11 +168,7 @@ class MissionOwnership:
             self._read = None
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process a report of the autopilot."""
         if self._read is not None:
             self._read.receive(report)
             self._judge_read(self._read)

@@ -54,11 +54,7 @@ class MissionRead:
         return math.inf if self.done else min(self._due_s, self._deadline_s)
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process a report of the autopilot."""
         if self.done:
             return
         match report:

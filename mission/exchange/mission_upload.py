@@ -47,11 +47,7 @@ class MissionUpload:
         return self._write.next_timer_s if self._write is not None else math.inf
 
     def adopted(self, items: tuple[MissionItem, ...]) -> None:
-        """Register the items that were read from the vehicle.
-
-        Args:
-            items: All items on board.
-        """
+        """Register the items that were read from the vehicle."""
         self._onboard = items
 
     def begin(self, items: Sequence[MissionItem], bound_s: float, marked: Callable[[], int]) -> None:
@@ -87,11 +83,7 @@ class MissionUpload:
         )
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process a report of the autopilot."""
         if self._write is not None:
             self._write.receive(report)
 

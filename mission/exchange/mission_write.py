@@ -104,11 +104,7 @@ class MissionWrite:
         return self._read.next_timer_s if self._read is not None else min(self._due_s, self._deadline_s)
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process a report of the autopilot."""
         if self.result is not None:
             return
         if self._read is not None and not self._is_wanted_still(report):

@@ -68,9 +68,6 @@ class OrbitCommandBackend:
     def take_over(self, first: Plan) -> CommandExchange:
         """Take the aircraft over from any flight mode onto a circle.
 
-        Args:
-            first: The plan whose circle is flown first.
-
         Returns:
             The command that does so.
         """

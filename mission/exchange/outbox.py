@@ -77,21 +77,11 @@ class Outbox:
         return link_s * (self.time_s - self._began[0]) / (self.link_s - self._began[1])
 
     def send(self, name: str, **fields: float) -> None:
-        """Send a message.
-
-        Args:
-            name: Name of the MAVLink message.
-            fields: Its fields.
-        """
+        """Send a message."""
         self.sent.append(SendMessage(self.time_s, name, fields))
 
     def send_mission(self, name: str, **fields: float) -> None:
-        """Send a message of the mission protocol.
-
-        Args:
-            name: Name of the MAVLink message.
-            fields: Its fields.
-        """
+        """Send a message of the mission protocol."""
         self.send(name, **fields, mission_type=MISSION)
 
     def end_reading(self) -> None:
@@ -100,19 +90,9 @@ class Outbox:
             self.send_mission("MISSION_ACK", type=ACCEPTED)
 
     def send_item(self, seq: int, item: MissionItem, current: bool) -> None:
-        """Send MISSION_ITEM_INT.
-
-        Args:
-            seq: Number of the item.
-            item: The item.
-            current: Whether it becomes the current item.
-        """
+        """Send MISSION_ITEM_INT."""
         self.send("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item), mission_type=MISSION)
 
     def report(self, event: Derived | Announce | TakeoverFailed) -> None:
-        """Report to the control step, or to the operator.
-
-        Args:
-            event: An event for the control step, or an announcement for the operator.
-        """
+        """Report to the control step, or to the operator."""
         self.derived.append(event)

@@ -32,12 +32,7 @@ class BackendSettings:
     bank_max_rad: float
 
     def order(self, circle: Circle, plan: Plan) -> CircleOrder:
-        """Return a circle of the plane on the globe, at the height of a plan.
-
-        Args:
-            circle: The circle.
-            plan: The plan.
-        """
+        """Return a circle of the plane on the globe, at the height of a plan."""
         height_m = plan.circle_height_m(self.height_m)
         return CircleOrder(
             *e7(self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)),

@@ -95,11 +95,7 @@ class Takeover:
         return min(command_s, self._until_s) if self.running else math.inf
 
     def begin(self, request: TakeoverRequested) -> None:
-        """Start the takeover.
-
-        Args:
-            request: The request, with the first plan.
-        """
+        """Start the takeover."""
         self._mode, self._arm_period_s = request.mode, request.arm_period_s
         self._round_trip_s = request.round_trip_s
         self._script = self._take_over(request.flying)
@@ -115,19 +111,11 @@ class Takeover:
         self._aircraft, self._height_m = aircraft, height_m
 
     def mode_reported(self, mode: str) -> None:
-        """Process the flight mode.
-
-        Args:
-            mode: Flight mode by the autopilot's name.
-        """
+        """Process the flight mode."""
         self._mode = mode
 
     def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot.
-
-        Args:
-            report: The report of the autopilot.
-        """
+        """Process a report of the autopilot."""
         if isinstance(report, CommandAcknowledged) and self._command is not None:
             self._command.receive(report)
         self._circle_reported = self._dialect.reported_circle(report) or self._circle_reported

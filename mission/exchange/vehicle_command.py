@@ -38,11 +38,7 @@ class VehicleCommand:
 
 
 def describe_result(result: int | None) -> str:
-    """Return a MAV_RESULT in words.
-
-    Args:
-        result: The result; None: no answer received.
-    """
+    """Return a MAV_RESULT in words."""
     return "no answer" if result is None else _RESULTS.get(result, f"result {result}")
 
 
@@ -83,11 +79,7 @@ class CommandExchange:
         return self.stuck or (self.done and self.result is None)
 
     def receive(self, report: CommandAcknowledged) -> None:
-        """Process an acknowledgement.
-
-        Args:
-            report: The acknowledgement.
-        """
+        """Process an acknowledgement."""
         if self.done or report.command != self._command.command:
             return
         if report.result == _IN_PROGRESS:

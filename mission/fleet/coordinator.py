@@ -152,36 +152,20 @@ class FleetCoordinator:
     # -- what a display wants -------------------------------------------------------------------------------
 
     def requirement(self, target: str) -> Requirement:
-        """Return how a target is to be watched now.
-
-        Args:
-            target: Name of the target.
-        """
+        """Return how a target is to be watched now."""
         return self._targets[target].requirement
 
     def offset_s(self, name: str) -> float | None:
-        """Return what is added to an aircraft's time to make it mission time, s; None before it is known.
-
-        Args:
-            name: Name.
-        """
+        """Return what is added to an aircraft's time to make it mission time, s; None before it is known."""
         clock = self._vehicles[name].clock
         return clock.offset_s if clock.known else None
 
     def estimate(self, target: str) -> TargetEstimate | None:
-        """Return the joint estimate of a target at the mission's present time.
-
-        Args:
-            target: Name of the target.
-        """
+        """Return the joint estimate of a target at the mission's present time."""
         return self._estimate_of(target, self._now_s)
 
     def primary(self, target: str) -> str | None:
-        """Return the aircraft that holds the required side of a target; None before there is one.
-
-        Args:
-            target: Name of the target.
-        """
+        """Return the aircraft that holds the required side of a target; None before there is one."""
         return self._assignments[target].holder
 
     @property
@@ -193,9 +177,6 @@ class FleetCoordinator:
 
     def step(self, event: FleetEvent) -> tuple[FleetCommand, ...]:
         """Process one event and return the commands that it leads to, in order.
-
-        Args:
-            event: The event.
 
         Raises:
             KeyError: No aircraft of the fleet has that name.

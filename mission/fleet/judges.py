@@ -31,13 +31,7 @@ class RoleJudges:
         self._followers: dict[str, RouteFollower] = {}
 
     def ask(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
-        """Judge by this requirement of a target from now on.
-
-        Args:
-            target: Name of the target.
-            wanted: Required band and side.
-            fleet: All aircraft of the fleet.
-        """
+        """Judge by this requirement of a target from now on."""
         self._wanted[target] = wanted
         self._courses.setdefault(target, WatchedCourse(wanted))
         for one in fleet:
@@ -64,12 +58,7 @@ class RoleJudges:
                     judge.follow(follower.route, follower.memory)
 
     def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
-        """Take the targets' estimates, in the order of time.
-
-        Args:
-            estimates: Estimates by the name of the target.
-            fleet: All aircraft of the fleet.
-        """
+        """Take the targets' estimates, in the order of time."""
         for name, estimate in estimates.items():
             if estimate is not None and estimate.quality is not TrackQuality.LOST:
                 watching = [one for one in fleet if one.takes_part and one.target == name]
@@ -79,21 +68,11 @@ class RoleJudges:
                     self._followers[name].update(estimate)
 
     def course_rad(self, target: str) -> float | None:
-        """Return the course of a target whose sides count.
-
-        Args:
-            target: Name of the target.
-        """
+        """Return the course of a target whose sides count."""
         return self._courses[target].course_rad
 
     def costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
-        """Return what an aircraft would pay from its next departure on; None before its plan is known.
-
-        Args:
-            vehicle: The aircraft.
-            target: Name of the target.
-            estimate: Estimate of the target.
-        """
+        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
         report = vehicle.report
         present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
         if report is None or present is None:
@@ -104,25 +83,13 @@ class RoleJudges:
         return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
 
     def way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
-        """Return how long an aircraft needs to a target, 0 where it is at it.
-
-        Args:
-            vehicle: The aircraft.
-            target: Name of the target.
-            estimate: Estimate of the target.
-        """
+        """Return how long an aircraft needs to a target, 0 where it is at it."""
         range_m = vehicle.range_m(estimate)
         at_it = range_m <= self._wanted[target].range_max_m
         return 0.0 if at_it else range_m / vehicle.member.aircraft.airspeed_m_s
 
     def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
-        """Return what an aircraft would pay in each role at a target, the flight there included.
-
-        Args:
-            vehicle: The aircraft.
-            target: Name of the target.
-            estimate: Estimate of the target.
-        """
+        """Return what an aircraft would pay in each role at a target, the flight there included."""
         costs = self.costs(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
         way_s = self.way_s(vehicle, target, estimate)
         return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)

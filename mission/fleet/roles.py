@@ -134,11 +134,7 @@ class RoleAssignment:
 
 
 def course_is_known(target: TargetEstimate) -> bool:
-    """Return whether a target's course is known well enough to say which side of it is which, or it stands.
-
-    Args:
-        target: Estimate of the target.
-    """
+    """Return whether a target's course is known well enough to say which side of it is which, or it stands."""
     if target.speed_m_s < _STANDING_M_S:
         return True
     across = (math.cos(target.course_rad), -math.sin(target.course_rad))

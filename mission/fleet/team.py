@@ -20,10 +20,6 @@ def team_of(table: ValueTable, wanted: Side) -> Team:
 
     Fast targets lower ``price`` and raise ``opposite``; wide circles raise ``own``.
 
-    Args:
-        table: Value table.
-        wanted: Required side of the target.
-
     Raises:
         ValueError: The table is that of a sector.
     """
@@ -50,9 +46,5 @@ def team_of(table: ValueTable, wanted: Side) -> Team:
 
 
 def next_to_standing(team: Team) -> Team:
-    """Return what to decide with while the target stands: it may set out into any direction.
-
-    Args:
-        team: Constants of the joint decision.
-    """
+    """Return what to decide with while the target stands: it may set out into any direction."""
     return team._replace(turns_rad=_DIRECTIONS_RAD, chances=np.full(_DIRECTIONS_RAD.size, 1.0 / _DIRECTIONS_RAD.size))

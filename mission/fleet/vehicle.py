@@ -65,10 +65,6 @@ class FleetVehicle:
         return self.report is not None and self.report.watching and not self.lost and not self.leaving
 
     def range_m(self, target: TargetEstimate) -> float:
-        """Return how far from a target it is.
-
-        Args:
-            target: Estimate of the target.
-        """
+        """Return how far from a target it is."""
         assert self.report is not None
         return math.hypot(self.report.state.east_m - target.east_m, self.report.state.north_m - target.north_m)

@@ -36,12 +36,6 @@ def approach(aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft
 
     If no way keeps it (the aircraft is already inside), the way whose least range is greatest is returned. The
     target is taken to move on at its present velocity until the aircraft arrives.
-
-    Args:
-        aircraft: State of the aircraft.
-        target: Estimate of the target.
-        airframe: Limits of the aircraft.
-        requirement: Required band and side.
     """
     arrival_s = 0.0
     plan = _plan_to(aircraft, target, airframe, requirement, arrival_s)

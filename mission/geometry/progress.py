@@ -17,20 +17,12 @@ _NO_LINE = np.empty((5, 0))
 
 
 def circling_of(circle: Circle) -> Circling:
-    """Return a circle as the loops see it.
-
-    Args:
-        circle: The circle.
-    """
+    """Return a circle as the loops see it."""
     return Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
 
 
 def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
-    """Return a plan as the loops see it.
-
-    Args:
-        plan: The plan.
-    """
+    """Return a plan as the loops see it."""
     path, circle = plan.transition, plan.circle
     circling = circling_of(circle)
     if path is None:
@@ -43,10 +35,6 @@ def nearest_arc_m(plan: Plan, aircraft: AircraftState) -> float:
 
     Arc 0 is the start of the transition; the circle follows, and there the arc stays within one lap. For a plan
     that is only a circle, arc 0 is the aircraft's own place on it.
-
-    Args:
-        plan: The plan.
-        aircraft: State of the aircraft.
     """
     return line_kernel.nearest_arc_m(*line_of(plan), aircraft.east_m, aircraft.north_m, aircraft.course_rad)
 
@@ -85,11 +73,6 @@ def dead_reckoned(aircraft: AircraftState, duration_s: float, curvature_max_per_
     """Return where the aircraft is after ``duration_s`` on its present curvature, limited to that of a plan.
 
     There is no wind.
-
-    Args:
-        aircraft: State of the aircraft.
-        duration_s: Duration, s.
-        curvature_max_per_m: Limit of the curvature, 1/m.
     """
     curvature_per_m = min(max(aircraft.curvature_per_m, -curvature_max_per_m), curvature_max_per_m)
     step_m = aircraft.ground_speed_m_s * duration_s

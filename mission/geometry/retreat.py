@@ -57,11 +57,7 @@ class Reach:
         return min(path_m, abs(centre_m - circle.radius_m) - self.radius_m - grown_m)
 
     def after(self, seconds: float) -> Reach:
-        """Return the disk some seconds later.
-
-        Args:
-            seconds: Duration, s.
-        """
+        """Return the disk some seconds later."""
         return replace(self, radius_m=self.radius_m + self.speed_m_s * seconds)
 
 

@@ -40,19 +40,11 @@ class Separation:
     _plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
 
     def note(self, neighbours: tuple[Neighbour, ...]) -> None:
-        """Replace the list of the other aircraft.
-
-        Args:
-            neighbours: The other aircraft.
-        """
+        """Replace the list of the other aircraft."""
         self._others = {one.name: one for one in neighbours}
 
     def planned(self, neighbour: NeighbourPlanned) -> None:
-        """Take what another one flies.
-
-        Args:
-            neighbour: Plans of the other aircraft.
-        """
+        """Take what another one flies."""
         self._plans[neighbour.name] = neighbour
 
     def breach(
@@ -193,12 +185,7 @@ def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
 
 
 def airspeed_of(state: AircraftState, wind: Wind) -> float:
-    """Return the airspeed of an aircraft with this ground speed in this wind.
-
-    Args:
-        state: State of the aircraft.
-        wind: Estimate of the wind.
-    """
+    """Return the airspeed of an aircraft with this ground speed in this wind."""
     east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
     north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
     return math.hypot(east_m_s, north_m_s)
@@ -219,11 +206,6 @@ def _gap_m(a: set[float], b: set[float]) -> float:
 
 
 def circles_apart_m(a: Circle, b: Circle) -> float:
-    """Return the least distance between points of two circles, m; 0 where they cross.
-
-    Args:
-        a: One circle.
-        b: The other circle.
-    """
+    """Return the least distance between points of two circles, m; 0 where they cross."""
     centres_m = math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
     return max(centres_m - a.radius_m - b.radius_m, abs(a.radius_m - b.radius_m) - centres_m, 0.0)

@@ -116,12 +116,7 @@ class Trapezoids:
 
 
 def end_circle(path: Path, radius_m: float) -> Circle:
-    """Return the circle that continues a trapezoid's path with the sign of its last curvature.
-
-    Args:
-        path: The path.
-        radius_m: Radius of the circle, m.
-    """
+    """Return the circle that continues a trapezoid's path with the sign of its last curvature."""
     return Circle.tangent_to(
         float(path.east_m[-1]),
         float(path.north_m[-1]),

@@ -57,13 +57,7 @@ def ground_speed_m_s(course_rad: float, airspeed_m_s: float, wind: Wind) -> floa
 
 
 def path_times_s(path: Path, airspeed_m_s: float, wind: Wind) -> FloatArray:
-    """Return the time of flight from the start of the path to each of its samples, shape (n,).
-
-    Args:
-        path: The path.
-        airspeed_m_s: Airspeed, m/s.
-        wind: Estimate of the wind.
-    """
+    """Return the time of flight from the start of the path to each of its samples, shape (n,)."""
     slowness_s_m = 1.0 / ground_speeds_m_s(path.course_rad, airspeed_m_s, wind)
     steps_s = np.diff(path.arc_m) * (slowness_s_m[1:] + slowness_s_m[:-1]) / 2.0
     return np.concatenate(([0.0], np.cumsum(steps_s)))

@@ -177,11 +177,7 @@ class Health:
         return float(max(self._ticks - self._moved_tick - _TICKS_MARGIN, 0))
 
     def is_usable(self, one: Input) -> bool:
-        """Return whether an input is neither stale nor inconsistent; one never received is not judged.
-
-        Args:
-            one: The input.
-        """
+        """Return whether an input is neither stale nor inconsistent; one never received is not judged."""
         return self._inputs[one].state not in (InputState.STALE, InputState.INCONSISTENT)
 
     @property

@@ -189,19 +189,11 @@ class PayloadCheck:
         self._fit.ground = ground
 
     def attitude(self, reading: AttitudeReading) -> None:
-        """Process the aircraft's attitude.
-
-        Args:
-            reading: The attitude.
-        """
+        """Process the aircraft's attitude."""
         self._attitude = reading
 
     def position(self, reading: PositionReading) -> None:
-        """Process the aircraft's position; its course gives how far it has turned.
-
-        Args:
-            reading: The position.
-        """
+        """Process the aircraft's position; its course gives how far it has turned."""
         before, self._position = self._position, reading
         east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
         if east_m_s * east_m_s + north_m_s * north_m_s < _FLYING_M_S**2:
@@ -247,11 +239,7 @@ class PayloadCheck:
         self._fit.clear()
 
     def range(self, reading: RangeReading) -> None:
-        """Process a range of the laser in use.
-
-        Args:
-            reading: The range.
-        """
+        """Process a range of the laser in use."""
         if self._range is not None and reading.source != self._range.source:
             self._expect_another_laser()
             self._begin_fit()
@@ -262,11 +250,7 @@ class PayloadCheck:
             self._settle()
 
     def gimbal_axis(self, reading: GimbalReading) -> None:
-        """Process the axis of a gimbal, which is not the line of sight if a camera tracks a target off it.
-
-        Args:
-            reading: The axis.
-        """
+        """Process the axis of a gimbal, which is not the line of sight if a camera tracks a target off it."""
         turns, passed = self._turned_rad / _TURNED_RAD, self._passed
         news = self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, (turns, passed))
         forward, right, _ = sight_direction(reading.quaternion_wxyz)
@@ -459,11 +443,7 @@ class PayloadCheck:
 
 
 def yaw_fault(yaw_error_rad: float) -> str:
-    """Return what is wrong with a gimbal whose yaw is off, and what to do.
-
-    Args:
-        yaw_error_rad: The error.
-    """
+    """Return what is wrong with a gimbal whose yaw is off, and what to do."""
     return (
         f"its yaw is off by about {math.degrees(yaw_error_rad):+.0f} degrees: check its mounting and its heading, "
         "or correct sensors.mount_deg"

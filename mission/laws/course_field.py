@@ -34,12 +34,7 @@ class CourseField(ABC):
         """Return the field's course at a place relative to the target (east, north), rad."""
 
     def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
-        """Return the curvature to fly now, 1/m: the field's own turn, and a correction towards its course.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-        """
+        """Return the curvature to fly now, 1/m: the field's own turn, and a correction towards its course."""
         speed_m_s, course_rad = aircraft.ground_speed_m_s, aircraft.course_rad
         x_m, y_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m
         now_rad = self._course_rad(x_m, y_m, speed_m_s, target)

@@ -24,12 +24,7 @@ class LateralGuidance:
     look_ahead_m: float
 
     def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
-        """Return the curvature to fly now: lateral acceleration 2 V^2 sin(eta) / L1, over V^2 of the ground.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-        """
+        """Return the curvature to fly now: lateral acceleration 2 V^2 sin(eta) / L1, over V^2 of the ground."""
         velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad) - target.velocity_east_m_s
         velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad) - target.velocity_north_m_s
         to_target_east, to_target_north = target.east_m - aircraft.east_m, target.north_m - aircraft.north_m

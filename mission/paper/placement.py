@@ -9,12 +9,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement
 
 
 def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return D = Dmin + R, the distance from the target to the circle's centre: the circle just touches Dmin.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-    """
+    """Return D = Dmin + R, the distance from the target to the circle's centre: the circle just touches Dmin."""
     return requirement.range_min_m + aircraft.radius_m
 
 

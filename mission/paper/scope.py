@@ -71,11 +71,7 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
 
 
 def min_psi_c_rad(aircraft: Aircraft) -> float:
-    """Return the least psi_c, at most pi/2: the roll begins at v^3 / (g R^2 psi_c), and the aircraft's is limited.
-
-    Args:
-        aircraft: Limits of the aircraft.
-    """
+    """Return the least psi_c, at most pi/2: the roll begins at v^3 / (g R^2 psi_c), and the aircraft's is limited."""
     rolling_m_s3 = GRAVITY_M_S2 * aircraft.radius_m**2 * aircraft.roll_rate_max_rad_s
     return min(aircraft.airspeed_m_s**3 / rolling_m_s3, math.pi / 2)
 
@@ -84,10 +80,6 @@ def largest_psi_c_rad(aircraft: Aircraft, requirement: Requirement) -> float:
     """Return the paper's psi_c = pi/2 where the requirement is feasible with it, else the largest that is.
 
     A smaller one shortens the transition. Where none is feasible, the least one comes nearest.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
     """
 
     def straight_left_m(psi_c_rad: float) -> float:

@@ -87,12 +87,7 @@ class PredictiveSettings:
 
 
 def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-    """
+    """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free."""
     share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
     if pan_limit_rad(aircraft, requirement) < math.pi:
         share = _MIN_SHARE
@@ -101,12 +96,7 @@ def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
 
 
 def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return the pan limit that is planned for: aircraft of a fleet, of which another can look, plan for none.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-    """
+    """Return the pan limit that is planned for: aircraft of a fleet, of which another can look, plan for none."""
     return aircraft.pan_limit_rad if requirement.fleet_size == 1 else math.pi
 
 
@@ -115,9 +105,6 @@ def turn_share(requirement: Requirement) -> float:
 
     One aircraft alone gains little by tighter ones than the circle, and comes nearer to the target. Of several one
     gets back to the side sooner where a turn of the target has put all of them off it.
-
-    Args:
-        requirement: Required band and side.
     """
     return 1.0 if requirement.fleet_size == 1 else _TURN_SHARE_IN_FLEET
 
@@ -125,13 +112,7 @@ def turn_share(requirement: Requirement) -> float:
 def table_configuration(
     aircraft: Aircraft, requirement: Requirement, wind_speed_m_s: float = 0.0
 ) -> TableConfiguration:
-    """Return the configuration of the value table that a planner for this aircraft and requirement needs.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        wind_speed_m_s: Wind speed, m/s.
-    """
+    """Return the configuration of the value table that a planner for this aircraft and requirement needs."""
     sector = requirement.sector
     pan_rad = pan_limit_rad(aircraft, requirement)
     fine = sector is None and (wind_speed_m_s == 0.0 or pan_rad < math.pi)
@@ -247,12 +228,7 @@ class PredictivePlanner:
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
-        """Return a planner with the value table for still air, which takes a second or so to compute.
-
-        Args:
-            aircraft: Limits of the aircraft.
-            requirement: How the target is to be observed.
-        """
+        """Return a planner with the value table for still air, which takes a second or so to compute."""
         from sidelong.mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
 
         return cls(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
@@ -276,11 +252,7 @@ class PredictivePlanner:
         return self._look_ahead(scene, aircraft.time_s, present, looker._replace(prices=prices))
 
     def sight_in(self, scene: Scene) -> Sight:
-        """Return from where the target of a scene is seen.
-
-        Args:
-            scene: The scene of the decision.
-        """
+        """Return from where the target of a scene is seen."""
         sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
         across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
         velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c

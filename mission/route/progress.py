@@ -77,11 +77,7 @@ class RoutePlanner(Planner, Protocol):
 
 
 def way_of(route: Route) -> Way:
-    """Return a route as the loops see it.
-
-    Args:
-        route: The route.
-    """
+    """Return a route as the loops see it."""
     points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
     direction = _DIRECTIONS[route.direction]
     return Way(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
@@ -97,9 +93,6 @@ class RouteFollower:
     def update(self, target: TargetEstimate) -> RouteProgress | None:
         """Process an estimate, in order of time.
 
-        Args:
-            target: Estimate of the target.
-
         Returns:
             The progress; None if less than a second has passed since the last one.
         """
@@ -111,11 +104,7 @@ class RouteFollower:
 
 
 def follower_of(given: RouteGiven) -> RouteFollower | None:
-    """Return the follower of a flight's route; None where the flight could not use it.
-
-    Args:
-        given: The event with the route.
-    """
+    """Return the follower of a flight's route; None where the flight could not use it."""
     try:
         return RouteFollower(route_from(given))
     except ValueError:
@@ -124,10 +113,6 @@ def follower_of(given: RouteGiven) -> RouteFollower | None:
 
 def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
     """Return the progress in the filter's memory.
-
-    Args:
-        route: The route.
-        memory: Memory of the filter.
 
     Returns:
         The progress; off route before the filter's first update.
@@ -143,11 +128,7 @@ def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
 
 
 def describe(progress: RouteProgress) -> str:
-    """Return the progress in a few words.
-
-    Args:
-        progress: The target's progress along the route.
-    """
+    """Return the progress in a few words."""
     if not progress.on_route:
         return "off route"
     to_end = f", {progress.to_end_s:.0f} s to its end" if math.isfinite(progress.to_end_s) else ""

@@ -132,9 +132,6 @@ def event_of(route: Route, time_s: float) -> RouteGiven:
 def route_from(given: RouteGiven) -> Route:
     """Return the route of an event.
 
-    Args:
-        given: The event with the route.
-
     Raises:
         ValueError: The points are not a route; see :func:`route_of`.
     """

@@ -46,11 +46,7 @@ class Fences:
         self._floor_m, self._ceiling_m, self._margin_m = floor_m, ceiling_m, margin_m
 
     def has_room(self, radius_m: float) -> bool:
-        """Return whether a circle of this radius fits anywhere into the keep-in polygons.
-
-        Args:
-            radius_m: Radius of the circle, m.
-        """
+        """Return whether a circle of this radius fits anywhere into the keep-in polygons."""
         if self._keep_in is None:
             return True
         without_holes = [Polygon(part.exterior) for part in get_parts(self._keep_in)]  # a circle may surround a hole

@@ -63,19 +63,11 @@ class LineTracking:
         return self.first_s * self.airspeed_m_s
 
     def gain_per_m(self, ground_speed_m_s: float) -> float:
-        """Return g, the curvature for one radian of course error, 1/m.
-
-        Args:
-            ground_speed_m_s: Ground speed, m/s.
-        """
+        """Return g, the curvature for one radian of course error, 1/m."""
         return 4.0 * math.pi * self.damping / (self.period_s * ground_speed_m_s)
 
     def look_ahead_m(self, ground_speed_m_s: float) -> float:
-        """Return l, the cross-track distance that counts as one radian, m.
-
-        Args:
-            ground_speed_m_s: Ground speed, m/s.
-        """
+        """Return l, the cross-track distance that counts as one radian, m."""
         return self.damping * self.period_s * ground_speed_m_s / math.pi
 
     def fly(

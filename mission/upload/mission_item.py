@@ -64,12 +64,7 @@ def at_place(x: int, y: int, item: MissionItem) -> bool:
 
 
 def same_item(a: MissionItem, b: MissionItem) -> bool:
-    """Return whether two items are equal up to the vehicle's rounding; PX4 does not store a take-off's pitch.
-
-    Args:
-        a: One item.
-        b: The other item.
-    """
+    """Return whether two items are equal up to the vehicle's rounding; PX4 does not store a take-off's pitch."""
     return (
         a.command == b.command
         and at_place(a.x, a.y, b)
@@ -82,10 +77,5 @@ def same_item(a: MissionItem, b: MissionItem) -> bool:
 
 
 def same_items(sent: Sequence[MissionItem], onboard: Sequence[MissionItem]) -> bool:
-    """Return whether the vehicle stores what was sent, up to its own rounding.
-
-    Args:
-        sent: The items that were sent.
-        onboard: The items read from the vehicle.
-    """
+    """Return whether the vehicle stores what was sent, up to its own rounding."""
     return len(sent) == len(onboard) and all(map(same_item, sent, onboard))

@@ -18,11 +18,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Known
 
 
 def known(target: TargetEstimate) -> Known:
-    """Return an estimate as the loops see it.
-
-    Args:
-        target: Estimate of the target.
-    """
+    """Return an estimate as the loops see it."""
     return Known(
         target.time_s,
         target.east_m,

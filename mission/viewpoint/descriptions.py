@@ -20,12 +20,7 @@ def compass_word(bearing_rad: float) -> str:
 
 
 def describe_new_circle(old: Circle, new: Circle) -> str:
-    """Return where one circle lies from another in words.
-
-    Args:
-        old: The present circle.
-        new: The new circle.
-    """
+    """Return where one circle lies from another in words."""
     return describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
 
 

@@ -54,11 +54,7 @@ class SidePolicy:
 
 
 def side_words(requirement: Requirement) -> str:
-    """Return the requirement's side as :func:`watching_from` takes it.
-
-    Args:
-        requirement: How the target has to be observed.
-    """
+    """Return the requirement's side as :func:`watching_from` takes it."""
     if requirement.sector is not None:
         return f"{math.degrees(requirement.sector.from_rad):g}-{math.degrees(requirement.sector.to_rad):g}"
     return "either" if requirement.either_side else str(requirement.side)
