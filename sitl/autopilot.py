@@ -95,13 +95,7 @@ class Autopilot(ABC):
         """Take what the flavour has made: one store for each mission type, and its telemetry."""
         for mission_type, store in zip(self.mission_types, stores, strict=True):
             self.transfers[mission_type] = Transfer(
-                mission_type,
-                store,
-                self.radio,
-                self.quirks,
-                self.settings.link_rate,
-                self.say,
-                self.transfers,
+                mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
             )
         self._builders = builders
 

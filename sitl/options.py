@@ -52,10 +52,7 @@ def check_programs(programs: Sequence[Path], vehicles: int, logs: Path | None) -
 
 
 def targets_of(
-    specs: Sequence[str],
-    speeds_m_s: Sequence[float | None],
-    starts: Sequence[str] | None,
-    skip_s: float | None,
+    specs: Sequence[str], speeds_m_s: Sequence[float | None], starts: Sequence[str] | None, skip_s: float | None
 ) -> tuple[TargetSettings, ...]:
     """Return the targets; speeds are gone through again and again. Ends the program where there are too many."""
     if len(specs) > len(STARTS_M):

@@ -76,11 +76,7 @@ class Benchmark:
     """What is to be flown, and the results."""
 
     def __init__(
-        self,
-        places: list[Path] | None,
-        planners: Sequence[PlannerName] | None,
-        controller: str,
-        runs: int | None,
+        self, places: list[Path] | None, planners: Sequence[PlannerName] | None, controller: str, runs: int | None
     ) -> None:
         """Read the targets.
 

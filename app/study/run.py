@@ -173,8 +173,6 @@ def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]
     """Return the errors of the payload, and the tracker's settings for it."""
     sensors = settings.config.sensors
     errors = PayloadErrors(
-        sensors.range_sigma_m,
-        math.radians(sensors.angle_sigma_deg),
-        pan_limit_rad=settings.aircraft().pan_limit_rad,
+        sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=settings.aircraft().pan_limit_rad
     )
     return errors, tracker_settings(sensors, settings.config.planner.lost_after_s)

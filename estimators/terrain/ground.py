@@ -66,13 +66,7 @@ class Ground:
         return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
 
     def cut_m(
-        self,
-        east_m: float,
-        north_m: float,
-        height_m: float,
-        bearing_rad: float,
-        depression_rad: float,
-        max_m: float,
+        self, east_m: float, north_m: float, height_m: float, bearing_rad: float, depression_rad: float, max_m: float
     ) -> float | None:
         """Return the horizontal distance at which a ray first meets the ground.
 

@@ -93,17 +93,7 @@ class _Normal:
         own = slice(device, None, 2)
         border, corner, right_shared = self.border[:, own], self.corner[own, own], self.right_shared[own]
         self.cost += add_readings(
-            *at,
-            by_place,
-            by_shared,
-            residual,
-            sigma,
-            _FREEDOM,
-            self.band,
-            border,
-            self.right,
-            corner,
-            right_shared,
+            *at, by_place, by_shared, residual, sigma, _FREEDOM, self.band, border, self.right, corner, right_shared
         )
 
     def hold_straight(self, path: FloatArray, scale_m2: float, robust: bool) -> None:

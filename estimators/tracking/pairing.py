@@ -189,9 +189,7 @@ class Pairing:
                 settings.position_sigma_m / (range_m * max(math.cos(sight.depression_rad), 0.01)),
             ),
             depression_sigma_rad=math.hypot(
-                shared * settings.pitch_sigma_rad,
-                attitude_sigma_rad,
-                settings.position_sigma_m / range_m,
+                shared * settings.pitch_sigma_rad, attitude_sigma_rad, settings.position_sigma_m / range_m
             ),
             aircraft_east_m=aircraft_m[0],
             aircraft_north_m=aircraft_m[1],

@@ -167,9 +167,7 @@ class Tracker:
             self._pairing.set_delays(found)
             # The payload's errors were estimated with the previous delays and would change only slowly.
             self._restart(
-                self._biases_with(found),
-                reading.time_s,
-                large=errs or (sure and max(apart_s) > _STEP_LARGE_S),
+                self._biases_with(found), reading.time_s, large=errs or (sure and max(apart_s) > _STEP_LARGE_S)
             )
         elif sure:
             found = replace(found, gimbal_s=used_s[0], range_s=used_s[1])

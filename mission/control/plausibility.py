@@ -41,13 +41,7 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.mission.control.position_check import SILENT_S, PositionCheck, VelocityCheck, length
-from sidelong.mission.core.events import (
-    Announce,
-    Event,
-    NavigationReported,
-    WindReported,
-    YieldRequested,
-)
+from sidelong.mission.core.events import Announce, Event, NavigationReported, WindReported, YieldRequested
 from sidelong.mission.core.inputs import Input
 
 BRIDGED_S = 3.0

@@ -120,12 +120,7 @@ class Planner(Protocol):
     """Decides, from what is known now, whether to fly another line. Deterministic; may keep state of its own."""
 
     def decide(
-        self,
-        aircraft: AircraftState,
-        target: TargetEstimate,
-        present: Plan,
-        wind: Wind,
-        latency_s: float,
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
         """Decide at ``aircraft.time_s`` while ``present`` is flown.
 

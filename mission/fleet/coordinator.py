@@ -232,11 +232,7 @@ class FleetCoordinator:
         if not vehicle.clock.known:
             return
         before, by_s = vehicle.report, vehicle.clock.offset_s
-        vehicle.report = replace(
-            event,
-            time_s=event.time_s + by_s,
-            state=shifted_state(event.state, by_s),
-        )
+        vehicle.report = replace(event, time_s=event.time_s + by_s, state=shifted_state(event.state, by_s))
         vehicle.silent_s = 0.0
         self._now_s = max(self._now_s, vehicle.report.time_s)
         if event.watching:

@@ -47,11 +47,7 @@ def approach(aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft
 
 
 def _plan_to(
-    aircraft: AircraftState,
-    target: TargetEstimate,
-    airframe: Aircraft,
-    requirement: Requirement,
-    arrival_s: float,
+    aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft, requirement: Requirement, arrival_s: float
 ) -> Plan:
     circle = _circle_next_to(aircraft, target, airframe, requirement, arrival_s)
     best: tuple[tuple[float, float], Path] | None = None
@@ -69,11 +65,7 @@ def _plan_to(
 
 
 def _circle_next_to(
-    aircraft: AircraftState,
-    target: TargetEstimate,
-    airframe: Aircraft,
-    requirement: Requirement,
-    arrival_s: float,
+    aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft, requirement: Requirement, arrival_s: float
 ) -> Circle:
     target_east_m = target.east_m + target.velocity_east_m_s * arrival_s
     target_north_m = target.north_m + target.velocity_north_m_s * arrival_s

@@ -41,14 +41,7 @@ from sidelong.estimators.sensing.readings import (
 )
 from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
 from sidelong.mission.core.inputs import Input
-from sidelong.mission.health.motion_fit import (
-    FACTORS,
-    OFTEN,
-    SOUND,
-    WINDOW_S,
-    GroundHeight,
-    MotionFit,
-)
+from sidelong.mission.health.motion_fit import FACTORS, OFTEN, SOUND, WINDOW_S, GroundHeight, MotionFit
 
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5

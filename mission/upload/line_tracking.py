@@ -71,11 +71,7 @@ class LineTracking:
         return self.damping * self.period_s * ground_speed_m_s / math.pi
 
     def fly(
-        self,
-        start: LinePoint,
-        waypoints: Sequence[Point] | FloatArray,
-        circle: Circle,
-        duration_s: float,
+        self, start: LinePoint, waypoints: Sequence[Point] | FloatArray, circle: Circle, duration_s: float
     ) -> FloatArray:
         """Return the path that the autopilot flies through waypoints to a circle.
 
