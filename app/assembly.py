@@ -263,7 +263,7 @@ def settle(
     ground = ground_of(config, plane, home_deg)
     if ground is None:
         if config.terrain.flat:
-            from sidelong.estimators.terrain.flat import flat_ground  # noqa: PLC0415  # as below
+            from sidelong.estimators.terrain.ground import flat_ground  # noqa: PLC0415  # as below
 
             controller.tracker.stand_on(flat_ground(config.terrain.sigma_m), config.sensors.angles_alone)
         return None

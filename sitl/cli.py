@@ -34,15 +34,22 @@ from sidelong.sitl.options import (
     targets_of,
     targets_seen,
 )
-from sidelong.sitl.pace import Pace
 from sidelong.sitl.payload.companion import Companion, accompany
 from sidelong.sitl.payload.device_port import Address
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.protocol.signing import read_key
-from sidelong.sitl.server import serve
-from sidelong.sitl.settings import STARTS_M, Flavour, GimbalFrame, PayloadSettings, RangeMessage, Settings
-from sidelong.sitl.several import MAX_VEHICLES, in_turn
+from sidelong.sitl.server import Pace, serve
+from sidelong.sitl.settings import (
+    MAX_VEHICLES,
+    STARTS_M,
+    Flavour,
+    GimbalFrame,
+    PayloadSettings,
+    RangeMessage,
+    Settings,
+    in_turn,
+)
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import Wind
 from sidelong.sitl.world.motion import MOTIONS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import time
@@ -9,7 +10,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sidelong.sitl.pace import Pace
 from sidelong.sitl.payload.device_port import Address, DevicePort, device_port
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 from sidelong.sitl.simulation import STEP_S, Simulation
@@ -19,6 +19,32 @@ _LAG_MAX_S = 0.25  # of the wall clock; further behind, the simulation goes slow
 _DEVICE_LAG_MAX_S = 0.01  # what a device sends has no stamp: caught up at once, it would all seem to be of one moment
 _DATAGRAM_MAX = 4096
 _LINK_STREAM = 2  # of the seed's children: 0 and 1 are the target's and the sensors'
+_LEAD_S, _LEAD_WALL_S, _LEAD_MAX_S = 0.3, 0.02, 0.75
+_SILENT_MAX_S = 2.0
+
+
+class Pace:
+    """Limits the simulation's lead over the controlling program, which reports the time it has processed.
+
+    The lead adds to the delay of each exchange between the two, in the vehicle's time. It is limited to the delay of
+    a real link, so a busy machine slows the simulation down instead of degrading its link. The simulation does not
+    wait for a program that has reported nothing yet, or nothing for two seconds of wall time.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self._lead_s = min(_LEAD_S + _LEAD_WALL_S * speed, _LEAD_MAX_S)
+        self._reported: tuple[float, float] | None = None
+
+    def follow(self, time_s: float, now_s: float) -> None:
+        """Store that the program has processed ``time_s`` of the simulation at wall time ``now_s``."""
+        self._reported = time_s, now_s
+
+    def limit_s(self, now_s: float) -> float:
+        """Return the time of the simulation that it may go to."""
+        reported = self._reported
+        if reported is None or now_s - reported[1] > _SILENT_MAX_S:
+            return math.inf
+        return reported[0] + self._lead_s
 
 
 class _Port:

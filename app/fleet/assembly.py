@@ -19,9 +19,9 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
+from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.fleet.watched_course import WatchedCourse
 from sidelong.mission.route.progress import RouteFollower
 
 

@@ -21,9 +21,8 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Side
 from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.laws.course_field import StandoffOrbit, VectorField
 from sidelong.mission.laws.lateral_guidance import LateralGuidance
-from sidelong.mission.laws.standoff_orbit import StandoffOrbit
-from sidelong.mission.laws.vector_field import VectorField
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable

@@ -111,3 +111,14 @@ class Ground:
             Heights, m, (azimuths, rings).
         """
         return horizon(self.grid, east_m, north_m, height_m, azimuths, rings, ring_m)
+
+
+def flat_ground(sigma_m: float) -> Ground:
+    """Return flat ground at the height of home, for 40 km around the origin: for flights without elevation data.
+
+    Args:
+        sigma_m: standard deviation of the target's height against home's, m.
+    """
+    reach_m, step_m = 40_000.0, 400.0
+    posts = round(2.0 * reach_m / step_m) + 1
+    return Ground(np.zeros((posts, posts), np.float32), -reach_m, -reach_m, step_m, step_m, sigma_m)

@@ -22,7 +22,7 @@ Rules
    Mission time goes by the aircraft's clocks: a jump of one aircraft's UTC never moves it; see
    :class:`sidelong.mission.fleet.clocks.VehicleTime`.
 2. Roles are given out each second by expected cost; see :mod:`sidelong.mission.fleet.roles`. The sides are those of
-   one course for all, known since the target was first seen; see :mod:`sidelong.mission.fleet.watched_course`.
+   one course for all, known since the target was first seen (:class:`sidelong.mission.fleet.judges.WatchedCourse`).
 3. Relief: an aircraft whose battery is below 30 %, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the required side away, but holds it until the other one is there; a reserve
    is asked for. Below 15 % it leaves in any case. A reserve is also asked for when no aircraft is left.

@@ -1,4 +1,4 @@
-"""Steering along a field of courses around a moving target.
+"""Guidance laws that steer along a field of courses around a moving target.
 
 Source: Frew, Lawrence, Morris, Journal of Guidance, Control, and Dynamics 31(2), 2008: the rate of the field's course
 along the present path, and a correction in proportion to the course error.
@@ -44,3 +44,55 @@ class CourseField(ABC):
         turn_rad_s = math.remainder(ahead_rad - now_rad, 2.0 * math.pi) / _AHEAD_S
         off_rad = math.remainder(now_rad - course_rad, 2.0 * math.pi)
         return (turn_rad_s + self.course_gain_per_s * off_rad) / speed_m_s
+
+
+@dataclass(frozen=True, slots=True)
+class VectorField(CourseField):
+    """Lyapunov guidance vector field: circling a moving target at a stand-off radius, for comparison.
+
+    Source: Frew, Lawrence, Morris, "Coordinated standoff tracking of moving targets using Lyapunov guidance vector
+    fields", Journal of Guidance, Control, and Dynamics 31(2), 2008; the same field is in Lawrence (2003) and Chen et
+    al. (2009).
+    """
+
+    def _course_rad(self, x_m: float, y_m: float, speed_m_s: float, target: TargetEstimate) -> float:
+        """Return the course whose velocity relative to the target points along the field there."""
+        velocity_east, velocity_north = target.velocity_east_m_s, target.velocity_north_m_s
+        range_m = max(math.hypot(x_m, y_m), 1e-3)
+        radial = range_m**2 - self.radius_m**2
+        tangential = 2.0 * range_m * self.radius_m * (1.0 if self.clockwise else -1.0)
+        length = range_m * (range_m**2 + self.radius_m**2)
+        field_x, field_y = (-x_m * radial + y_m * tangential) / length, (-y_m * radial - x_m * tangential) / length
+        # |target velocity + s * field| = speed, s > 0: always solvable for a slower target.
+        along = velocity_east * field_x + velocity_north * field_y
+        excess = speed_m_s**2 - velocity_east**2 - velocity_north**2
+        relative_m_s = -along + math.sqrt(max(along**2 + excess, 0.0))
+        return math.atan2(velocity_east + relative_m_s * field_x, velocity_north + relative_m_s * field_y)
+
+
+@dataclass(frozen=True, slots=True)
+class StandoffOrbit(CourseField):
+    """The stand-off orbit of occlusion-aware tracking: a circle that moves with the target, for comparison.
+
+    The source inscribes the circle in the volume from which nothing hides the target. On open ground that volume is
+    limited by the range alone, so the radius does not change; the rate of the radius is left out here.
+
+    Source: Hague, Wolek, "Occlusion-Aware Ground Target Tracking by a Dubins Vehicle using Visibility Volumes", arXiv
+    2506.03400, 2025: the steering controller.
+
+    Attributes:
+        approach_per_m: How sharply the circle is approached, 1/m.
+    """
+
+    approach_per_m: float
+
+    def _course_rad(self, x_m: float, y_m: float, speed_m_s: float, target: TargetEstimate) -> float:
+        """Return the course along which the distance from the circle decreases at the field's rate."""
+        velocity_east, velocity_north = target.velocity_east_m_s, target.velocity_north_m_s
+        range_m = max(math.hypot(x_m, y_m), 1e-3)
+        out_e, out_n = x_m / range_m, y_m / range_m
+        spare_m_s = max(speed_m_s - math.hypot(velocity_east, velocity_north), 0.0)
+        inward_m_s = spare_m_s * 2.0 / math.pi * math.atan(self.approach_per_m * (range_m - self.radius_m))
+        radial_m_s = velocity_east * out_e + velocity_north * out_n - inward_m_s
+        around_m_s = math.sqrt(max(speed_m_s**2 - radial_m_s**2, 0.0)) * (1.0 if self.clockwise else -1.0)
+        return math.atan2(radial_m_s * out_e + around_m_s * out_n, radial_m_s * out_n - around_m_s * out_e)

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.laws.vector_field import VectorField
+from sidelong.mission.laws.course_field import VectorField
 
 # The radius and gain of the laws of one aircraft; the gains of the phase settle it within about a lap.
 _RADIUS_M, _GAIN_PER_S = 350.0, 0.25

@@ -27,8 +27,7 @@ from sidelong.app.config import Config
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.terrain.flat import flat_ground
-from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.terrain.ground import Ground, flat_ground
 from tests.bench.size import SMOKE, size
 from tests.faults import flight as faults
 from tests.faults.flight import HOME_DEG, FaultedFlight, Scenario

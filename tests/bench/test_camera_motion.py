@@ -31,7 +31,7 @@ from sidelong.estimators.filters.imm_kernel import (
     Densities,
 )
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.terrain.flat import flat_ground
+from sidelong.estimators.terrain.ground import flat_ground
 from sidelong.estimators.tracking.track import Track
 from tests.bench.size import size
 from tests.estimators.conftest import HEIGHT_M, STEP_S, Scene

@@ -14,7 +14,7 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
-from sidelong.estimators.terrain.flat import flat_ground
+from sidelong.estimators.terrain.ground import flat_ground
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 
 NO_BIAS = TrackerSettings(yaw_bias_sigma_rad=0.0, pitch_bias_sigma_rad=0.0, range_bias_sigma_m=0.0)

@@ -18,8 +18,7 @@ from sidelong.mission.core.events import End
 from sidelong.mission.core.fleet import Role
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.fleet.events import PlansReported, SightingReported
-from sidelong.sitl.settings import STARTS_M, Flavour, Settings, TargetSettings
-from sidelong.sitl.several import in_turn
+from sidelong.sitl.settings import STARTS_M, Flavour, Settings, TargetSettings, in_turn
 from tests.messages import message
 
 SYSTEM_TIME, DO_SET_ROI_LOCATION = 2, 195

@@ -36,9 +36,9 @@ from sidelong.sitl.settings import (
     RangeMessage,
     Settings,
     TargetSettings,
+    in_turn,
 )
 from sidelong.sitl.settings import Home as SitlHome
-from sidelong.sitl.several import in_turn
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import Wind
 from sidelong.sitl.world.motion import MOTIONS

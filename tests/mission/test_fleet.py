@@ -16,10 +16,10 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet import cover_kernel as kernel
+from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
 from sidelong.mission.fleet.team import team_of
 from sidelong.mission.fleet.team_planner import TeamPlanner
-from sidelong.mission.fleet.watched_course import WatchedCourse
 from sidelong.mission.geometry.separation import flown_places
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 

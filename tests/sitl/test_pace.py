@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from sidelong.sitl.cli import run
-from sidelong.sitl.pace import Pace
+from sidelong.sitl.server import Pace
 
 
 def test_it_waits_for_whoever_is_behind_but_not_for_whoever_is_silent():

@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from sidelong.sitl.settings import Flavour, Settings, TargetSettings
-from sidelong.sitl.several import in_turn
+from sidelong.sitl.settings import Flavour, Settings, TargetSettings, in_turn
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.geodesy import HomePlane
 
