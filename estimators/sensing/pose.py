@@ -18,7 +18,7 @@ _time_s = attrgetter("time_s")
 
 
 class History(Generic[T]):
-    """Readings of one kind in the order of their times, those of the last ``span_s`` seconds at least.
+    """Readings of one kind in the order of their times (vehicle's clock), of the last ``span_s`` seconds at least.
 
     A second reading of the same time is a duplicate and is dropped.
     """
@@ -36,11 +36,7 @@ class History(Generic[T]):
         return self._items[-1].time_s if self._items else float("-inf")
 
     def add(self, item: T) -> bool:
-        """Store a reading.
-
-        Returns:
-            False for a duplicate.
-        """
+        """Store a reading; return False for a duplicate."""
         items = self._items
         if not items or item.time_s > items[-1].time_s:
             items.append(item)
@@ -57,9 +53,6 @@ class History(Generic[T]):
     def around(self, time_s: float) -> tuple[T, T] | None:
         """Return the readings before (or at) and after a time.
 
-        Args:
-            time_s: Vehicle's clock, s.
-
         Returns:
             Both readings, the same one twice if its time is exact; None before the first and after the last reading.
         """
@@ -72,11 +65,7 @@ class History(Generic[T]):
         return None if at == len(self._items) else (before, self._items[at])
 
     def since(self, time_s: float) -> list[T]:
-        """Return the readings from a time on.
-
-        Args:
-            time_s: Vehicle's clock, s.
-        """
+        """Return the readings from a time on."""
         return self._items[bisect_right(self._items, time_s, key=_time_s) :]
 
     def newest(self) -> T | None:
@@ -107,9 +96,6 @@ class PoseHistory:
 
         Follows the cubic through two positions and their velocities: at 1 Hz and 0.5 g of turn it stays within 0.1 m
         where a straight line errs by 0.6 m. After the last reading, its velocity is held for 0.3 s.
-
-        Args:
-            time_s: Vehicle's clock, s.
 
         Returns:
             The position; None before the first reading, more than 0.3 s after the last one, and in a long gap.
@@ -156,9 +142,6 @@ class PoseHistory:
 
     def attitude_at(self, time_s: float) -> AttitudeReading | None:
         """Return the aircraft's attitude at a time, angles interpolated linearly.
-
-        Args:
-            time_s: Vehicle's clock, s.
 
         Returns:
             The attitude; None outside the readings and in a long gap.

@@ -56,11 +56,7 @@ class Pairing:
         self.waiting: list[RangeReading] = []
 
     def add_gimbal(self, gimbal: GimbalReading) -> bool:
-        """Store a line of sight.
-
-        Returns:
-            Whether it is new and its quaternion is a rotation.
-        """
+        """Store a line of sight; return whether it is new and its quaternion is a rotation."""
         w, x, y, z = gimbal.quaternion_wxyz
         if abs(w * w + x * x + y * y + z * z - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
             return False
@@ -126,11 +122,7 @@ class Pairing:
         self.gimbal_delay_s, self.range_delay_s = used_s
 
     def repeated(self, since_s: float) -> list[Sighting]:
-        """Return the paired sightings since a time, computed again with the present delays.
-
-        Args:
-            since_s: Vehicle's clock, s.
-        """
+        """Return the paired sightings since a time, computed again with the present delays."""
         self._paired_s = -math.inf
         waiting = {reading.time_s for reading in self.waiting}
         readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]

@@ -35,11 +35,7 @@ Rank = Callable[[Source], int | None]
 
 
 def range_rank(source: Source) -> int | None:
-    """Return the preference for a source of ranges.
-
-    Returns:
-        Lower is better; None for a source that cannot be the payload's.
-    """
+    """Return the rank of a source of ranges, lower is better; None for a source that cannot be the payload's."""
     from_autopilot = source.component_id == _AUTOPILOT_COMPONENT
     if source.orientation == LOOKS_DOWN or (from_autopilot and source.message == "RANGEFINDER"):
         return None

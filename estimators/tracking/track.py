@@ -71,11 +71,7 @@ class Track:
         self._kept: deque[tuple[float, TargetImm]] = deque(maxlen=_KEPT)
 
     def forget_since(self, time_s: float) -> None:
-        """Undo all detections since a time; without an earlier one the track restarts.
-
-        Args:
-            time_s: Vehicle's clock, s.
-        """
+        """Undo all detections since a time; without an earlier one the track restarts."""
         while self._kept and self._kept[-1][0] > time_s:
             self._kept.pop()
         if self._kept:

@@ -97,11 +97,7 @@ class Tracker:
         self.rejected = 0
 
     def add(self, reading: Reading) -> tuple[SightingOutcome, ...]:
-        """Process a reading.
-
-        Returns:
-            The outcome of each sighting that the reading completed.
-        """
+        """Process a reading; return the outcome of each sighting that it completed."""
         made: list[AnySighting] = []
         match reading:
             case PositionReading():
@@ -362,11 +358,7 @@ class Tracker:
         return self._pairing.ground is not None
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the target predicted to ``now_s``; None before the first sighting.
-
-        Args:
-            now_s: Time to predict to, vehicle's clock, s.
-        """
+        """Return the target predicted to ``now_s``; None before the first sighting."""
         return self._track.estimate(now_s)
 
     @property
@@ -380,11 +372,7 @@ class Tracker:
         return time_s, float(mean[0]), float(mean[1]), sigma_m
 
     def forget_since(self, time_s: float) -> None:
-        """Undo all sightings since a time at which the payload turned out to be wrong.
-
-        Args:
-            time_s: Vehicle's clock, s.
-        """
+        """Undo all sightings since a time at which the payload turned out to be wrong."""
         self._suspected = True
         self.corrections += 1
         self._track.forget_since(time_s)

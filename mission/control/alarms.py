@@ -130,11 +130,7 @@ class Alarms:
         return raised, tuple(alarm for key, alarm in before.items() if after[key] is None)
 
     def acknowledge(self, key: str) -> bool:
-        """Mark an alarm as seen.
-
-        Returns:
-            Whether it was active and not seen before.
-        """
+        """Mark an alarm as seen; return whether it was active and not seen before."""
         known = any(alarm.key == key and not alarm.acknowledged for alarm in self.active)
         self.active = tuple(replace(alarm, acknowledged=True) if alarm.key == key else alarm for alarm in self.active)
         return known

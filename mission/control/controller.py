@@ -205,7 +205,7 @@ class StandoffController:
             self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
         yaw_error_rad = health.payload.yaw_error_rad or tracker.yaw_error_rad
         if yaw_error_rad and tracker.correct_yaw(yaw_error_rad):
-            health.payload.yaw_is_corrected()
+            health.payload.judge_afresh()
             return (*changes, self._mount_news.found(now_s, tracker.calibration.yaw_bias_rad))
         return changes
 

@@ -54,11 +54,7 @@ class Planning:
                 self.planner.advise(news)
 
     def prepare_wind(self, speed_m_s: float) -> bool:
-        """Prepare the planner for winds of a speed from tables in memory.
-
-        Returns:
-            Whether the planner was not prepared for it before.
-        """
+        """Prepare the planner for winds of a speed from tables in memory; return whether that is new."""
         if speed_m_s in self.prepared_winds_m_s or not isinstance(self.planner, WindPlanner):
             return False
         self.prepared_winds_m_s.append(speed_m_s)
@@ -68,11 +64,7 @@ class Planning:
     # -- the route -----------------------------------------------------------------------------------------
 
     def follow(self, given: RouteGiven) -> str:
-        """Expect the target on a route.
-
-        Returns:
-            What that means for planning, in words.
-        """
+        """Expect the target on a route; return in words what that means for planning."""
         if not isinstance(self.planner, RoutePlanner):
             return "this planner does not use a route"
         try:
@@ -139,9 +131,6 @@ class Planning:
     def too_near(self, time_s: float) -> str:
         """Return which other aircraft is too near.
 
-        Args:
-            time_s: Time on the vehicle's clock, s.
-
         Returns:
             In words; '' if none is, and without fresh advice.
         """
@@ -157,9 +146,6 @@ class Planning:
 
     def joint_estimate(self, time_s: float) -> TargetEstimate | None:
         """Return the fleet's estimate of the target.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
 
         Returns:
             The estimate; None if it is old or lost.

@@ -123,11 +123,7 @@ class Plausibility:
         return self.doubt is None and not self.faulty
 
     def admit(self, event: Event) -> Admitted:
-        """Check an event.
-
-        Returns:
-            The checked event, None if it is rejected, and the announcements for the operator.
-        """
+        """Return the checked event, None if it is rejected, and the announcements for the operator."""
         judge = self._judges.get(type(event))
         if judge is None:
             return event, ()

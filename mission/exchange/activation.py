@@ -9,7 +9,7 @@ from sidelong.mission.core.events import UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.outbox import CANCELLED, Outbox
-from sidelong.mission.exchange.reports import MissionCountReported, PositionTargetReported
+from sidelong.mission.exchange.reports import PositionTargetReported
 from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
 from sidelong.mission.upload.mission_item import at_place
 
@@ -115,7 +115,7 @@ class Activation:
         if self._sends and not self._target_was_on_line and self._is_on_line(report):
             self.answer = Answer.FLOWN
 
-    def counted(self, report: MissionCountReported) -> None:
+    def counted(self) -> None:
         """Process the answer to the query: later reports are newer than the last request."""
         if self.unanswered and not self._settled:
             self._settled = True

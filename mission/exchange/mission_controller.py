@@ -114,11 +114,7 @@ class MissionController:
         return self.controller.snapshot()
 
     def step(self, event: InboundEvent) -> tuple[Output, ...]:
-        """Process one event.
-
-        Returns:
-            The resulting outputs, in order.
-        """
+        """Process one event; return the resulting outputs, in order."""
         self._outputs = []
         if isinstance(event, ExchangeInput):
             self._outbox.begin(event.time_s, event.link_s)

@@ -341,7 +341,7 @@ class MissionItemBackend:
                     change.activation.target(report)
                     self._judge_activation(change)
             case MissionCountReported() if change is not None and change.activation is not None:
-                change.activation.counted(report)
+                change.activation.counted()
             case MissionItemReported() if not self._upload.under_way and self._layout is not None:
                 self._ownership.item(report, self._layout)
         self._waits = self._waits or (frozen and not self._ownership.frozen)

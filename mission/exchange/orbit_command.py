@@ -66,11 +66,7 @@ class OrbitCommandBackend:
         return self._command.next_timer_s if self._command is not None else math.inf
 
     def take_over(self, first: Plan) -> CommandExchange:
-        """Take the aircraft over from any flight mode onto a circle.
-
-        Returns:
-            The command that does so.
-        """
+        """Return the command that takes the aircraft over from any flight mode onto a circle."""
         order = self._order(first.circle, first)
         return CommandExchange(self._outbox, self._dialect.fly_circle(order, take_over=True))
 

@@ -81,19 +81,11 @@ class VehicleTime:
         return math.isfinite(self.offset_s)
 
     def sigma_at(self, time_s: float) -> float:
-        """Return one standard deviation of the offset at the vehicle's time.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-        """
+        """Return one standard deviation of the offset at the vehicle's time."""
         return self.sigma_s if not self.known else self.sigma_s + _DRIFT_S_PER_S * max(time_s - self.at_s, 0.0)
 
     def mission_s(self, time_s: float) -> float:
-        """Return the mission time of a vehicle's.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-        """
+        """Return the mission time of a vehicle's."""
         return time_s + self.offset_s
 
 

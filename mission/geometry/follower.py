@@ -45,11 +45,7 @@ class PlanTrack:
         self._joined_clock_s = self._clock.time_s(self._turn_sign * joined_rad)
 
     def state_at(self, time_s: float) -> AircraftState:
-        """Return the state at a time; before the departure that of ``before``, or of the transition's start.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-        """
+        """Return the state at a time; before the departure that of ``before``, or of the transition's start."""
         if time_s < self.departure_s and self._before is not None:
             return self._before.state_at(time_s)
         if time_s < self.arrival_s and self._transition is not None:

@@ -74,21 +74,6 @@ _WORDS = {
 class _Received:
     """One input: when it was last received, how often, and its present state."""
 
-    __slots__ = (
-        "count",
-        "last_s",
-        "of_source",
-        "rate_hz",
-        "rated_count",
-        "rated_s",
-        "since_s",
-        "since_tick",
-        "source",
-        "state",
-        "text",
-        "tick",
-    )
-
     def __init__(self) -> None:
         self.last_s = self.rated_s = -math.inf
         self.count = self.of_source = self.rated_count = self.tick = self.since_tick = 0
@@ -271,7 +256,8 @@ class Health:
         if fault and state is not InputState.INCONSISTENT:
             changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
         elif not fault and state is InputState.INCONSISTENT:
-            changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
+            agree = "agree" if kind is Input.SIGHTINGS else "agrees"
+            changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} {agree} again"))
 
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
         one = self._inputs[kind]
@@ -302,10 +288,6 @@ class Health:
     def _lasted_s(self, one: _Received, now_s: float) -> float:
         """Return how long an input has been in its state; the vehicle's clock may have stood still since."""
         return max(now_s - one.since_s, float(self._ticks - one.since_tick)) if one.since_s > -math.inf else 0.0
-
-
-def _s(kind: Input) -> str:
-    return "" if kind is Input.SIGHTINGS else "s"
 
 
 def _device(source: Source | None) -> str:

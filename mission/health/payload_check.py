@@ -215,11 +215,7 @@ class PayloadCheck:
             self._swept_rad += math.atan2(across, along)
 
     def is_suspect(self, time_s: float) -> bool:
-        """Return whether the apparent target has jumped lately, and it is not known yet whether there is a fault.
-
-        Args:
-            time_s: The vehicle's clock.
-        """
+        """Return whether the apparent target has jumped lately, and it is not known yet whether there is a fault."""
         return 0.0 <= time_s - self.jumped_s < SUSPECT_S
 
     @property
@@ -235,7 +231,7 @@ class PayloadCheck:
         """Process a range of the laser in use."""
         if self._range is not None and reading.source != self._range.source:
             self._expect_another_laser()
-            self._begin_fit()
+            self.judge_afresh()
         self._range = reading
         values = (reading.slant_range_m,)
         news = self._range_repeats.note(values, reading.time_s, (self._turned_rad / _TURNED_RAD, self._closed))
@@ -260,11 +256,11 @@ class PayloadCheck:
         if reading.source != self._gimbal_source:
             self._gimbal_source = reading.source
             self._expect_another_gimbal()
-            self._begin_fit()
+            self.judge_afresh()
         if self._frame_fault:
             self._corrected = self._corrected + 1 if reading.frame == self._established.frame else 0
             if self._corrected >= _CORRECTED_AFTER:  # at once: on a straight leg no motion could show it
-                self._begin_fit()
+                self.judge_afresh()
                 self._settle()
         if reading.source.message != IMAGE_TRACKER:
             self.gimbal_axis(reading)
@@ -363,12 +359,8 @@ class PayloadCheck:
     def _expect_another_gimbal(self) -> None:
         self._sight_repeats, self._yaw_repeats = _Repeats(_SAME_SIGHT), _Repeats(_SAME_SIGHT)
 
-    def yaw_is_corrected(self) -> None:
-        """Judge afresh: from now on the lines of sight come without the yaw error."""
-        self._begin_fit()
-
-    def _begin_fit(self) -> None:
-        """Judge another device afresh."""
+    def judge_afresh(self) -> None:
+        """Judge another device, or lines of sight that come without the yaw error from now on."""
         self._fit.clear()
         self._established = self._verdict = SOUND
         self._frame_fault = self._unit_fault = ""

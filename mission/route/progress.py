@@ -112,11 +112,7 @@ def follower_of(given: RouteGiven) -> RouteFollower | None:
 
 
 def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
-    """Return the progress in the filter's memory.
-
-    Returns:
-        The progress; off route before the filter's first update.
-    """
+    """Return the progress in the filter's memory: off route before the first update."""
     on_route = bool(memory[ON_ROUTE] > 0.0)
     along_m = speed_m_s = to_end_s = math.nan
     if on_route:
