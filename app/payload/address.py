@@ -37,7 +37,7 @@ def read_payload(option: str, text: str) -> tuple[str, str | None]:
     if match is None or match[1] not in KIND_NAMES:
         raise InputError(
             f"{option} {text!r:.80}: give KIND://HOST[:PORT] or KIND:///dev/NAME[:BAUD]; "
-            f"KIND is one of {', '.join(KIND_NAMES)}."
+            f"HOST is a name or an IPv4 address, KIND one of {', '.join(KIND_NAMES)}."
         )
     kind, device, host, number = match.groups()
     if device:
