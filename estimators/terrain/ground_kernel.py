@@ -17,9 +17,9 @@ from sidelong.estimators.compiled import compiled
 FloatArray = npt.NDArray[np.float64]
 Grid: TypeAlias = tuple[npt.NDArray[np.float32], float, float, float, float]
 
-# Places in the data are off by about this part of a post's spacing; on a slope that is an error of height. Of 5 m by
-# which SRTM misplaces its posts, it is 0.17 at 30 m and 0.06 at 90 m; of heights between posts of 90 to 360 m, which are
-# interpolated, 0.1 to 0.2.
+# Places in the data are off by about this part of a post's spacing; on a slope that is an error of height. Posts that
+# are misplaced by 5 m, as those of SRTM, make it 0.17 at 30 m and 0.06 at 90 m; to interpolate between posts of real
+# hills adds 0.1 at 90 to 0.2 at 360 m.
 _MISPLACED = 0.15
 _STEPS_PER_POST = 3.0
 _BISECTIONS = 12  # of a step of some tens of metres: to a centimetre
