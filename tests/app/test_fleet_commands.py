@@ -48,7 +48,9 @@ def test_init_without_a_fleet_is_as_it_was():
     FleetFile.model_validate(tomllib.loads(config_text(None, 2)))
 
 
-def test_check_looks_at_every_aircraft(run, tmp_path):
+def test_check_looks_at_every_aircraft(run, tmp_path, monkeypatch):
+    found = Prediction(2, Share.of([1.0, 1.0]), None)
+    monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)  # tests/app/test_prediction.py flies
     announced = run("check", "fleet.toml", "--json", "found.json")
     assert "north, at 100 m:" in announced
     assert "south, at 160 m:" in announced
