@@ -298,9 +298,15 @@ def settle(
 
 
 def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None) -> Ground | None:
-    """Return the ground about home, None where no elevation data is configured. Raises InputError if it is unusable.
+    """Return the ground about home, None where no elevation data is configured.
 
-    home_deg: latitude and longitude; None if home is not known: it is then taken at the plane's origin.
+    Args:
+        config: The configuration.
+        plane: The local plane.
+        home_deg: Latitude and longitude of home; None if it is not known: it is then taken at the plane's origin.
+
+    Raises:
+        InputError: The elevation data is unusable.
     """
     if config.terrain.folder is None:
         return None

@@ -76,7 +76,15 @@ class _Commands(TyperGroup):
 
 
 def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
-    """Return (name, help) of a command's arguments and options in their order, by the title of their group."""
+    """Return the lines of ``--help`` for arguments and options, by group.
+
+    Args:
+        command: A command of :func:`load_command`.
+        context: Its click context.
+
+    Returns:
+        (name, help) of each argument and option, by the group's title, in the order of their definition.
+    """
     groups: dict[str, list[tuple[str, str]]] = {}
     for one in command.get_params(context):
         record = one.get_help_record(context)

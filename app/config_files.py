@@ -34,7 +34,9 @@ def check_single(config: Config) -> None:
 def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
     """Raise InputError, which names the field, if a file or mode cannot be used or a fence is no polygon.
 
-    config: of one aircraft, or of a fleet with its targets.
+    Args:
+        config: The configuration of one aircraft or of a fleet.
+        targets: Those of a fleet.
     """
     for field, check in _checks(config, targets):
         try:

@@ -20,8 +20,14 @@ T = TypeVar("T", bound=_Named)
 def with_plugins(group: str, own: Sequence[T], methods: Sequence[str], taken: Sequence[str] = ()) -> tuple[T, ...]:
     """Return ``own`` and what the entry points of a group name, made where that is a class without arguments.
 
-    Each needs a name, other than those of ``own`` and those ``taken``, and these methods. Raises InputError for
-    one that lacks something or cannot be loaded.
+    Args:
+        group: ``sidelong.planners``, ``sidelong.payloads`` or ``sidelong.autopilots``.
+        own: Those of this distribution.
+        methods: What each object needs to have, besides a name.
+        taken: Names that are taken, besides those of ``own``.
+
+    Raises:
+        InputError: One cannot be loaded, lacks something, or has a name that is taken.
     """
     objects, names = list(own), {*taken, *(one.name for one in own)}
     for point in entry_points(group=group):

@@ -58,9 +58,14 @@ PRESETS = {
 
 @dataclass(frozen=True, slots=True)
 class PayloadPreset:
-    """A payload's protocol and its address as delivered, and where that is published.
+    """A payload's protocol and its address as delivered.
 
-    pan_limit_deg: None: it pans all around, or its manual gives no limit.
+    Attributes:
+        about: what it is, in half a line.
+        kind: value of ``payload.kind``.
+        url: value of ``payload.url``.
+        source: where the address is published.
+        pan_limit_deg: value of ``aircraft.pan_limit_deg``; None: it pans all around, or its manual gives no limit.
     """
 
     about: str

@@ -53,7 +53,11 @@ class RoutePoints:
 
 
 def read_route(path: Path) -> RoutePoints:
-    """Read a route file. Raises InputError if it cannot be read or contains fewer than two points."""
+    """Read a route file.
+
+    Raises:
+        InputError: The file cannot be read or contains fewer than two points.
+    """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(f"{path}: is not a route file; {_REMEDY}.")
@@ -77,7 +81,11 @@ def read_route(path: Path) -> RoutePoints:
 
 
 def read_flight_route(path: Path) -> RoutePoints:
-    """Read a route file for a flight. Raises InputError as :func:`read_route`, or if the points are in metres."""
+    """Read a route file for a flight.
+
+    Raises:
+        InputError: As :func:`read_route`, or the points are in metres.
+    """
     points = read_route(path)
     if not points.geodetic:
         raise InputError(f"{path}: is in metres: studies use it, a flight needs degrees (lat,lon).")

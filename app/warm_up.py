@@ -43,10 +43,13 @@ MADE_UP_ROUTE = route_of(np.array([-300.0, 300.0]), np.zeros(2))
 
 
 def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None:
-    """Run what decides and follows a plan. The planner must not be flown afterwards.
+    """Run what decides and follows a plan.
 
-    In the last decisions the target is ``beyond_m`` farther away, out of the band, so that the planner lays out a new
-    circle as well.
+    Args:
+        planner: The planner, which must not be flown afterwards.
+        beyond_m: In the last decisions the target is this much farther away, out of the band, so that the planner
+            lays out a new circle as well.
+        with_route: Whether the target's route is known.
     """
     if with_route and isinstance(planner, RoutePlanner):
         planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))

@@ -93,9 +93,14 @@ class Truth:
         return self.at_each([begin_s + number * step_s for number in numbers], plane)
 
     def require_same_flight(self, places: Sequence[tuple[float, float, float]], plane: LocalPlane) -> None:
-        """Raise InputError if the aircraft is elsewhere in this truth than in a flight.
+        """Check that this is the truth of a flight.
 
-        places: time, s, and position east and north of the aircraft, m.
+        Args:
+            places: Time, s, and position east and north of the aircraft, m.
+            plane: Plane of the positions.
+
+        Raises:
+            InputError: The aircraft is elsewhere in it.
         """
         apart_m = [
             math.hypot(true.aircraft_east_m - east_m, true.aircraft_north_m - north_m)
@@ -150,9 +155,15 @@ def read_truth(path: Path) -> Truth:
 
 
 def truth_if_whole(path: Path | None, until_s: float, announce: Callable[[str], object]) -> Truth | None:
-    """Return the truth of a run that ended at ``until_s`` of the vehicle's clock.
+    """Return the truth of a run that has ended.
 
-    None if there is none or it does not cover the run; the callback then receives the reason.
+    Args:
+        path: The truth file; None if there is none.
+        until_s: When the run ended, by the vehicle's clock.
+        announce: Called with the reason if the truth cannot be used.
+
+    Returns:
+        The truth, None if there is none or it does not cover the run.
     """
     if path is None or not path.exists():
         return None

@@ -11,10 +11,14 @@ _STAGES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}  # FIRMWARE_VERSION_TY
 
 @dataclass(frozen=True, slots=True, order=True)
 class Release:
-    """A firmware release: its three numbers, then what releases are compared without.
+    """A firmware release.
 
-    stage: dev, alpha, beta or rc; "" for an official release. commit: first digits of the source's commit, ""
-    where it is not reported.
+    Attributes:
+        major: First number.
+        minor: Second number.
+        patch: Third number.
+        stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
+        commit: First digits of the source's commit, "" where it is not reported. Releases are compared without it.
     """
 
     major: int

@@ -115,9 +115,14 @@ def check(
 
 
 def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
-    """Print what one aircraft can do; airspeeds_m_s: range in which to search for the paper's best, None: no search.
+    """Print what one aircraft can do.
 
-    Returns the values for the JSON summary, and why the requirement cannot be met, '' if it can.
+    Args:
+        settings: The mission.
+        airspeeds_m_s: Airspeed range in which to search for the paper's best airspeed; None: no search.
+
+    Returns:
+        The values for the JSON summary, and why the requirement cannot be met, '' if it can.
     """
     if airspeeds_m_s is not None and settings.planner.name != _PAPER:
         raise InputError(f"--optimise finds the best numbers of the paper's method; add --planner {_PAPER}.")

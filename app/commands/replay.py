@@ -162,7 +162,11 @@ def _changes(given: list[str], planner: str | None) -> _Changes:
 
 
 def _changed(flown: Config, config: Path | None, changes: _Changes) -> Config:
-    """Return the configuration with other values. Raises InputError if it cannot be flown; a flight's own can."""
+    """Return the configuration with other values.
+
+    Raises:
+        InputError: It cannot be flown; that of a flight is accepted unchanged.
+    """
     settings = with_values(flown, changes, "--set")
     if config is not None or settings != flown:
         check_flyable(settings)

@@ -32,7 +32,9 @@ class ForeignAircraft:
     def report(self, message: Message, member: str = "") -> ForeignAircraftReported | None:
         """Return the aircraft that a message reports, None where it reports none or did so within the last second.
 
-        member: name of the fleet's aircraft that sent it, if this program has yielded it.
+        Args:
+            message: A message of any sender.
+            member: Name of the fleet's aircraft that sent it, if this program has yielded it.
         """
         fields, now_s = message.fields, self._now_s()
         if message.name == "GLOBAL_POSITION_INT":

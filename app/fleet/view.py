@@ -31,7 +31,13 @@ class FleetRequests(Protocol):
 class FleetView(ViewDisplay):
     """A ``FlightDisplay`` of the first aircraft; ``of`` returns each aircraft's. Use as ``with``, as ``ViewDisplay``.
 
-    ``requests`` must be set before a button is pressed. sides: required of each target, if there are several.
+    ``requests`` must be set before a button is pressed.
+
+    Args:
+        panel: The fleet on the terminal.
+        configs: The configuration of each aircraft, by name.
+        address: Where the page is served.
+        sides: The required side of each target if there are several.
     """
 
     requests: FleetRequests

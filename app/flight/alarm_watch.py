@@ -30,8 +30,13 @@ _TEXT_EVERY_S = 5.0
 class AlarmWatch:
     """An ``Observer`` that judges what it is shown.
 
-    home_m: east and north in the local plane; status returns the vehicle's as received last; ``put`` passes an event
-    on to the control loop, ``send`` a text to the ground station.
+    Args:
+        config: The mission.
+        home_m: Home in the local plane, east and north.
+        status: Returns the vehicle's status as received last.
+        put: Passes an event on to the control loop.
+        send: Sends a text to the ground station.
+        clock_s: The wall clock.
     """
 
     def __init__(

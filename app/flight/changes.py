@@ -111,8 +111,11 @@ class MissionChanges:
 class PanLimitInput:
     """Pan limits of one flight, driven by its snapshots.
 
-    configured_deg: ``aircraft.pan_limit_deg``, which has precedence. reported: returns the least and the greatest yaw
-    off the nose, rad; None while nothing is reported.
+    Args:
+        configured_deg: ``aircraft.pan_limit_deg``, which has precedence; None: not configured.
+        reported: Returns the least and the greatest yaw off the nose, rad; None while nothing is reported.
+        changes: Prepares the plan for them.
+        note: Receives what is done, and where the configuration contradicts the gimbal.
     """
 
     def __init__(

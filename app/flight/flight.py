@@ -94,9 +94,10 @@ class _Ready:
 
 
 class StoppedClock:
-    """Counts, in ``seconds``, for how long the vehicle's clock stands still.
+    """Counts by this computer's clock while the vehicle's clock stands still.
 
-    They are 0 again once it has gone on by more than that.
+    Attributes:
+        seconds: For how long it has stood still; 0 once it has gone on by more than that.
     """
 
     def __init__(self, now_s: float, wall_s: float) -> None:

@@ -27,6 +27,10 @@ class InputHealth:
 
     A fault that shows only while the aircraft turns (a frozen gimbal, a repeated range, a wrong frame or unit) is not
     found on the ground.
+
+    Args:
+        config: The mission; it names the sensors.
+        vehicle: The vehicle.
     """
 
     def __init__(self, config: Config, vehicle: Vehicle) -> None:

@@ -97,9 +97,15 @@ Stepped = Callable[[InboundEvent, Sequence[Output]], object]
 class ControlLoop:
     """Runs the core on what the vehicle reports, until ``stop`` or the end of the mission.
 
-    acquired is called once control of the aircraft is confirmed; ``failed`` holds the reason if it never is.
-    stepped is called after each step with its event and outputs, health_changed with each change of an input's
-    state.
+    Args:
+        vehicle: sends messages and reports what it receives.
+        telemetry: decodes what the vehicle reports.
+        controller: the core.
+        log: keeps every event and command.
+        display: shows announcements and snapshots.
+        acquired: called once control of the aircraft is confirmed; ``failed`` holds the reason if it never is.
+        stepped: called after each step with its event and outputs.
+        health_changed: called with each change of an input's state.
     """
 
     def __init__(

@@ -35,8 +35,12 @@ _JUMP_S = 5.0
 class PayloadRunner:
     """Moves bytes between a payload and its session.
 
-    rate: seconds of the driver's clock per second of this computer's. measured: receives each measurement with
-    its time on this computer's monotonic clock. report: receives trouble with the connection.
+    Args:
+        url: where the payload is.
+        session: the protocol and its supervision.
+        rate: seconds of the driver's clock per second of this computer's.
+        measured: receives each measurement with its time on this computer's monotonic clock.
+        report: receives trouble with the connection, one sentence without its full stop.
     """
 
     def __init__(
@@ -169,8 +173,10 @@ class VehicleTimeline:
 class PayloadInput:
     """Passes a payload's measurements to the listeners of a vehicle, stamped with the vehicle's time.
 
-    rate: seconds of the vehicle's clock per second of this computer's; on_frame receives each measurement as a
-    MAVLink frame, for the record.
+    Args:
+        vehicle: the vehicle that carries the payload.
+        rate: seconds of the vehicle's clock per second of this computer's.
+        on_frame: receives each measurement as a MAVLink frame, for the record.
     """
 
     def __init__(self, vehicle: Vehicle, rate: float, on_frame: Callable[[bytes], object]) -> None:
@@ -245,8 +251,15 @@ async def payload_input(
 ) -> AsyncIterator[PayloadRunner | None]:
     """Read the configured payload by its driver; None for one that speaks MAVLink.
 
-    on_frame: receives each measurement as a MAVLink frame. simulated_url: where the simulated payload is, instead
-    of the configured one. Raises InputError for a host that is not known.
+    Args:
+        config: the configuration.
+        vehicle: whose payload it is.
+        report: receives what happens to the payload, in words.
+        on_frame: receives each measurement as a MAVLink frame.
+        simulated_url: where the simulated payload is, instead of the configured one.
+
+    Raises:
+        InputError: the payload's host is not known.
     """
     if config.payload.kind == MAVLINK:
         yield None

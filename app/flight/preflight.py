@@ -59,9 +59,14 @@ class Check:
 
 
 def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
-    """Raise InputError for a flying aircraft in a return, a landing or a failsafe, out of which it would be taken.
+    """Check that no flying aircraft is silently taken out of a return, a landing or a failsafe.
 
-    allowed: modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
+    Args:
+        vehicle: The vehicle, whose heartbeat was received.
+        allowed: The modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
+
+    Raises:
+        InputError: It flies in such a mode, and the operator has not allowed it.
     """
     if not is_flying(vehicle):
         return
@@ -97,7 +102,8 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
 def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
     """Return a remark on the firmware's release, None where it is one that sidelong knows.
 
-    Raises InputError for a release that is older than supported.
+    Raises:
+        InputError: The release is older than supported.
     """
     name, supported = autopilot.name, autopilot.releases
     oldest, newest = supported.oldest.series, supported.newest.series

@@ -33,7 +33,15 @@ def give_route(
 ) -> None:
     """Pass on the configured route, as an event of the vehicle's time; the target's mission once it is read.
 
-    ``note`` receives why there is no route, or that it is far away. Raises InputError for a file that cannot be used.
+    Args:
+        route: The configuration.
+        session: The connected vehicle, whose links the target's mission is read on.
+        plane: The local plane of the flight.
+        put: Receives the route.
+        note: Receives in words why there is none, or that it is far away.
+
+    Raises:
+        InputError: The route file cannot be used.
     """
 
     def pass_on(east_m: Iterable[float], north_m: Iterable[float], lap: bool) -> None:

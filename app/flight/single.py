@@ -28,8 +28,11 @@ from sidelong.mission.control.controller import StandoffController
 class FlightEnded:
     """How a flight ended.
 
-    reason: the error to report and to exit with, None after a regular end. aircraft: what it does now, as the end
-    of a sentence.
+    Attributes:
+        folder: Where its records are.
+        summary: What was flown.
+        reason: The error to report and to exit with, None after a regular end.
+        aircraft: What the aircraft does now, as the end of a sentence.
     """
 
     folder: RunFolder
@@ -57,8 +60,17 @@ async def fly_single(
 ) -> FlightEnded:
     """Fly to the end and return how it ended. Raises what happens before the aircraft was armed.
 
-    duration_s: of the vehicle's clock; None: until it is stopped. note receives messages, from any thread;
-    make_controller may compute for seconds; joined is called with the session once the vehicle is connected.
+    Args:
+        config: The configuration; without link URLs a vehicle is simulated.
+        duration_s: How long to watch, of the vehicle's clock; None: until it is stopped.
+        folder: The run folder.
+        recording: Its records.
+        display: Shows the flight, and passes the operator's requests.
+        sharing: Outputs to the vehicle.
+        life: What ends the flight early.
+        note: Receives messages, from any thread.
+        make_controller: Makes the control step; it may compute for seconds.
+        joined: Called with the session once the vehicle is connected.
     """
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():

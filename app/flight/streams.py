@@ -70,7 +70,11 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = F
 class StreamKeeper:
     """Requests the streams again while one is silent, and when another ground station has slowed one down.
 
-    It observes the rates in the snapshots; ``note`` reports to the operator.
+    It observes the rates in the snapshots.
+
+    Args:
+        request: requests all streams.
+        note: reports a sentence to the operator.
     """
 
     def __init__(self, request: Callable[[], Awaitable[None]], note: Callable[[str], object]) -> None:

@@ -105,9 +105,17 @@ class MavsdkLink:
     ) -> MavsdkLink:
         """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one on the link.
 
-        Nothing is sent before the vehicle is selected; messages received until then are kept. on_frame receives every
-        raw frame, received and sent, on_trouble refused frames and link changes in words: both from several threads.
-        The other arguments are as :func:`sidelong.app.flight.session.connected` has them.
+        Nothing is sent before the vehicle is selected; messages received until then are kept.
+
+        Args:
+            urls: The links to the vehicle.
+            timeout_s: Longest wait for the first heartbeat.
+            on_frame: Receives every raw frame, received and sent; called from several threads.
+            key: Signing key, or its file; with it every link is signed.
+            on_trouble: Receives refused frames and link changes in words; called from several threads.
+            system_id: The vehicle to select; None: the only one.
+            settling_s: How long to listen for other vehicles.
+            open_transport: Opens a URL that other links use as well.
 
         Raises:
             InputError: The URL is invalid, the port is busy, the key is unusable, no heartbeat arrives within

@@ -36,7 +36,12 @@ class OtherMission:
 
 
 async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSWER_S) -> OtherMission:
-    """Read the mission of another vehicle that is received on the links of this one, whose ``run`` must be running.
+    """Read the mission of another vehicle that is received on the links of this one.
+
+    Args:
+        vehicle: The vehicle whose links are used; its ``run`` must be running.
+        system_id: MAVLink system id of the other one.
+        answer_s: How long to wait for each answer, s.
 
     Raises:
         LookupError: It is not received, does not answer, or has fewer than two way points; says so in words.

@@ -86,8 +86,11 @@ def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:
 class ParameterWatch:
     """Reports when another station sets a parameter that matters for the mission.
 
-    bytewise: whether the autopilot sends the bytes of an integer where the float belongs; own: what this mission has
-    set itself, by name.
+    Args:
+        table: the parameters as they were read.
+        bytewise: whether the autopilot sends the bytes of an integer where the float belongs.
+        own: what this mission has set itself, by name.
+        note: reports a sentence to the operator.
     """
 
     def __init__(

@@ -16,7 +16,13 @@ _KEPT = 50
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A text of the autopilot, without control characters; received_s: when its last chunk came."""
+    """A text of the autopilot.
+
+    Attributes:
+        text: The text, without control characters.
+        severity: MAV_SEVERITY: 0 emergency to 7 debug.
+        received_s: When its last chunk came.
+    """
 
     text: str
     severity: int

@@ -71,8 +71,17 @@ class DriverSettings:
 class AircraftPose:
     """The aircraft's attitude and position, which some gimbals want to know.
 
-    Roll is right wing down, pitch nose up, yaw the heading clockwise from north. Latitude and longitude are
-    WGS-84, the altitude is above mean sea level, the height above home, and the velocity over the ground.
+    Attributes:
+        roll_rad: right wing down.
+        pitch_rad: nose up.
+        yaw_rad: heading, clockwise from north.
+        latitude_deg: WGS-84.
+        longitude_deg: WGS-84.
+        altitude_m: above mean sea level.
+        height_m: above home.
+        velocity_north_m_s: over the ground.
+        velocity_east_m_s: over the ground.
+        velocity_up_m_s: climb rate.
     """
 
     roll_rad: float

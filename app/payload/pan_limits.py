@@ -11,9 +11,13 @@ _EQUAL_DEG = 2.0
 
 
 def usable_pan_limit_deg(limits_rad: tuple[float, float] | None) -> float | None:
-    """Return the pan limit to each side of the nose that figures of eight can be planned for, degrees.
+    """Return the pan limit that figures of eight can be planned for.
 
-    limits_rad: least and greatest yaw off the nose. None for a gimbal that looks all around, or too little aside.
+    Args:
+        limits_rad: Least and greatest yaw off the nose; None: there are none.
+
+    Returns:
+        Degrees to each side of the nose; None for a gimbal that looks all around, or too little aside.
     """
     if limits_rad is None or _looks_all_around(limits_rad):
         return None

@@ -94,8 +94,12 @@ class Consistency:
 class PayloadSession:
     """A driver with the supervision of its connection. Times are of the driver's clock.
 
-    report receives sentences without their full stop; the delays are the ages of range and angles when the
-    payload sends them, s.
+    Args:
+        name: how reports call the payload.
+        driver: the protocol.
+        report: receives each report, one sentence without its full stop.
+        range_delay_s: age of a range when the payload sends it, s.
+        angles_delay_s: the same of the angles, s.
     """
 
     def __init__(

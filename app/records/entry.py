@@ -33,7 +33,9 @@ class Entry(NamedTuple):
 def in_order(entries: Iterator[tuple[float, Entry]], progress: Progress) -> Iterator[Entry]:
     """Yield the entries of a log in order of time, stretch by stretch, without those whose time stamp is damaged.
 
-    Each comes with the share of the file that is read, which ``progress`` is called with.
+    Args:
+        entries: with the share of the file that is read.
+        progress: called with that share.
     """
     while stretch := list(islice(entries, _STRETCH)):
         progress(stretch[-1][0])

@@ -32,9 +32,16 @@ def recording(path: Path) -> Path:
 
 
 def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[str], object]) -> None:
-    """Raise InputError if there is hardly any space for records in ``parent``, which need not exist yet.
+    """Check the free space for the records of a flight, before it begins.
 
-    warn: called with a sentence if the space is less than this many aircraft need for a flight of ``duration_s``.
+    Args:
+        parent: The folder in which the run folder will be made; it need not exist yet.
+        duration_s: How long the flight watches.
+        aircraft: How many aircraft are recorded.
+        warn: Called with a sentence if the space is less than the flight needs.
+
+    Raises:
+        InputError: There is hardly any space.
     """
     present = next(path for path in (parent.absolute(), *parent.absolute().parents) if path.exists())
     free = shutil.disk_usage(present).free

@@ -14,9 +14,16 @@ _PRINTED = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", 
 
 
 class ServiceDisplay:
-    """Of one watch: ``request`` passes on an operator's wish once the flight takes any.
+    """Of one watch.
 
-    changed: called when the flight is in another phase; refused: receives why a resumption is refused.
+    Args:
+        log: Receives a line for people.
+        changed: Called when the flight is in another phase.
+        refused: Receives why a resumption is refused.
+
+    Attributes:
+        request: Passes on an operator's wish, None before the flight takes any.
+        snapshot: The latest one.
     """
 
     def __init__(

@@ -29,8 +29,9 @@ class VehicleGoneError(Exception):
 class Standby:
     """Judges one session again and again.
 
-    missing: what keeps the vehicle from being watched with, in words; '' where it is ready, None before the first
-    check.
+    Attributes:
+        missing: What keeps the vehicle from being watched with, in words; '' where it is ready, None before the first
+            check.
     """
 
     def __init__(self, session: Session, config: Config) -> None:

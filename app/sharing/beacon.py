@@ -92,8 +92,14 @@ def _cot(data: bytes, now: datetime) -> BeaconReport | None:
 class BeaconInput(asyncio.DatagramProtocol):
     """Forwards the readings of one beacon, and reports each reason for a rejection once.
 
-    name: the configured beacon; None: the only one received. sigma_m: position error, 1 sigma, m, of a beacon
-    that does not send its own. now_s: time of the vehicle's clock; now: time of day in UTC.
+    Args:
+        plane: The local plane of the mission.
+        name: The configured beacon; None: the only one received.
+        sigma_m: Position error, 1 sigma, m, of a beacon that does not send its own.
+        now_s: Returns the time of the vehicle's clock, s.
+        put: Called with each reading.
+        announce: Called with each message for the operator.
+        now: Returns the time of day in UTC.
     """
 
     def __init__(

@@ -26,8 +26,12 @@ def is_contact(text: str) -> bool:
 class ContactBeacon:
     """Forwards the positions of one contact. Each position counts once, however often it is repeated.
 
-    name: ``adsb:ICAO`` (six hexadecimal digits) or ``ais:MMSI`` (nine digits). announce: called once, when the
-    contact is received first.
+    Args:
+        name: ``adsb:ICAO`` (six hexadecimal digits) or ``ais:MMSI`` (nine digits).
+        plane: the local plane of the mission.
+        now_s: returns the time of the vehicle's clock, s.
+        put: called with each reading.
+        announce: called once, when the contact is received first.
     """
 
     def __init__(

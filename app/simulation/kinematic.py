@@ -81,10 +81,19 @@ class Start:
 
 
 class KinematicVehicle:
-    """One vehicle of an autopilot's kind, with its payload, None: nothing, and the target that this looks at.
+    """One vehicle of an autopilot's kind, with its payload and the target that this looks at.
 
-    It has the autopilot's missions, modes and guidance law, and reports the wind that blows. rates: how often it
-    sends; time_s: since the start of the simulation.
+    Args:
+        autopilot: whose missions, modes and guidance law it has.
+        aircraft: where it is and what it can do.
+        wind: that blows, and that it reports.
+        start: how the flight begins.
+        payload: what it carries, None: nothing.
+        target: what the payload looks at.
+        rates: how often it sends.
+
+    Attributes:
+        time_s: since the start of the simulation.
     """
 
     system_id = _SYSTEM

@@ -56,7 +56,12 @@ class SimulatedVehicle(Protocol[P]):
 class ClosedLoop(Generic[P]):
     """One flight: :meth:`start`, then :meth:`step` or :meth:`run`.
 
-    core: what flies, None before :meth:`start`. listeners: called with each event and the outputs that it led to.
+    Args:
+        simulated: the vehicle, and what it carries.
+
+    Attributes:
+        core: what flies, None before :meth:`start`.
+        listeners: called with each event and the outputs that it led to.
     """
 
     def __init__(self, simulated: SimulatedVehicle[P]) -> None:
@@ -78,8 +83,12 @@ class ClosedLoop(Generic[P]):
     def start(self, make_core: Callable[[LocalPlane], MissionController], flying_mode: str = "") -> None:
         """Wait until position and mode are known, and take the aircraft over.
 
-        make_core: makes the core for the plane that the first position sets. flying_mode: as ``take_over`` has
-        it. Raises TimeoutError if the vehicle sends neither position nor heartbeat.
+        Args:
+            make_core: makes the core for the plane that the first position sets.
+            flying_mode: the mode in which it flies already; empty: it stands on the ground.
+
+        Raises:
+            TimeoutError: the vehicle sends neither position nor heartbeat.
         """
         self.connect()
         assert self.telemetry.plane is not None
@@ -96,8 +105,9 @@ class ClosedLoop(Generic[P]):
     def take_over(self, flying_mode: str = "", round_trip_s: float = 0.0) -> None:
         """Ask the core to bring the aircraft onto a circle.
 
-        flying_mode: in which it flies already; empty: it stands on the ground. round_trip_s: as far as it is
-        known.
+        Args:
+            flying_mode: the mode in which it flies already; empty: it stands on the ground.
+            round_trip_s: of the link, as far as it is known.
         """
         flying = bool(flying_mode)
         request = TakeoverRequested(self.telemetry.now_s, self.link_s, flying, flying_mode, round_trip_s=round_trip_s)

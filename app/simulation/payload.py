@@ -52,10 +52,16 @@ class Payload:
         heading_rad: float = 0.0,
         with_range: bool = True,
     ) -> list[Message]:
-        """Return the readings of one moment, with a range if the laser measures now.
+        """Return the readings of one moment.
 
-        east_m, north_m and up_m lead from the aircraft to the target; heading_rad: where the nose points,
-        clockwise from north; boot_ms: the vehicle's clock.
+        Args:
+            time_s: the simulation's time.
+            boot_ms: the vehicle's clock, in milliseconds.
+            east_m: from the aircraft to the target.
+            north_m: from the aircraft to the target.
+            up_m: from the aircraft to the target, negative below.
+            heading_rad: where the nose points, clockwise from north.
+            with_range: whether the laser measures now.
         """
         errors, level_m = self._errors, math.hypot(east_m, north_m)
         range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()

@@ -38,8 +38,12 @@ View = TypeVar("View", bound="ViewDisplay")
 class ShownAircraft:
     """A ``FlightDisplay`` of one aircraft around another, which shows it on the page too.
 
-    name: in a fleet; '' where there is one aircraft only. start_s: when watching began, on the clock of its
-    vehicle; None: not taken over yet, and times mean nothing.
+    Attributes:
+        name: In a fleet; '' where there is one aircraft only.
+        encoder: Turns its snapshots into states.
+        snapshot: The latest one.
+        start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
+        vehicle: Its status as received last.
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str = "") -> None:

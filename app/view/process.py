@@ -116,10 +116,18 @@ class Feed:
 
 
 def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()) -> tuple[Feed, str, str]:
-    """Start the server, wait for it, and return the feed to it and the URLs for the operator and for viewers.
+    """Start the server and wait for it.
 
-    replay: accept only the requests of a replay's page; fleet: the names of the aircraft that may be relieved. Raises
-    InputError when it does not come up, for example because the port is in use.
+    Args:
+        address: Where the page is served.
+        replay: Accept only the requests of a replay's page.
+        fleet: The names of the aircraft that may be relieved.
+
+    Returns:
+        The feed to the server, and the URLs for the operator and for viewers.
+
+    Raises:
+        InputError: The server does not start, for example because the port is in use.
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))

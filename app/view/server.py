@@ -285,9 +285,14 @@ def _shown(data: bytes | None) -> Response:
 
 
 def button_of(press: Json, fleet: frozenset[str] = frozenset()) -> Json:
-    """Return the known part of a request from a flight's page; fleet: the names of the aircraft that may be relieved.
+    """Return the known part of a request from a flight's page.
 
-    Raises ValueError, TypeError, KeyError or AttributeError if the page of this flight has no such button.
+    Args:
+        press: The request as it came.
+        fleet: The names of the aircraft that may be relieved.
+
+    Raises:
+        ValueError, TypeError, KeyError, AttributeError: The page of this flight has no such button.
     """
     action = press["action"]
     if action == "relieve":

@@ -109,9 +109,13 @@ class StateEncoder:
     def state(
         self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None, name: str = ""
     ) -> Json:
-        """Return the state; silent_s: since the last message of the vehicle.
+        """Return the state.
 
-        vehicle: None if there is none, as in a replay. name: of the aircraft, '' where there is one only.
+        Args:
+            snapshot: Of the mission.
+            silent_s: Time since the last message of the vehicle, s.
+            vehicle: Its status; None if there is none, as in a replay.
+            name: Of the aircraft; '' where there is one only.
         """
         sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
         self._shares.note(time_s, watch, in_control=snapshot.phase.in_control)
