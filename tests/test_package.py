@@ -68,9 +68,8 @@ def test_the_wheel_installs_one_name_with_its_pages(wheel):
 
 
 @pytest.mark.udp
-@pytest.mark.parametrize("on_path", [False, True], ids=["in the working folder", "on PYTHONPATH too"])
-def test_a_flight_with_a_live_map_starts_in_a_folder_with_files_of_our_names(
-    installed, workspace, free_port, on_path
+def test_a_flight_with_a_live_map_starts_with_files_of_our_names_in_its_folder_and_on_the_path(
+    installed, workspace, free_port
 ):
     (workspace / "mission.toml").write_text("[planner]\nname = 'paper'\n[sensors]\nfilter = 'ekf'\n")
     # As the installed script does it.
@@ -79,7 +78,7 @@ def test_a_flight_with_a_live_map_starts_in_a_folder_with_files_of_our_names(
     done = subprocess.run(
         [installed, "-P", "-c", script, *options, str(free_port())],
         cwd=workspace,
-        env=os.environ | {"PYTHONPATH": str(workspace) if on_path else ""},
+        env=os.environ | {"PYTHONPATH": str(workspace)},
         capture_output=True,
         text=True,
         timeout=240.0,

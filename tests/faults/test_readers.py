@@ -1,4 +1,4 @@
-"""Some thousand damaged files, a few hundred of every kind; tests/bench/test_faults.py has a million."""
+"""Damaged files, a hundred of every kind; tests/bench/test_faults.py has a million."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from tests.faults.campaign import Count, run
 
-INPUTS = 400
+INPUTS = 100
 NAMES = (
     *("tlog", "ulog", "dataflash", "journal", "journal, sealed", "truth", "summary", "gpx", "csv track", "config"),
     *("fleet", "beacon, CoT", "beacon, FOLLOW_TARGET", "mbtiles", "pmtiles", "value table"),
