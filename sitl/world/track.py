@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import datetime
 import math
@@ -148,8 +149,14 @@ def _read_csv(path: Path) -> _Rows:
         for names, geodetic in _COLUMNS:
             places = [next((columns.index(n) for n in alike if n in columns), None) for alike in names]
             if None not in places:
-                points = [_point([row[k] for k in places if k is not None and k < len(row)]) for row in rows]
-                found = [point for point in points if point is not None]
+                found = []
+                for row in rows:
+                    try:
+                        point = _point([row[k] for k in places if k is not None and k < len(row)])
+                    except ValueError as error:
+                        raise ValueError(f"line {rows.line_num + 1}: {error}") from error
+                    if point is not None:
+                        found.append(point)
                 return _from_geodetic(found) if geodetic else (found, None)
     raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
 
@@ -166,10 +173,12 @@ def _point(cells: list[str]) -> _Point | None:
 
 
 def _seconds(stamp: str) -> float:
-    try:
+    with contextlib.suppress(ValueError):
         return float(stamp)
-    except ValueError:
+    try:
         return datetime.datetime.fromisoformat(stamp.strip()).timestamp()
+    except ValueError as error:
+        raise ValueError(f"{stamp!r:.40} is neither seconds nor a time of ISO 8601") from error
 
 
 def _from_geodetic(rows: list[_Point]) -> _Rows:
