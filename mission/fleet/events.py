@@ -20,7 +20,7 @@ class ClockReported:
     """At ``time_s`` of the vehicle's clock it was ``mission_time_s``, to one standard deviation of ``sigma_s``.
 
     From SYSTEM_TIME (UTC and boot time in one message) or TIMESYNC. Nothing of a vehicle is used before its first.
-    anew: the source of its reports has changed; earlier ones are discarded.
+    The flag is set if the source of its reports has changed: earlier ones are discarded.
     """
 
     name: str
