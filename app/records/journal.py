@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -34,8 +35,6 @@ from sidelong.estimators.frames import LocalPlane
 if TYPE_CHECKING:
     import cattrs
 
-import re
-
 FORMAT = 2
 
 _OPENING = b'{"event":"'
@@ -45,10 +44,9 @@ _CHECKSUM_BYTES = len(_CHECKSUM % 0)
 _PROGRESS_LINES = 1000
 _LINE_MAX_BYTES = 4 << 20  # a plan takes a hundredth of that
 
-
 _Record = TypeVar("_Record")
-OLDEST_FORMAT = 1
 
+OLDEST_FORMAT = 1  # to November 2026; some types and units had other names
 _NAMES_IN_1 = {
     "Engaged": "ControlAcquired",
     "Prepare": "UploadPlan",
