@@ -29,6 +29,7 @@ class TargetEstimate:
     """The target's state at ``time_s``: state = (east, north, velocity east, velocity north), m and m/s.
 
     covariance is (4, 4) in the same order. reason: why the quality is not good, in words.
+    as_seen: that of the last sighting, where the payload reports it so late that this one is mostly predicted.
     """
 
     time_s: float
@@ -40,6 +41,7 @@ class TargetEstimate:
     quality: TrackQuality
     last_sighting_s: float
     reason: str = ""
+    as_seen: TargetEstimate | None = None
 
     def __post_init__(self) -> None:
         convert_to_floats(

@@ -25,7 +25,7 @@ from sidelong.mission.geometry.line_kernel import Circling, LinePoint, circle_af
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.foresight_kernel import decide
 from sidelong.mission.predictive.scene_kernel import scene_of
-from sidelong.mission.viewpoint.viewpoint_kernel import Known
+from sidelong.mission.viewpoint.viewpoint_kernel import Estimates, Known
 
 IntArray = npt.NDArray[np.int64]
 
@@ -353,7 +353,7 @@ def choose(
         body.time_s,
         LinePoint(body.east_m, body.north_m, body.course_rad, body.curvature_per_m),
         body.speed_m_s,
-        known,
+        Estimates(known, known),
         present,
         circle,
         frame.wind_east_m_s,

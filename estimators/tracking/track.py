@@ -252,6 +252,11 @@ class Track:
             reason,
         )
 
+    @property
+    def as_seen(self) -> TargetEstimate | None:
+        """The estimate as of the last sighting; None before the first."""
+        return None if self._filter is None else self.estimate(self._filter.time_s)
+
     def drop_m(self, height_m: float) -> float:
         """Return how far the ground at the target is below the aircraft.
 

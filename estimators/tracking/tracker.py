@@ -41,6 +41,7 @@ _AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
 
 _FOLLOWS_RAD = math.radians(5.0)
 
+_LATE_S = 0.4  # of a payload with this delay or more, the present estimate is mostly a prediction
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD, _YAW_SHARED_RAD = math.radians(0.1), math.radians(1.5)
 _YAW_UNEXPECTED_RAD, _YAW_SIGMAS = math.radians(4.0), 4.0  # of the gimbal's mounting
@@ -358,8 +359,11 @@ class Tracker:
         return self._pairing.ground is not None
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the target predicted to ``now_s``; None before the first sighting."""
-        return self._track.estimate(now_s)
+        """Return the target predicted to ``now_s``, and of a late payload as it was last seen; None before that."""
+        estimate, pairing = self._track.estimate(now_s), self._pairing
+        if estimate is None or max(pairing.gimbal_delay_s, pairing.range_delay_s) < _LATE_S:
+            return estimate
+        return replace(estimate, as_seen=self._track.as_seen)
 
     @property
     def last_seen(self) -> tuple[float, float, float, float] | None:

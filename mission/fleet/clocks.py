@@ -118,4 +118,9 @@ def shifted_estimate(estimate: TargetEstimate | None, by_s: float) -> TargetEsti
     """
     if estimate is None:
         return None
-    return replace(estimate, time_s=estimate.time_s + by_s, last_sighting_s=estimate.last_sighting_s + by_s)
+    return replace(
+        estimate,
+        time_s=estimate.time_s + by_s,
+        last_sighting_s=estimate.last_sighting_s + by_s,
+        as_seen=shifted_estimate(estimate.as_seen, by_s),
+    )

@@ -45,7 +45,7 @@ from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route
-from sidelong.mission.viewpoint.course_hold import known
+from sidelong.mission.viewpoint.course_hold import estimates_of
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.side_policy import SidePolicy
 
@@ -302,7 +302,7 @@ def scene_at(
         aircraft.time_s,
         LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m),
         aircraft.ground_speed_m_s,
-        known(target),
+        estimates_of(target),
         *line_of(present),
         wind.east_m_s,
         wind.north_m_s,

@@ -24,6 +24,7 @@ from sidelong.mission.predictive.rollout_kernel import Air, Doubt
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     AIRSPEED_S,
     AIRSPEED_SHARE,
+    Estimates,
     Known,
     Wish,
     position_sigma_m,
@@ -90,7 +91,7 @@ def scene_of(
     time_s: float,
     aircraft: LinePoint,
     speed_m_s: float,
-    target: Known,
+    estimates: Estimates,
     line: FloatArray,
     circle: Circling,
     wind_east_m_s: float,
@@ -126,8 +127,8 @@ def scene_of(
     else:
         arc_m += flown_m
         start = point_at(line, circle, arc_m, aircraft.east_m, aircraft.north_m)
-    departure_s = time_s + latency_s
-    view = viewpoint(start.east_m, start.north_m, target, wish, memory)
+    departure_s, target = time_s + latency_s, estimates.now
+    view = viewpoint(start.east_m, start.north_m, estimates, wish, memory)
     # An estimate overshoots when the target turns: a speed beyond the greatest of the target counts only
     # if it is certain.
     sigma_m_s = velocity_sigma_m_s(target)

@@ -14,7 +14,7 @@ import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.viewpoint import viewpoint_kernel as kernel
-from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Known
+from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Estimates, Known
 
 
 def known(target: TargetEstimate) -> Known:
@@ -27,6 +27,12 @@ def known(target: TargetEstimate) -> Known:
         target.velocity_north_m_s,
         np.ascontiguousarray(target.covariance, np.float64),
     )
+
+
+def estimates_of(target: TargetEstimate) -> Estimates:
+    """Return an estimate as the loops see it, with that of the last sighting."""
+    now = known(target)
+    return Estimates(now, now if target.as_seen is None else known(target.as_seen))
 
 
 class CourseHold:

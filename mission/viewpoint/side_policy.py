@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.requirement import Requirement, Sector, Side
 from sidelong.mission.viewpoint import viewpoint_kernel as kernel
-from sidelong.mission.viewpoint.course_hold import known
+from sidelong.mission.viewpoint.course_hold import estimates_of
 
 _SECTOR_WORDS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 
@@ -49,7 +49,7 @@ class SidePolicy:
             north_m: Aircraft's north, m.
             target: Estimate of the target.
         """
-        view = kernel.viewpoint(east_m, north_m, known(target), self.wish, self.memory)
+        view = kernel.viewpoint(east_m, north_m, estimates_of(target), self.wish, self.memory)
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
 
 

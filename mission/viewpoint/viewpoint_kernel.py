@@ -47,6 +47,13 @@ class Known(NamedTuple):
     covariance: FloatArray
 
 
+class Estimates(NamedTuple):
+    """The target now, and as it was last seen. They differ where the payload is late: the rest is a prediction."""
+
+    now: Known
+    seen: Known
+
+
 class Wish(NamedTuple):
     """From where to watch: a side (SIDE of the memory), either side, or a fixed course, NaN for none.
 
@@ -187,26 +194,28 @@ def least_way_m(target: Known, memory: FloatArray) -> float:
 
 
 @compiled
-def _made_good(target: Known, horizon_s: float, memory: FloatArray) -> tuple[float, float]:
+def _made_good(estimates: Estimates, horizon_s: float, memory: FloatArray) -> tuple[float, float]:
     """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before."""
-    remember_place(target, memory)
+    target = estimates.now
+    remember_place(estimates.seen, memory)
     east_m, north_m = place_at(memory, target.time_s - horizon_s)
     east_m, north_m = target.east_m - east_m, target.north_m - north_m
     way_m = math.hypot(east_m, north_m)
-    if way_m > least_way_m(target, memory):
+    if way_m > least_way_m(estimates.seen, memory):
         memory[MADE_GOOD] = math.atan2(east_m, north_m)
     return memory[MADE_GOOD], made_good_sigma_rad(position_sigma_m(target), way_m)
 
 
 @compiled
-def viewpoint(east_m: float, north_m: float, target: Known, wish: Wish, memory: FloatArray) -> View:
+def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: Wish, memory: FloatArray) -> View:
     """See :meth:`sidelong.mission.viewpoint.side_policy.SidePolicy.viewpoint`."""
     if not math.isnan(wish.fixed_course_rad):
         return View(wish.fixed_course_rad, memory[SIDE], 0.0)
-    course_rad = held_course_rad(target, memory)
+    target = estimates.now
+    course_rad = held_course_rad(estimates.seen, memory)
     sigma_rad = 0.0 if memory[STANDING] > 0.0 else course_sigma_rad(target)
     if wish.course_horizon_s > 0.0:
-        course_rad, sigma_rad = _made_good(target, wish.course_horizon_s, memory)
+        course_rad, sigma_rad = _made_good(estimates, wish.course_horizon_s, memory)
     away_rad = math.atan2(east_m - target.east_m, north_m - target.north_m)
     if math.isnan(course_rad):
         if math.isnan(memory[PRESUMED]):

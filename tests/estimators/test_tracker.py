@@ -185,6 +185,24 @@ def test_a_configured_latency_is_taken_off_the_stamps(cruise):
     assert error_m(uninformed, cruise, 39.9) > 3.0
 
 
+@pytest.mark.parametrize("late_s", [0.1, 1.0])
+def test_of_a_payload_that_is_very_late_the_estimate_of_the_last_sighting_is_given(cruise, late_s):
+    late = [
+        replace(reading, time_s=reading.time_s + late_s)
+        if isinstance(reading, RangeReading | GimbalReading)
+        else reading
+        for reading in cruise.readings(np.random.default_rng(17))
+    ]
+    tracker, _ = fed(late, replace(NO_BIAS, gimbal_latency_s=late_s, range_latency_s=late_s))
+    estimate = tracker.estimate(39.9 + late_s)
+    if late_s < 0.4:
+        assert estimate.as_seen is None
+    else:
+        assert estimate.as_seen.time_s == pytest.approx(39.9, abs=0.15)
+        assert estimate.as_seen.covariance.trace() < estimate.covariance.trace()
+        assert estimate.as_seen.as_seen is None
+
+
 def test_a_lever_arm_moves_the_place_that_is_seen_from(cruise):
     _, plain = fed(cruise.readings(np.random.default_rng(12)))
     _, offset = fed(cruise.readings(np.random.default_rng(12)), replace(NO_BIAS, lever_arm_body_m=(2.0, 0.0, 0.5)))

@@ -43,7 +43,14 @@ from sidelong.mission.predictive.second_moves_kernel import (
 )
 from sidelong.mission.predictive.value_table import completed
 from sidelong.mission.viewpoint.side_policy import watching_from
-from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Known, Wish, fresh_memory, remember_place
+from sidelong.mission.viewpoint.viewpoint_kernel import (
+    STANDING,
+    Estimates,
+    Known,
+    Wish,
+    fresh_memory,
+    remember_place,
+)
 from tests.mission import plain_rollout
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
@@ -84,7 +91,7 @@ class Look:
         s, wind = self.state, (self.wind.east_m_s, self.wind.north_m_s)
         here = s.time_s, LinePoint(s.east_m, s.north_m, s.course_rad, s.curvature_per_m), s.ground_speed_m_s
         known = 5.0, self.craft, WISH, fresh_memory(self.side)
-        return scene_of(*here, target, *line_of(present), *wind, 0.4, 0.0, *known)
+        return scene_of(*here, Estimates(target, target), *line_of(present), *wind, 0.4, 0.0, *known)
 
     def compiled(self, futures=None, kept=None):
         costs, motions, c = np.empty(MOVES), self.table.motions, self.table.configuration
@@ -234,7 +241,9 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
                 LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
                 (5.0, craft_of(paper_aircraft), wish, memory),
             )
-            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
+            scene = scene_of(
+                float(time_s), here, 10.0, Estimates(target, target), *line_of(present), 0.0, 0.0, 0.0, 0.0, *known
+            )
         future = winding(scene, motions, wish, memory, STRAIGHT)
         seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
         ahead_s = np.arange(seen.size)
@@ -256,7 +265,18 @@ def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share
         course = 0.15 * time_s
         speed = float(ground_speeds_m_s(np.array([course]), 10.0 * share, wind)[0])
         here = LinePoint(*present.circle.position_at_course(course), course, 1.0 / 60.0)
-        known = target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0, 5.0, craft, WISH, memory
+        known = (
+            Estimates(target, target),
+            *line_of(present),
+            wind.east_m_s,
+            wind.north_m_s,
+            0.0,
+            0.0,
+            5.0,
+            craft,
+            WISH,
+            memory,
+        )
         found.append(scene_of(float(time_s), here, speed, *known).air.airspeed_m_s)
     assert found[0] == 10.0
     assert found[-1] == pytest.approx(10.0 * given)
@@ -302,7 +322,9 @@ def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft,
                 LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
                 (5.0, craft_of(paper_aircraft), wish, memory),
             )
-            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
+            scene = scene_of(
+                float(time_s), here, 10.0, Estimates(target, target), *line_of(present), 0.0, 0.0, 0.0, 0.0, *known
+            )
         futures = winding(scene, motions, wish, memory, turns)
         straight, again = futures.place[0], futures.place[1]
         assert futures.weight.sum() == pytest.approx(1.0)

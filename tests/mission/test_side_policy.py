@@ -131,3 +131,25 @@ def test_the_course_made_good_does_not_follow_a_jump_of_the_estimate(jump_m):
         moving = replace(target(0.0, 3.0, float(time_s)), east_m=east_m, north_m=north_m + 3.0 * time_s)
         found.append(policy.viewpoint(-300.0, 0.0, moving).course_rad)
     assert found[4:] == pytest.approx([0.0] * 56, abs=1e-9)
+
+
+def test_of_a_late_payload_the_places_of_its_sightings_are_remembered():
+    """It goes north, then east. For 2 s after the bend the late estimates go on to the north."""
+    policy = SidePolicy(LEFT, 50.0, 20.0)
+    for time_s in range(60):
+        place = 3.0 * max(0, time_s - 30), 3.0 * min(time_s, 30)
+        seen = replace(at(time_s - 2.0, *place), velocity_north_m_s=3.0)
+        predicted = replace(seen, time_s=float(time_s), north_m=place[1] + 6.0, as_seen=seen)
+        view = policy.viewpoint(0.0, 300.0, predicted)
+        if time_s == 40:  # it was at (0, 66) when it was seen 20 s before now
+            assert view.course_rad == pytest.approx(math.atan2(30.0, 96.0 - 66.0))
+
+
+def test_of_a_late_payload_motion_is_judged_by_the_sightings():
+    """A walker of 1.2 m/s, known to 0.3 m/s as last seen, to 0.8 m/s after the prediction, still moves."""
+    for as_seen, course_rad in ((True, 0.0), (False, math.pi / 2)):
+        policy = SidePolicy(LEFT, 50.0)
+        seen = replace(target(0.0, 1.2), covariance=np.diag([1.0, 1.0, 0.09, 0.09]))
+        predicted = replace(seen, time_s=2.0, covariance=np.diag([9.0, 9.0, 0.64, 0.64]))
+        view = policy.viewpoint(0.0, 300.0, replace(predicted, as_seen=seen if as_seen else None))
+        assert view.course_rad == pytest.approx(course_rad)
