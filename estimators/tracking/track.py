@@ -253,7 +253,7 @@ class Track:
         )
 
     @property
-    def as_seen(self) -> TargetEstimate | None:
+    def last_seen(self) -> TargetEstimate | None:
         """The estimate as of the last sighting; None before the first."""
         return None if self._filter is None else self.estimate(self._filter.time_s)
 

@@ -363,17 +363,12 @@ class Tracker:
         estimate, pairing = self._track.estimate(now_s), self._pairing
         if estimate is None or max(pairing.gimbal_delay_s, pairing.range_delay_s) < _LATE_S:
             return estimate
-        return replace(estimate, as_seen=self._track.as_seen)
+        return replace(estimate, as_seen=self.last_seen)
 
     @property
-    def last_seen(self) -> tuple[float, float, float, float] | None:
-        """Time, position (east, north) and its one-sigma error as of the last sighting; None before the first."""
-        last, time_s = self._track.last
-        if last is None:
-            return None
-        mean, covariance = last.moments()
-        sigma_m = math.sqrt(float(max(covariance[0, 0], covariance[1, 1])))
-        return time_s, float(mean[0]), float(mean[1]), sigma_m
+    def last_seen(self) -> TargetEstimate | None:
+        """The estimate as of the last sighting; None before the first."""
+        return self._track.last_seen
 
     def forget_since(self, time_s: float) -> None:
         """Undo all sightings since a time at which the payload turned out to be wrong."""

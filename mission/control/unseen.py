@@ -42,8 +42,9 @@ class UnseenTarget:
             return reach.after(now_s - since_s)
         speed_m_s = max(speed_max_m_s, estimate.speed_m_s)
         seen = self._tracker.last_seen
-        if seen is not None and seen[0] == estimate.last_sighting_s:
-            _, east_m, north_m, sigma_m = seen
+        if seen is not None and seen.last_sighting_s == estimate.last_sighting_s:
+            east_m, north_m = seen.east_m, seen.north_m
+            sigma_m = math.sqrt(max(seen.covariance[0, 0], seen.covariance[1, 1]))
         else:  # the fleet's estimate
             east_m = estimate.east_m - unseen_s * estimate.velocity_east_m_s
             north_m = estimate.north_m - unseen_s * estimate.velocity_north_m_s

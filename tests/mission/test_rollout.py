@@ -59,6 +59,11 @@ STRAIGHT, TURNING = Turns(np.zeros(1), 10.0, False), Turns(np.radians([0.0, -3.0
 SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0, False)
 
 
+def prompt(*known):
+    """What is known of a target that the payload reports at once."""
+    return Estimates(Known(*known), Known(*known))
+
+
 def a_table(aircraft, requirement, wind_m_s=0.0):
     """A table of random values: what is looked up has to be the right number, not a good one."""
     configuration = replace(table_configuration(aircraft, requirement, wind_m_s), cells=8)
@@ -75,7 +80,7 @@ class Look:
         present = Plan(circle)
         place = circle.position_at_course(0.9)
         self.state = AircraftState(0.0, *place, 0.9, 10.0, circle.curvature_per_m)
-        target = Known(-0.3, 10.0, -20.0, *velocity, np.diag([sigma_m**2, 0.1, 0.04, 0.03]))
+        target = prompt(-0.3, 10.0, -20.0, *velocity, np.diag([sigma_m**2, 0.1, 0.04, 0.03]))
         self.craft = craft_of(aircraft)
         scene = self._scene(target, present)
         if under_way:
@@ -91,7 +96,7 @@ class Look:
         s, wind = self.state, (self.wind.east_m_s, self.wind.north_m_s)
         here = s.time_s, LinePoint(s.east_m, s.north_m, s.course_rad, s.curvature_per_m), s.ground_speed_m_s
         known = 5.0, self.craft, WISH, fresh_memory(self.side)
-        return scene_of(*here, Estimates(target, target), *line_of(present), *wind, 0.4, 0.0, *known)
+        return scene_of(*here, target, *line_of(present), *wind, 0.4, 0.0, *known)
 
     def compiled(self, futures=None, kept=None):
         costs, motions, c = np.empty(MOVES), self.table.motions, self.table.configuration
@@ -236,14 +241,12 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
         for time_s in range(61):
             velocity = (0.0, 4.0) if time_s < 60 else (4.0, 0.0)
-            target = Known(float(time_s), 0.0, 4.0 * time_s, *velocity, np.diag([0.25, 0.09, 0.04, 0.04]))
+            target = prompt(float(time_s), 0.0, 4.0 * time_s, *velocity, np.diag([0.25, 0.09, 0.04, 0.04]))
             here, known = (
                 LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
                 (5.0, craft_of(paper_aircraft), wish, memory),
             )
-            scene = scene_of(
-                float(time_s), here, 10.0, Estimates(target, target), *line_of(present), 0.0, 0.0, 0.0, 0.0, *known
-            )
+            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
         future = winding(scene, motions, wish, memory, STRAIGHT)
         seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
         ahead_s = np.arange(seen.size)
@@ -260,23 +263,12 @@ def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share
     """10 m/s are wanted. Each second on circles it flies another airspeed: in steps of 2 %, within 16 %."""
     memory, craft, found = fresh_memory(1.0), craft_of(paper_aircraft), []
     present = Plan(Circle(-220.0, 90.0, 60.0, clockwise=True))
-    target = Known(0.0, 0.0, 0.0, 0.0, 3.0, np.eye(4))
+    target = prompt(0.0, 0.0, 0.0, 0.0, 3.0, np.eye(4))
     for time_s in range(300):
         course = 0.15 * time_s
         speed = float(ground_speeds_m_s(np.array([course]), 10.0 * share, wind)[0])
         here = LinePoint(*present.circle.position_at_course(course), course, 1.0 / 60.0)
-        known = (
-            Estimates(target, target),
-            *line_of(present),
-            wind.east_m_s,
-            wind.north_m_s,
-            0.0,
-            0.0,
-            5.0,
-            craft,
-            WISH,
-            memory,
-        )
+        known = target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0, 5.0, craft, WISH, memory
         found.append(scene_of(float(time_s), here, speed, *known).air.airspeed_m_s)
     assert found[0] == 10.0
     assert found[-1] == pytest.approx(10.0 * given)
@@ -317,14 +309,12 @@ def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft,
         for time_s in range(189):
             turned, past_m = divmod(4.0 * time_s, 200.0)
             north_m, speed_m_s = (past_m, 4.0) if turned % 2 == 0 else (200.0 - past_m, -4.0)
-            target = Known(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
+            target = prompt(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
             here, known = (
                 LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
                 (5.0, craft_of(paper_aircraft), wish, memory),
             )
-            scene = scene_of(
-                float(time_s), here, 10.0, Estimates(target, target), *line_of(present), 0.0, 0.0, 0.0, 0.0, *known
-            )
+            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
         futures = winding(scene, motions, wish, memory, turns)
         straight, again = futures.place[0], futures.place[1]
         assert futures.weight.sum() == pytest.approx(1.0)
