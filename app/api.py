@@ -19,7 +19,7 @@ from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot

@@ -10,7 +10,7 @@ from typing import Any, Protocol, cast
 
 from sidelong.app.config import Config, RouteSection, check_alone, check_flyable
 from sidelong.app.errors import InputError
-from sidelong.app.link.url import checked_form
+from sidelong.app.link.transport import checked_form
 from sidelong.app.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
@@ -83,7 +83,7 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
 
 
 def _check_modes(modes: Sequence[str]) -> None:
-    from sidelong.app.link.modes import FAILSAFE, RECOVERY_MODES  # noqa: PLC0415  # as above
+    from sidelong.app.link.telemetry import FAILSAFE, RECOVERY_MODES  # noqa: PLC0415  # as above
 
     known = (*RECOVERY_MODES, FAILSAFE)
     for mode in modes:

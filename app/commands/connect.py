@@ -27,7 +27,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.url import checked_url
+from sidelong.app.link.transport import checked_url
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.app.payload.registry import KIND_NAMES

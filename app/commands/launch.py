@@ -29,7 +29,7 @@ from sidelong.app.config_files import check_files, check_single
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
-from sidelong.app.link.url import checked_url
+from sidelong.app.link.transport import checked_url
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES

@@ -19,7 +19,7 @@ from rich.progress import (
 )
 
 from sidelong.app.commands.output import console, warn
-from sidelong.app.link.plain_text import plain
+from sidelong.app.link.message import plain
 
 _SHARE_EVERY_S = 10.0
 _PRINTED_EVERY_S = 30.0  # where there is no terminal

@@ -17,8 +17,8 @@ from sidelong.app.commands.output import JsonOption, checked_output, say, shield
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.link.plain_text import plain
-from sidelong.app.link.url import checked_url
+from sidelong.app.link.message import plain
+from sidelong.app.link.transport import checked_url
 from sidelong.app.serve.control_socket import ask, own_path
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
 

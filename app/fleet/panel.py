@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from sidelong.app.flight.display import Wish
-from sidelong.app.link.plain_text import plain
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.message import plain
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.panel import STYLES, LivePanel, clock, target_motion, target_range_m
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot

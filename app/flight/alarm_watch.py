@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.config import Config
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.mission.control.alarms import Alarm, Alarms, Situation, battery_is_low
 from sidelong.mission.control.endurance import Endurance, time_to_s

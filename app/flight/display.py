@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from sidelong.app.flight.loop import Display
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import AlarmReported, MissionChange, OperatorRequest
 

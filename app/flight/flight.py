@@ -41,9 +41,16 @@ from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
-from sidelong.app.link.queries import home_of, is_flying, mode_of, reported_pan_limits_rad, request_pan_limits
-from sidelong.app.link.status_texts import StatusText
-from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
+from sidelong.app.link.queries import (
+    VehicleStatus,
+    home_of,
+    is_flying,
+    mode_of,
+    reported_pan_limits_rad,
+    request_pan_limits,
+    vehicle_status,
+)
+from sidelong.app.link.vehicle import StatusText
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data

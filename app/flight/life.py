@@ -21,9 +21,8 @@ from collections.abc import Callable, Iterator
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.link.message import Message
-from sidelong.app.link.modes import ARMED_FLAG
 from sidelong.app.link.queries import is_flying, mode_of
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.shutdown import ends_within
 from sidelong.mission.control.snapshot import Phase, Snapshot

@@ -11,7 +11,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
-from sidelong.app.link.link import Link
+from sidelong.app.link.vehicle import Link
 from sidelong.app.records.appender import Appender
 
 _EVERY_S = 1.0

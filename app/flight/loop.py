@@ -12,11 +12,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import (
     Announce,

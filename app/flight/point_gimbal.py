@@ -13,8 +13,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.flight.one_task import OneTask
-from sidelong.app.link.link import LinkError
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality

@@ -14,9 +14,8 @@ from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.source_rates import SourceRate
-from sidelong.app.link.modes import FAILSAFE, RECOVERY_MODES, TYPE_FIXED_WING
 from sidelong.app.link.queries import is_flying, mode_of
-from sidelong.app.link.telemetry import has_fix
+from sidelong.app.link.telemetry import FAILSAFE, RECOVERY_MODES, TYPE_FIXED_WING, has_fix
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.sensing.readings import IMAGE_TRACKER

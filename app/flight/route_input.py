@@ -9,8 +9,8 @@ import numpy as np
 from sidelong.app.config import RouteSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.session import Session
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.other_mission import read_mission
+from sidelong.app.link.vehicle import LinkError
 from sidelong.app.route_file import read_flight_route
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import RouteGiven

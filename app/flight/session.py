@@ -20,14 +20,12 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import autopilot_of, check_release
 from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
 from sidelong.app.link.key_file import KeyInUse
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.mavsdk_link import SETTLING_S, FrameListener, MavsdkLink
 from sidelong.app.link.message import Message
-from sidelong.app.link.modes import AUTOPILOT_INVALID
 from sidelong.app.link.queries import release_of
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, Telemetry
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
 from sidelong.app.link.transport import Transport
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.shutdown import ends_within, fails_with
 from sidelong.mission.control.plausibility import Plausibility
 

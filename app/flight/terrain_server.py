@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from sidelong.app.flight.one_task import OneTask
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.app.terrain.tile import Posts
 

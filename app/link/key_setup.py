@@ -13,10 +13,9 @@ from pymavlink.dialects.v20 import all as dialect
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
 from sidelong.app.link.key_file import KeyInUse
-from sidelong.app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID
 from sidelong.app.link.signing import KEY_BYTES, RADIO_STATUS_ID, LinkSigning, signing_time
-from sidelong.app.link.transport import Peer, opened
-from sidelong.app.link.url import checked_url
+from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_INVALID
+from sidelong.app.link.transport import Peer, checked_url, opened
 
 _OWN = (245, 190)
 _LISTEN_S = 2.0  # for a radio: its status comes every second

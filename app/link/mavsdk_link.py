@@ -32,12 +32,11 @@ from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.key_file import KeyInUse
-from sidelong.app.link.link import LinkError
-from sidelong.app.link.message import Message
-from sidelong.app.link.plain_text import plain_fields
+from sidelong.app.link.message import Message, plain_fields
 from sidelong.app.link.quality import LinkReport
 from sidelong.app.link.raw_links import RawLinks, opened_links
 from sidelong.app.link.transport import Transport
+from sidelong.app.link.vehicle import LinkError
 
 _LOOK_FOR_OTHERS_S = 2.0
 # What other systems on the links are received for: their traffic, requests of a station, and an ally's mission.

@@ -26,8 +26,7 @@ from sidelong.app.link.key_file import KeyInUse, key_in_use
 from sidelong.app.link.merger import AUTOPILOT_COMPONENT, LinkMerger
 from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
 from sidelong.app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, signing_time
-from sidelong.app.link.transport import Peer, Transport, opened
-from sidelong.app.link.url import checked_url
+from sidelong.app.link.transport import Peer, Transport, checked_url, opened
 
 _ASK_DELAY_S = 1.0
 _WATCH_S = 0.1

@@ -9,8 +9,7 @@ from functools import partial
 from typing import Any
 
 from sidelong.app.link.message import Message
-from sidelong.app.link.modes import ARMED_FLAG, mode_name
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT, mode_name
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.core.events import ModeReported
 from sidelong.mission.exchange.outbox import MISSION

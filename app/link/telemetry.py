@@ -11,8 +11,10 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from typing import Any, Literal
 
+from pymavlink.dialects.v20 import all as dialect
+
+from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.link.message import Message
-from sidelong.app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID, mode_name
 from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing.clock import VehicleClock
@@ -25,6 +27,21 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.mission.core.events import Event, ModeReported, NavigationReported, WindReported
+
+AUTOPILOT_INVALID = int(dialect.MAV_AUTOPILOT_INVALID)
+TYPE_FIXED_WING = int(dialect.MAV_TYPE_FIXED_WING)
+ARMED_FLAG = int(dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+
+FAILSAFE = "failsafe"
+RECOVERY_MODES = ("RTL", "QRTL", "LAND", "QLAND", "AUTOLAND", "PRECLAND", "DESCEND", "TERMINATION", "AVOID_ADSB")
+"""Modes out of which a flying aircraft is not taken without permission."""
+
+
+def mode_name(mav_autopilot: int, base_mode: int, custom_mode: int) -> str:
+    """Return the mode as the autopilot's own documentation calls it (AUTO, RTL; MISSION, LOITER)."""
+    autopilot = autopilot_by_mav_autopilot(mav_autopilot)
+    return f"mode {custom_mode}" if autopilot is None else autopilot.mode_name(base_mode, custom_mode)
+
 
 AUTOPILOT_COMPONENT = 1
 _NO_FIX_DEG_E7 = 100_000

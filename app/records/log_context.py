@@ -10,7 +10,7 @@ from statistics import median
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from sidelong.app.link.modes import AUTOPILOT_INVALID, TYPE_FIXED_WING
+from sidelong.app.link.telemetry import AUTOPILOT_INVALID, TYPE_FIXED_WING
 from sidelong.app.records.log import Log
 
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})

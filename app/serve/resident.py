@@ -33,8 +33,8 @@ from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.single import FlightEnded, fly_single
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve.control_socket import serving
 from sidelong.app.serve.display import ServiceDisplay

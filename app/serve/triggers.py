@@ -10,8 +10,7 @@ from typing import Literal
 
 from sidelong.app.config import ControlSection
 from sidelong.app.link.message import Message
-from sidelong.app.link.modes import mode_name
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, mode_name
 
 Request = Literal["watch", "release"]
 

@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from types import SimpleNamespace
 from typing import Generic, Protocol, TypeVar, cast
 
-from sidelong.app.link.link import Link
 from sidelong.app.link.message import Message
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import Link, Vehicle
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ClockTick

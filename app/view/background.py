@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sidelong.app.errors import InputError, missing_package
-from sidelong.app.link.plain_text import plain
+from sidelong.app.link.message import plain
 
 _PICTURE_MAX_BYTES, _TILE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 16 << 20, 24
 _OPEN_WITHIN_S, _TILE_WITHIN_S = 10.0, 0.5

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from sidelong.app.config import Config
 from sidelong.app.flight.display import FlightDisplay, Wish
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.address import Address
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading

@@ -16,8 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from sidelong.app.flight.display import Wish
-from sidelong.app.link.plain_text import plain
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.message import plain
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.prompt import HELP, Keyboard, Prompt
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane

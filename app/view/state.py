@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from sidelong.app.analysis.present import PresentWatch, Watch, WatchShares
 from sidelong.app.config import AircraftSection, Config, RequirementSection
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.path import Path

@@ -9,7 +9,7 @@ import pytest
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.flight.alarm_watch import AlarmWatch
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import AlarmReported, BatteryReported, ControlAcquired, End
 

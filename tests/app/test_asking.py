@@ -14,11 +14,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import load_config
 from sidelong.app.flight.streams import ask_for_streams, is_slow, wants_few
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import mission_of, read_mission
 from sidelong.app.link.parameters import read_parameters
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.sitl.protocol.items import Item
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation

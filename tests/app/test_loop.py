@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from sidelong.app.flight.loop import CommandExecutor, ControlLoop
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.mission.core.events import Announce, End, ModeReported, Yield
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import CommandAcknowledged, ShutdownRequested, TimerExpired

@@ -15,7 +15,7 @@ from sidelong.app.cli import run
 from sidelong.app.commands.output import shielded_output, standard
 from sidelong.app.commands.progress import progress_bar
 from sidelong.app.config import load_config
-from sidelong.app.link.plain_text import plain, plain_fields
+from sidelong.app.link.message import plain, plain_fields
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Announce

@@ -9,9 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sidelong.app.flight.point_gimbal import GimbalPointer
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase

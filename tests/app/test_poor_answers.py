@@ -14,9 +14,9 @@ from sidelong.app.cli import app
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError, missing_package
-from sidelong.app.link.link import LinkError
 from sidelong.app.link.raw_links import opened_links
-from sidelong.app.link.url import checked_url
+from sidelong.app.link.transport import checked_url
+from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.journal import encode
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.mission.exchange.reports import ShutdownRequested

@@ -11,8 +11,8 @@ from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
-from sidelong.app.link.modes import RECOVERY_MODES
 from sidelong.app.link.queries import reported_pan_limits_rad
+from sidelong.app.link.telemetry import RECOVERY_MODES
 from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from sidelong.app.flight.session import Session
-from sidelong.app.link.link import LinkError
+from sidelong.app.link.vehicle import LinkError
 from tests.turns import loop_turn
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sidelong.app.link.status_texts import StatusTexts
+from sidelong.app.link.vehicle import StatusTexts
 from tests.messages import message
 
 LONG = "Arming denied: Resolve system health failures first"  # one character more than a chunk holds

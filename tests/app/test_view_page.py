@@ -16,7 +16,7 @@ from rich.console import Console
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay, clock

@@ -17,7 +17,7 @@ from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.flight.alarm_watch import AlarmWatch
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop

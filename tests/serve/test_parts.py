@@ -23,7 +23,7 @@ from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
-from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve import control_socket
 from sidelong.app.serve.display import ServiceDisplay
