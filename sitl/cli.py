@@ -3,102 +3,98 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import signal
+import socket
+import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NoReturn
 
 import typer
+from pydantic import ValidationError
 
-from sidelong.sitl.binaries import companions_of, ready, run_binaries, served_device, waits
-from sidelong.sitl.options import (
-    DEFAULT_STATIONS,
-    check_programs,
-    check_ranges,
-    device_of,
-    flavour_of,
-    home_on_ground,
-    lost_at,
-    numbers,
-    refuse,
-    refusing,
-    releases_of,
-    stations_of,
-    targets_of,
-    targets_seen,
-)
-from sidelong.sitl.payload.companion import Companion, accompany
+from sidelong.sitl.binary import BinaryError, companions_of, ready, run_binaries, served_device, waits
+from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.device_port import Address
 from sidelong.sitl.payload.devices import DEVICES
-from sidelong.sitl.protocol.link import LinkFaults
-from sidelong.sitl.protocol.signing import read_key
+from sidelong.sitl.protocol.signing import KeyFileError, read_key
 from sidelong.sitl.server import Pace, serve
 from sidelong.sitl.settings import (
+    DEFAULT_STATIONS,
     MAX_VEHICLES,
+    NEWEST,
+    OLDEST,
+    RUN_SETTINGS,
     STARTS_M,
     Flavour,
-    GimbalFrame,
-    PayloadSettings,
-    RangeMessage,
+    RunSettings,
     Settings,
-    in_turn,
+    default_stations,
+    in_a_row,
 )
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.hills import Hills, HillsError
 from sidelong.sitl.world.motion import MOTIONS
+from sidelong.sitl.world.track import TrackError
 from sidelong.sitl.world.truth import TruthFile
 
-_LINK, _PAYLOAD, _RUN, _TARGET, _VEHICLE, _GROUND = (
-    partial(typer.Option, rich_help_panel=name)
-    for name in ("Link", "Payload", "Run", "Target", "Vehicle", "Wind and ground")
+_LINK, _RUN, _TARGET, _VEHICLE = (
+    partial(typer.Option, rich_help_panel=name) for name in ("Link", "Run", "Target", "Vehicle")
 )
-_LINE_MAX = 100  # characters
+_LINE_MAX = 100  # characters of a reported time
+_OF_RUN = {one.name for one in fields(RunSettings)}
+_HOME = "latitude_deg", "longitude_deg", "altitude_m"
+_OPTION_OF_KEY = {
+    "speed": "--speed",
+    "duration_s": "--duration",
+    "airspeed_m_s": "--airspeed",
+    "targets": "--target",
+    "speed_max_m_s": "--target-speed",
+    "home": "--home",
+    "flavour": "--autopilot",
+}
+_OPTION_OF = {
+    BinaryError: "--binary",
+    CompanionError: "--payload-for",
+    HillsError: "--terrain",
+    KeyFileError: "--set signing_key_file:",
+    TrackError: "--target",
+}
 
 
 def run(
     autopilot: Annotated[
         str, _VEHICLE(help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.")
     ] = Flavour.ARDUPLANE,
-    version: Annotated[
-        str | None,
-        _VEHICLE(
-            help="Firmware release it behaves like, such as 4.5 [the newest]; of several vehicles in turn: A,B."
-        ),
-    ] = None,
     vehicles: Annotated[
         int | None, _VEHICLE(min=1, max=MAX_VEHICLES, help="Number of vehicles [the number of autopilots named]")
     ] = None,
-    to: Annotated[
-        list[str] | None,
-        _LINK(
-            metavar="[ID@]HOST:PORT",
-            help=f"Where to send to, all vehicles or that one; repeatable [{' and '.join(DEFAULT_STATIONS)}; "
-            "each of several vehicles has a port of its own from 14540 on]",
+    airspeed: Annotated[float, _VEHICLE(help="Cruise airspeed, m/s.")] = 15.0,
+    home: Annotated[
+        str | None, _VEHICLE(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea [of the ground]")
+    ] = None,
+    binary: Annotated[
+        list[Path] | None,
+        _VEHICLE(
+            metavar="PATH", help="Your own SITL program of the --autopilot instead of the simulated one; repeatable."
         ),
     ] = None,
-    speed: Annotated[float, _RUN(help="Simulated time over wall time.")] = 1.0,
-    duration: Annotated[float | None, _RUN(metavar="S", help="Simulated seconds; endless if left out.")] = None,
-    seed: Annotated[int, _RUN(min=0, help="Seed of all noise and of the target.")] = 0,
-    truth: Annotated[
-        list[Path] | None, _RUN(metavar="FILE", help="Write the true tracks as CSV; once for each vehicle.")
-    ] = None,
-    home: Annotated[str | None, _VEHICLE(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
-    airspeed: Annotated[str, _VEHICLE(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.")] = "15",
-    endurance: Annotated[
-        str, _VEHICLE(metavar="S", help="Battery life, s; for several vehicles in turn: A,B.")
-    ] = "10800",
-    wind_speed: Annotated[float, _GROUND(help="Wind speed, m/s.")] = 0.0,
-    wind_from_deg: Annotated[float, _GROUND(help="Where the wind comes from, degrees.")] = 0.0,
-    system_id: Annotated[
-        int | None,
-        _VEHICLE(min=1, max=250, help="Of the first vehicle, or of the one --payload-for is meant for [1]"),
+    payload_for: Annotated[
+        str | None,
+        _VEHICLE(
+            metavar="[ID@]URL",
+            help="No vehicle, only laser, gimbal and target for a vehicle (or that one) at this URL.",
+        ),
     ] = None,
     target: Annotated[
         list[str] | None,
@@ -107,71 +103,32 @@ def run(
             help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track [walk]; repeatable: several targets.",
         ),
     ] = None,
-    target_speed: Annotated[
-        list[float] | None, _TARGET(help="Greatest speed, m/s [3; for tracks 6]; of several targets in turn.")
-    ] = None,
-    target_start: Annotated[
-        list[str] | None,
-        _TARGET(
-            metavar="EAST,NORTH",
-            help=f"Metres from the first home [{STARTS_M[0][0]:g},{STARTS_M[0][1]:g}]; of several targets in turn.",
-        ),
-    ] = None,
-    target_skip: Annotated[
-        float | None, _TARGET(metavar="S", help="Begin a track here [where it becomes lively]")
-    ] = None,
-    looks_at: Annotated[
-        str, _TARGET(metavar="N", help="Which target a payload sees first; of several vehicles in turn: 1,2.")
-    ] = "1",
+    target_speed: Annotated[float | None, _TARGET(help="Greatest speed, m/s [3; for tracks 6]")] = None,
+    wind_speed: Annotated[float, _RUN(min=0.0, max=50.0, help="Wind speed, m/s.")] = 0.0,
+    wind_from_deg: Annotated[float, _RUN(min=-360.0, max=360.0, help="Where the wind comes from, degrees.")] = 0.0,
     terrain: Annotated[
-        Path | None, _GROUND(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
+        Path | None, _RUN(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
     ] = None,
-    payload: Annotated[bool, _PAYLOAD(help="Laser and gimbal.")] = True,
-    device: Annotated[
-        str | None,
-        _PAYLOAD(
-            metavar="KIND@HOST:PORT",
-            help=f"Let the payload speak its maker's protocol, on a port of its own: {', '.join(DEVICES)}.",
+    speed: Annotated[float, _RUN(help="Simulated time over wall time.")] = 1.0,
+    duration: Annotated[float | None, _RUN(metavar="S", help="Simulated seconds; endless if left out.")] = None,
+    seed: Annotated[int, _RUN(min=0, help="Seed of all noise and of the target.")] = 0,
+    truth: Annotated[
+        list[Path] | None, _RUN(metavar="FILE", help="Write the true tracks as CSV; once for each vehicle.")
+    ] = None,
+    to: Annotated[
+        list[str] | None,
+        _LINK(
+            metavar="HOST:PORT",
+            help=f"Where to send to; repeatable [{' and '.join(DEFAULT_STATIONS)}; each of several vehicles has a "
+            "port of its own from 14540 on]",
         ),
     ] = None,
-    payload_for: Annotated[
-        str | None,
-        _PAYLOAD(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
+    set_: Annotated[
+        list[str] | None,
+        _RUN("--set", metavar="KEY=VALUE", help="Any other setting; for one vehicle: NUMBER.KEY=VALUE; repeatable."),
     ] = None,
-    binary: Annotated[
-        list[Path] | None,
-        _VEHICLE(
-            metavar="PATH", help="Your own SITL program of the --autopilot instead of the simulated one; repeatable."
-        ),
-    ] = None,
-    logs: Annotated[
-        Path | None,
-        _VEHICLE(metavar="DIR", help="Keep the folders of --binary's programs, with their own logs, here."),
-    ] = None,
-    range_sigma: Annotated[float, _PAYLOAD(help="Laser noise, m.")] = 0.8,
-    range_outliers: Annotated[float, _PAYLOAD(help="Fraction of wrong ranges.")] = 0.02,
-    range_message: Annotated[
-        RangeMessage, _PAYLOAD(help="Message that carries the range.")
-    ] = RangeMessage.DISTANCE_SENSOR,
-    gimbal_sigma_deg: Annotated[float, _PAYLOAD(help="Gimbal noise, degrees.")] = 0.35,
-    gimbal_yaw_bias_deg: Annotated[float, _PAYLOAD(help="Constant gimbal error, degrees.")] = 0.4,
-    gimbal_frame: Annotated[GimbalFrame, _PAYLOAD(help="What its yaw is relative to.")] = GimbalFrame.EARTH,
-    pan_limit_deg: Annotated[
-        float, _PAYLOAD(help="How far the gimbal pans to each side of the nose, degrees.")
-    ] = 180.0,
-    dropouts: Annotated[float, _PAYLOAD(help="Fraction of the time without range.")] = 0.15,
-    payload_latency_ms: Annotated[float, _PAYLOAD(help="Time from measurement to sending, ms.")] = 50.0,
-    loss: Annotated[float, _LINK(help="Fraction of packets lost, each way.")] = 0.0,
-    delay_ms: Annotated[float, _LINK(help="Wall-clock delay, each way.")] = 0.0,
-    duplicate: Annotated[float, _LINK(help="Fraction of packets doubled, each way.")] = 0.0,
-    baud: Annotated[
-        float, _LINK(help="Of a serial line, each way: what it cannot carry is late, then lost.", show_default=False)
-    ] = math.inf,
-    lose: Annotated[
-        list[str] | None, _VEHICLE(metavar="ID@S", help="Lose a vehicle after this simulated time, s; repeatable.")
-    ] = None,
-    require_signing: Annotated[
-        Path | None, _LINK(metavar="FILE", help="Sign, and accept only messages signed with the key in this file.")
+    settings: Annotated[
+        Path | None, _RUN(metavar="FILE", help="All settings as JSON; -: the first line of standard input.")
     ] = None,
     while_input: Annotated[
         bool,
@@ -182,122 +139,230 @@ def run(
 
     For example:
       sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10
-      sidelong sitl --autopilot arduplane --version 4.5
-      sidelong sitl --vehicles 2 --autopilot arduplane,px4
-      sidelong sitl --vehicles 4 --target boat=walk --target bike=straight --looks-at 1,2
+      sidelong sitl --autopilot arduplane --set release=4.5
+      sidelong sitl --vehicles 2 --autopilot arduplane,px4 --set 2.airspeed_m_s=20
+      sidelong sitl --vehicles 2 --target boat=walk --target bike=straight --set 2.looks_at=1
+      sidelong sitl --set payload.dropout_fraction=0.5 --set payload.latency_s=0.5 --set link.loss=0.1
+      sidelong sitl --set device=siyi@127.0.0.1:37260        # a payload with its maker's protocol
       sidelong sitl --payload-for tcpout://127.0.0.1:5763    # laser and gimbal for your own SITL
       sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
-      sidelong sitl --autopilot arduplane,px4 --binary arduplane --binary px4
     """
-    flavours = [flavour_of(name) for name in autopilot.split(",")]
-    airspeeds_m_s = numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")
-    endurances_s = numbers("--endurance", endurance, range(1, MAX_VEHICLES + 1), "A or A,B")
     programs = binary or []
-    named = max(len(flavours), len(airspeeds_m_s), len(endurances_s), len(programs))
-    count = vehicles or named
-    if named > count:
-        refuse("--vehicles", f"is {count}: more autopilots, airspeeds or endurances are named")
-    if count > 1 and payload_for is not None:
-        refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
-    check_programs(programs, count, logs)
-    device_kind, device_address = device_of(device, only=count == 1 and payload)
-    check_ranges(
-        {
-            "--speed": (speed, 0.0, 1000.0, False),
-            "--duration": (math.inf if duration is None else duration, 0.0, math.inf, False),
-            "--wind-speed": (wind_speed, 0.0, 0.9 * min(airspeeds_m_s), True),
-            "--wind-from-deg": (wind_from_deg, -360.0, 360.0, True),
-            "--target-skip": (0.0 if target_skip is None else target_skip, 0.0, math.inf, True),
-            "--range-sigma": (range_sigma, 0.0, 100.0, True),
-            "--range-outliers": (range_outliers, 0.0, 1.0, True),
-            "--gimbal-sigma-deg": (gimbal_sigma_deg, 0.0, 45.0, True),
-            "--gimbal-yaw-bias-deg": (gimbal_yaw_bias_deg, -180.0, 180.0, True),
-            "--pan-limit-deg": (pan_limit_deg, 0.0, 180.0, False),
-            "--dropouts": (dropouts, 0.0, 1.0, True),
-            "--payload-latency-ms": (payload_latency_ms, 0.0, 10_000.0, True),
-            "--loss": (loss, 0.0, 1.0, True),
-            "--delay-ms": (delay_ms, 0.0, 60_000.0, True),
-            "--duplicate": (duplicate, 0.0, 1.0, True),
-            "--baud": (baud, 1200.0, math.inf, True),
-        }
-    )
-    targets = targets_of(target or ["walk"], target_speed or [None], target_start, target_skip)
-    for airspeed_m_s in airspeeds_m_s:
-        check_ranges({"--airspeed": (airspeed_m_s, 5.0, 60.0, True)})
-    check_ranges({"--endurance": (min(endurances_s), 0.0, math.inf, False)})
-    sensors = PayloadSettings(
-        range_sigma,
-        range_outliers,
-        math.radians(gimbal_sigma_deg),
-        math.radians(gimbal_yaw_bias_deg),
-        dropouts,
-        payload_latency_ms / 1000.0,
-        range_message,
-        gimbal_frame,
-        math.radians(pan_limit_deg),
-    )
-    own_terrain = terrain if payload_for is None else None  # the home of another vehicle comes from its own words
-    with refusing(), ExitStack() as stack:
-        settings = Settings(
-            flavour=flavours[0],
-            system_id=system_id or 1,
-            seed=seed,
-            airspeed_m_s=airspeeds_m_s[0],
-            wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
-            home=home_on_ground(home, own_terrain, flavours[0]),
-            targets=targets,
-            payload=sensors if payload else None,
-            device=device_kind,
-            signing_key=None if require_signing is None else read_key(require_signing),
-            link_rate=speed,
-            boot_unix_s=time.time(),
-            terrain=own_terrain,
-        )
-        if len(programs) > 1 and settings.home is None:  # PX4's height control wants to start at sea level
-            settings = replace(settings, home=replace(settings.home_or_default, altitude_m=0.0))
-        ids = range(settings.system_id, settings.system_id + count)
+    if settings is not None:
+        tree = _tree_of(_input_line() if str(settings) == "-" else _read(settings))
+    else:
+        flavours = autopilot.split(",")
+        count = vehicles or max(len(flavours), len(programs))
+        if len(flavours) > count:
+            refuse("--vehicles", f"is {count}, and --autopilot names {len(flavours)}")
+        if programs and count != len(programs):
+            refuse("--binary", f"is given {len(programs)} times for {count} vehicles")
         if truth and len(truth) != count:
             refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
-        stations = stations_of(to, ids)
-        seen = targets_seen(looks_at, len(targets))
-        each = in_turn(settings, flavours, airspeeds_m_s, endurances_s, count, seen, releases_of(version, flavours))
-        alone = payload_for is None and not programs
-        if not alone and len(targets) > 1:
+        named = [spec.rpartition("=") for spec in target or ["walk"]]
+        first = {
+            "seed": seed,
+            "airspeed_m_s": airspeed,
+            "wind": asdict(Wind.blowing_from(wind_speed, math.radians(wind_from_deg))),
+            "targets": [
+                {
+                    "motion": motion,
+                    "speed_max_m_s": target_speed,
+                    "start_m": STARTS_M[k % len(STARTS_M)],
+                    "name": name,
+                }
+                for k, (name, _, motion) in enumerate(named)
+            ],
+            "terrain": terrain,
+            "home": None if home is None else dict(zip(_HOME, home.split(","), strict=False)),
+            "home_on_ground": home is None or home.count(",") == 1,
+        }
+        each = [first | {"flavour": flavours[k % len(flavours)]} for k in range(count)]
+        wanted = _validated({"vehicles": each, "speed": speed, "duration_s": duration}, _OPTION_OF_KEY)
+        placed = [
+            replace(
+                one,
+                flavour=wanted.vehicles[k].flavour,
+                truth=truth[k] if truth else None,
+                stations=tuple(to or default_stations(k, count)),
+            )
+            for k, one in enumerate(in_a_row(wanted.vehicles[0], count))
+        ]
+        tree = RUN_SETTINGS.dump_python(replace(wanted, vehicles=tuple(placed)), mode="json", exclude_defaults=True)
+    with _refusing(), ExitStack() as stack:
+        wanted = _completed(_validated(_with_values(tree, set_ or []), {}))
+        _fly(wanted, programs, payload_for, while_input or str(settings) == "-", stack)
+
+
+def _fly(
+    wanted: RunSettings, programs: Sequence[Path], payload_for: str | None, while_input: bool, stack: ExitStack
+) -> None:
+    """Fly until the end."""
+    each, pace = wanted.vehicles, Pace(wanted.speed) if while_input else None
+    addresses = [[_address("--to", text) for text in one.stations] for one in each]
+    device = _device_address(each)
+    stopped = _stop_signal(pace)
+    if programs or payload_for is not None:
+        if len(each[0].targets) > 1:
             refuse("--target", "is given several times: only simulated vehicles can turn to another")
-        simulations = [Simulation(one) for one in each] if alone else []
-        companions = [] if alone else companions_of(each, sensors, terrain, system_id)
-        for vehicle_id, lost_s in lost_at(lose or [], ids if alone else ()):
-            simulations[ids.index(vehicle_id)].lost_s = lost_s
-        _write_truth(stack, simulations or companions, truth or [])
-        if not alone:
-            _accompany(companions, each, programs, payload_for, speed, logs, device_address)
-            return
+        if payload_for is not None and len(each) > 1:
+            refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
+        number, at, url = (payload_for or "").rpartition("@")
+        if at and not number.isdecimal():
+            refuse("--payload-for", f"names the vehicle {number!r}; give its system id, from 1 to 250")
+        companions = companions_of(each, int(number) if at else None)
+        _write_truth(stack, companions, each)
+        with served_device(companions[0], each[0].device, device) as exchange:
+            if not url:
+                run_binaries(companions, each, programs, wanted.speed, stopped, exchange)
+                return
+            accompany(
+                companions[0],
+                url,
+                key=each[0].signing_key,
+                on_ready=lambda vehicle_id: ready(vehicle_id, url),
+                on_wait=waits,
+                on_turn=exchange,
+                stopped=stopped,
+            )
+        return
+    simulations = [Simulation(one) for one in each]
+    _write_truth(stack, simulations, each)
 
-        def report_ready() -> None:
-            for simulation, addresses in zip(simulations, stations, strict=True):
-                where = ", ".join(f"{host}:{port}" for host, port in addresses)
-                own = simulation.settings
-                print(f"ready system {own.system_id} component 1 {own.flavour} -> {where}", flush=True)
+    def report_ready() -> None:
+        for own in each:
+            where = ", ".join(own.stations)
+            print(f"ready system {own.system_id} component 1 {own.flavour} -> {where}", flush=True)
 
-        pace = Pace(speed) if while_input else None
-        serve(
-            list(zip(simulations, stations, strict=True)),
-            speed=speed,
-            duration_s=math.inf if duration is None else duration,
-            faults=LinkFaults(loss, duplicate, delay_ms / 1000.0, baud=baud),
-            on_ready=report_ready,
-            stopped=_stop_signal(pace),
-            pace=pace,
-            device_address=device_address,
-        )
+    serve(
+        list(zip(simulations, addresses, strict=True)),
+        speed=wanted.speed,
+        duration_s=math.inf if wanted.duration_s is None else wanted.duration_s,
+        faults=wanted.link,
+        on_ready=report_ready,
+        stopped=stopped,
+        pace=pace,
+        device_address=device,
+    )
 
 
-def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], paths: Sequence[Path]) -> None:
-    for writer, path in zip(writers, paths, strict=False):
+# -- the settings ------------------------------------------------------------------------------------------
+
+
+def _tree_of(text: bytes) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        return refuse("--settings", f"is no JSON: {error}")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        return refuse("--settings", f"{path} cannot be read: {error.strerror}")
+
+
+def _validated(tree: Any, option_of: Mapping[str, str]) -> RunSettings:
+    """Return the settings in plain values; the sentence of a wrong one names its option, else its key."""
+    try:
+        return RUN_SETTINGS.validate_python(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        names = [str(part) for part in first["loc"] if not isinstance(part, int) and part != "vehicles"]
+        option = next((option_of[name] for name in reversed(names) if name in option_of), None)
+        what = first["msg"][0].lower() + first["msg"][1:]
+        return refuse(option or f"--set {'.'.join(names)}:", f"{what}, not {first['input']!r}")
+
+
+def _with_values(tree: Any, assignments: Sequence[str]) -> Any:
+    """Return the settings changed by each ``KEY=VALUE``: a key of the run, of vehicle ``NUMBER.KEY``, else of all."""
+    tree.setdefault("vehicles", [{}])
+    for assignment in assignments:
+        key, given, value = assignment.partition("=")
+        names = key.split(".")
+        if not given or not all(names):
+            refuse("--set", f"is KEY=VALUE, not {assignment!r}")
+        parsed = None if value == "none" else _tree_of(value.encode()) if value[:1] in ("[", "{") else value
+        if not _put(tree if names[0] in _OF_RUN else tree["vehicles"], names, parsed):
+            refuse("--set", f"{assignment}: there is nothing of that number or name")
+    return tree
+
+
+def _put(branch: Any, names: Sequence[str], value: Any) -> bool:
+    """Set a value; of a list in its element of that number, from 1, else in all. Return whether there is a place."""
+    if isinstance(branch, list):
+        if not names[0].isdecimal():
+            return all(_put(one, names, value) for one in branch)
+        chosen = branch[int(names[0]) - 1 : int(names[0])] if len(names) > 1 and int(names[0]) else []
+        return bool(chosen) and _put(chosen[0], names[1:], value)
+    if not isinstance(branch, dict):
+        return False
+    if len(names) == 1:
+        branch[names[0]] = value
+        return True
+    return _put(branch.setdefault(names[0], [{}] if names[0] == "targets" else {}), names[1:], value)
+
+
+def _completed(wanted: RunSettings) -> RunSettings:
+    """Return the settings with what has to be read from files and the clock. Raises HillsError and KeyFileError."""
+    key = None if wanted.signing_key_file is None else read_key(wanted.signing_key_file)
+    now_s, completed = time.time(), []
+    for one in wanted.vehicles:
+        if one.release is not None and not OLDEST[one.flavour] <= one.release <= NEWEST[one.flavour]:
+            least, newest = (".".join(map(str, limits[one.flavour])) for limits in (OLDEST, NEWEST))
+            refuse(
+                "--set release", f"is {least} to {newest} for {one.flavour}, not {'.'.join(map(str, one.release))}"
+            )
+        if one.looks_at >= len(one.targets):
+            refuse("--set looks_at", f"is {one.looks_at}; there are {len(one.targets)} targets, from 0 on")
+        if math.hypot(one.wind.east_m_s, one.wind.north_m_s) > 0.9 * one.airspeed_m_s:
+            refuse("--wind-speed", f"must be at most 0.9 times the airspeed, {0.9 * one.airspeed_m_s:g} m/s")
+        for seen in one.targets:
+            if seen.motion not in MOTIONS and Path(seen.motion).suffix.lower() not in (".gpx", ".csv"):
+                refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {seen.motion!r}")
+        if one.home_on_ground and one.terrain is not None:
+            home = one.home_or_default
+            ground = Hills(one.terrain, HomePlane(home.latitude_deg, home.longitude_deg))
+            one = replace(one, home=replace(home, altitude_m=ground.home_altitude_m))  # noqa: PLW2901
+        completed.append(replace(one, signing_key=key, link_rate=wanted.speed, boot_unix_s=now_s))
+    return replace(wanted, vehicles=tuple(completed))
+
+
+def _device_address(each: Sequence[Settings]) -> Address | None:
+    """Return where the payload with a port of its own listens; only a single vehicle has one."""
+    named = [one for one in each if one.device]
+    if not named:
+        return None
+    kind, _, address = named[0].device.partition("@")
+    if len(each) > 1 or named[0].payload is None:
+        refuse("--set device", "goes with one vehicle and its payload")
+    if kind not in DEVICES:
+        refuse("--set device", f"is KIND@HOST:PORT with a KIND of {', '.join(DEVICES)}, not {named[0].device!r}")
+    return _address("--set device", address)
+
+
+def _address(option: str, text: str) -> Address:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        refuse(option, f"must look like HOST:PORT, not {text!r}")
+    try:
+        return socket.gethostbyname(host), int(port)
+    except OSError:
+        return refuse(option, f"names the unknown host {host!r}")
+
+
+# -- files, signals, words ---------------------------------------------------------------------------------
+
+
+def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], each: Sequence[Settings]) -> None:
+    for writer, own in zip(writers, each, strict=True):
+        if own.truth is None:
+            continue
         try:
-            opened = stack.enter_context(open(path, "w", encoding="utf-8", opener=_opened_at_once))  # noqa: SIM115
+            opened = stack.enter_context(open(own.truth, "w", encoding="utf-8", opener=_opened_at_once))  # noqa: SIM115
         except OSError as error:
-            refuse("--truth", f"{path} cannot be written: {error.strerror}")
+            refuse("--truth", f"{own.truth} cannot be written: {error.strerror}")
         writer.on_truth = TruthFile(opened, waits).write
 
 
@@ -308,30 +373,12 @@ def _opened_at_once(path: str, flags: int) -> int:
     return opened
 
 
-def _accompany(
-    companions: Sequence[Companion],
-    settings: Sequence[Settings],
-    programs: Sequence[Path],
-    url: str | None,
-    speed: float,
-    logs: Path | None,
-    device_address: Address | None,
-) -> None:
-    """Run the payloads of vehicles that are not ours: of these programs, or of the vehicle at a URL."""
-    stopped = _stop_signal()
-    with served_device(companions[0], settings[0].device, device_address) as exchange:
-        if url is None:
-            run_binaries(companions, settings, programs, speed, logs, stopped, exchange)
-            return
-        accompany(
-            companions[0],
-            url,
-            key=settings[0].signing_key,
-            on_ready=lambda vehicle_id: ready(vehicle_id, url),
-            on_wait=waits,
-            on_turn=exchange,
-            stopped=stopped,
-        )
+def _input_line() -> bytes:
+    """Return the first line of standard input, unbuffered: times may follow it."""
+    line = b""
+    while not line.endswith(b"\n") and (data := os.read(0, 1)):
+        line += data
+    return line
 
 
 def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
@@ -354,3 +401,17 @@ def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
 
         threading.Thread(target=wait_for_end, daemon=True).start()
     return lambda: bool(received)
+
+
+@contextlib.contextmanager
+def _refusing() -> Iterator[None]:
+    """End the program where something that a setting names cannot be used."""
+    try:
+        yield
+    except tuple(_OPTION_OF) as error:
+        refuse(_OPTION_OF[type(error)], str(error))
+
+
+def refuse(option: str, reason: str) -> NoReturn:
+    print(f"sidelong: {option} {reason}", file=sys.stderr)
+    raise typer.Exit(2)

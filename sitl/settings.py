@@ -1,15 +1,20 @@
-"""What a simulation is made of, as plain values."""
+"""What a simulation is made of, as plain values: one record, which another program writes as JSON."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+import re
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Annotated, Any
 
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter
+
+from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.world.airframe import Wind
 from sidelong.sitl.world.geodesy import HomePlane
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Flavour(StrEnum):
@@ -28,7 +33,13 @@ class GimbalFrame(StrEnum):
     UNNAMED = "unnamed"  # relative to the vehicle, but without the flag: mounts of ArduPlane 4.3 and 4.4
 
 
-Release = tuple[int, int]
+def _release_of(value: Any) -> Any:
+    """Return the numbers of a text such as "4.5" or "4.5.7"; other values unchanged."""
+    found = re.fullmatch(r"(\d{1,3})\.(\d{1,3})(?:\.\d{1,3})?", value) if isinstance(value, str) else None
+    return (int(found[1]), int(found[2])) if found else value
+
+
+Release = Annotated[tuple[int, int], BeforeValidator(_release_of)]
 """Major and minor number of an autopilot's firmware."""
 
 NEWEST: dict[Flavour, Release] = {Flavour.ARDUPLANE: (4, 7), Flavour.PX4: (1, 18)}
@@ -37,9 +48,9 @@ OLDEST: dict[Flavour, Release] = {Flavour.ARDUPLANE: (4, 3), Flavour.PX4: (1, 13
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
+    latitude_deg: Annotated[float, Field(gt=-89.0, lt=89.0)]
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
+    altitude_m: float = 0.0
 
 
 # The default home positions of the stock simulators.
@@ -51,20 +62,23 @@ DEFAULT_HOMES = {
 
 @dataclass(frozen=True, slots=True)
 class PayloadSettings:
-    """Laser and gimbal. dropout_fraction: part of the time without range, in pieces of 0.5 to 8 s.
+    """Laser and gimbal.
 
-    pan_limit_rad: how far the gimbal pans to each side of the nose. A target beyond is not seen.
+    Attributes:
+        dropout_fraction: part of the time without range, in pieces of 0.5 to 8 s.
+        latency_s: from the measurement to the sending.
+        pan_limit_deg: how far the gimbal pans to each side of the nose. A target beyond is not seen.
     """
 
-    range_sigma_m: float = 0.8
-    outlier_fraction: float = 0.02
-    gimbal_sigma_rad: float = math.radians(0.35)
-    gimbal_yaw_bias_rad: float = math.radians(0.4)
-    dropout_fraction: float = 0.15
-    latency_s: float = 0.05
+    range_sigma_m: Annotated[float, Field(ge=0.0, le=100.0)] = 0.8
+    outlier_fraction: Share = 0.02
+    gimbal_sigma_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.35
+    gimbal_yaw_bias_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.4
+    dropout_fraction: Share = 0.15
+    latency_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.05
     range_message: RangeMessage = RangeMessage.DISTANCE_SENSOR
     gimbal_frame: GimbalFrame = GimbalFrame.EARTH
-    pan_limit_rad: float = math.pi
+    pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +94,16 @@ class Quirks:
         damaged: fraction of its frames that arrive with a changed byte.
     """
 
-    range_unit_m: float | None = None
+    range_unit_m: Annotated[float, Field(gt=0.0)] | None = None
     yaw_mirrored: bool = False
     streams: bool = True
     reach_m: float = 1200.0
     silent_beyond: bool = True
-    damaged: float = 0.0
+    damaged: Share = 0.0
 
 
 MAX_VEHICLES = 8
+DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
 _APART_M = 200.0  # more than the circles that are flown at home are wide
 # Default start positions of several targets: each within laser range of vehicles in a row.
 STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
@@ -96,84 +111,130 @@ STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
 
 @dataclass(frozen=True, slots=True)
 class TargetSettings:
-    """motion: a name of sidelong.sitl.world.motion.MOTIONS or a track file. speed_max_m_s None: 3, for tracks 6.
+    """One target.
 
-    start_m: east and north of the first vehicle's home. skip_s None: a track starts where it becomes lively. name: in
-    the truth.
+    Attributes:
+        motion: a name of sidelong.sitl.world.motion.MOTIONS, or a track file.
+        speed_max_m_s: None: 3, for tracks 6.
+        start_m: east and north of the first vehicle's home.
+        skip_s: where a track begins; None: where it becomes lively.
+        name: in the truth.
     """
 
-    motion: str | Path = "walk"
-    speed_max_m_s: float | None = None
+    motion: str = "walk"
+    speed_max_m_s: Annotated[float, Field(ge=0.0, le=50.0)] | None = None
     start_m: tuple[float, float] = STARTS_M[0]
-    skip_s: float | None = None
-    name: str = ""
+    skip_s: Annotated[float, Field(ge=0.0)] | None = None
+    name: Annotated[str, Field(pattern=r"^([A-Za-z0-9][A-Za-z0-9_-]{0,31})?$")] = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Settings of one vehicle. airspeed_m_s: equivalent airspeed that the autopilot holds, as in its parameter.
+    """Settings of one vehicle, with its payload and its targets.
 
-    looks_at: index of the target its payload sees at first; home_east_m: its home's offset from the first vehicle's.
+    Attributes:
+        release: of its firmware; None: the newest.
+        target_seed: of the targets alone, where there are several vehicles; None: seed.
+        airspeed_m_s: equivalent airspeed that the autopilot holds, as in its parameter.
+        endurance_s: of its battery.
+        home_on_ground: whether the altitude of home is that of the elevation data, where there is some.
+        home_east_m: its home's offset from the first vehicle's.
+        looks_at: index of the target that its payload sees first, from 0.
+        device: protocol of a payload with a port of its own, and that port: KIND@HOST:PORT; "": it sends MAVLink.
+        quirks: of the device.
+        stations: where it sends to, HOST:PORT.
+        logs: folder for the files of another simulator's program; None: they are deleted at the end.
+        truth: file for the true tracks.
+        lost_s: when nothing is received from it any more.
+        signing_key: frames that are not signed with it are dropped.
+        link_rate: seconds of the vehicle in one of the stations'.
+        terrain: folder of .hgt tiles; None: flat.
     """
 
     flavour: Flavour = Flavour.ARDUPLANE
-    release: Release | None = None  # of its firmware; None: the newest
-    system_id: int = 1
-    seed: int = 0
-    target_seed: int | None = None  # of the targets alone, if there are several vehicles; None: seed
-    airspeed_m_s: float = 15.0
-    endurance_s: float = 3.0 * 3600.0  # battery endurance
+    release: Release | None = None
+    system_id: Annotated[int, Field(ge=1, le=250)] = 1
+    seed: Annotated[int, Field(ge=0)] = 0
+    target_seed: int | None = None
+    airspeed_m_s: Annotated[float, Field(ge=5.0, le=60.0)] = 15.0
+    endurance_s: Annotated[float, Field(gt=0.0)] = 3.0 * 3600.0
     wind: Wind = field(default_factory=Wind)
     home: Home | None = None
+    home_on_ground: bool = False
     home_east_m: float = 0.0
-    targets: tuple[TargetSettings, ...] = (TargetSettings(),)
-    looks_at: int = 0
+    targets: Annotated[tuple[TargetSettings, ...], Field(min_length=1, max_length=len(STARTS_M))] = (
+        TargetSettings(),
+    )
+    looks_at: Annotated[int, Field(ge=0)] = 0
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
-    device: str = ""  # protocol of a payload with a port of its own; "": it sends MAVLink
-    quirks: Quirks = field(default_factory=Quirks)  # of the device
-    signing_key: bytes | None = field(default=None, repr=False)  # frames not signed with it are dropped
-    link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
+    device: str = ""
+    quirks: Quirks = field(default_factory=Quirks)
+    stations: tuple[str, ...] = DEFAULT_STATIONS
+    logs: Path | None = None
+    truth: Path | None = None
+    lost_s: float | None = None
+    signing_key: bytes | None = field(default=None, repr=False)
+    link_rate: float = 1.0
     boot_unix_s: float = 1.7e9
-    terrain: Path | None = None  # folder of .hgt tiles; flat without
+    terrain: Path | None = None
 
     @property
     def home_or_default(self) -> Home:
         return self.home or DEFAULT_HOMES[self.flavour]
 
     @property
-    def release_or_newest(self) -> Release:
+    def release_or_newest(self) -> tuple[int, int]:
         return self.release or NEWEST[self.flavour]
 
 
-def in_turn(
-    first: Settings,
-    flavours: Sequence[Flavour],
-    airspeeds_m_s: Sequence[float],
-    endurances_s: Sequence[float],
-    count: int,
-    looks_at: Sequence[int] = (0,),
-    releases: Sequence[Release | None] = (None,),
-) -> list[Settings]:
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """One run of the simulator.
+
+    Attributes:
+        speed: simulated time over wall time.
+        duration_s: simulated; None: until it is interrupted.
+        link: faults of each vehicle's link.
+        signing_key_file: a key with which all vehicles sign, and without which they accept nothing.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    vehicles: Annotated[tuple[Settings, ...], Field(min_length=1, max_length=MAX_VEHICLES)] = (Settings(),)
+    speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
+    duration_s: Annotated[float, Field(gt=0.0)] | None = None
+    link: LinkFaults = field(default_factory=LinkFaults)
+    signing_key_file: Path | None = None
+
+    def to_json(self) -> bytes:
+        """Return the settings in one line of JSON, without those that have their default."""
+        return RUN_SETTINGS.dump_json(self, exclude_defaults=True)
+
+
+RUN_SETTINGS = TypeAdapter(RunSettings)
+"""Reads settings; raises pydantic's ValidationError, which names the field."""
+
+
+def default_stations(number: int, count: int) -> tuple[str, ...]:
+    """Return where one of several vehicles sends to, numbered from 0."""
+    return DEFAULT_STATIONS if count == 1 else (f"127.0.0.1:{14540 + number}", DEFAULT_STATIONS[1])
+
+
+def in_a_row(first: Settings, count: int) -> list[Settings]:
     """Return the settings of ``count`` vehicles: the first at its home, the others in a row east of it.
 
-    Flavours, releases, airspeeds, endurances and what they look at are repeated in turn. System ids follow one
-    another; the targets are the same for all.
+    System ids and seeds follow one another; the targets are the same for all.
     """
     home = first.home_or_default
     plane = HomePlane(home.latitude_deg, home.longitude_deg)
     return [
         replace(
             first,
-            flavour=flavours[number % len(flavours)],
-            release=releases[number % len(releases)],
             system_id=first.system_id + number,
             seed=first.seed + number,
             target_seed=first.seed,
-            airspeed_m_s=airspeeds_m_s[number % len(airspeeds_m_s)],
-            endurance_s=endurances_s[number % len(endurances_s)],
             home=Home(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m) if number else home,
             home_east_m=number * _APART_M,
-            looks_at=looks_at[number % len(looks_at)],
         )
         for number in range(count)
     ]

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
 from sidelong.sitl.px4.vehicle import Px4
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.world.hills import Hills
-from sidelong.sitl.world.motion import Motion, built_in_motion
+from sidelong.sitl.world.motion import MOTIONS, Motion, built_in_motion
 from sidelong.sitl.world.track import TrackMotion, read_track
 from sidelong.sitl.world.truth import TruthRow
 
@@ -204,11 +205,11 @@ def target_motions(targets: Sequence[TargetSettings], seed: int, home_east_m: fl
 def target_motion(settings: TargetSettings, seed: int | Sequence[int]) -> Motion:
     """Return the target's motion. Raises TrackError for a file that is no track."""
     speed_m_s = settings.speed_max_m_s
-    if isinstance(settings.motion, str):
+    if settings.motion in MOTIONS:
         speed_m_s = _WALK_SPEED_M_S if speed_m_s is None else speed_m_s
         target_seed, _ = np.random.SeedSequence(seed).spawn(2)
         rng = np.random.default_rng(target_seed)
         return built_in_motion(settings.motion, settings.start_m, speed_m_s, rng)
-    track = read_track(settings.motion)
+    track = read_track(Path(settings.motion))
     skip_s = track.first_motion_s() if settings.skip_s is None else settings.skip_s
     return TrackMotion(track, settings.start_m, _TRACK_SPEED_M_S if speed_m_s is None else speed_m_s, skip_s)

@@ -54,6 +54,7 @@ from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet.events import TargetRouteGiven
+from sidelong.sitl.settings import STARTS_M, TargetSettings
 
 _POLL_S = 0.1
 _SAME_CLOCK_S, _SAME_PLACE_M = 5.0, 10.0  # of one vehicle by two links, one of which may be slow
@@ -162,8 +163,8 @@ class FleetFlight:
         names = ", ".join(target.name for target in self._fleet.target)
         self._note(f"starting the simulation: {kinds}, about {names}")
         truths = [one.folder.truth for one in self._aircraft]
-        options = target_options(self._fleet)
-        vehicles = SimulatedVehicles([one.config for one in self._aircraft], truths, life.fail, options)
+        configs = [one.config for one in self._aircraft]
+        vehicles = SimulatedVehicles(configs, truths, life.fail, *simulated_targets(self._fleet))
         await stack.enter_async_context(vehicles)
         pace = asyncio.create_task(vehicles.keep_pace(self._come_to_s))
         stack.callback(pace.cancel)
@@ -429,15 +430,14 @@ def check_apart(aircraft: Iterable[FleetAircraft]) -> None:
             )
 
 
-def target_options(fleet: FleetFile) -> list[str]:
-    """Return what describes the targets to the simulation."""
+def simulated_targets(fleet: FleetFile) -> tuple[list[TargetSettings], list[int]]:
+    """Return the targets of the simulation, and which of them each aircraft's payload sees first."""
     names = [target.name for target in fleet.target]
-    options = [f"--looks-at={','.join(str(1 + names.index(member.target)) for member in fleet.members)}"]
-    for target in fleet.target:
-        options.append(f"--target={target.name}={target.motion or fleet.simulation.target}")
-        if target.start_m is not None:
-            options.append("--target-start={:g},{:g}".format(*target.start_m))
-    return options
+    targets = [
+        TargetSettings(target.motion or fleet.simulation.target, start_m=target.start_m or start_m, name=target.name)
+        for target, start_m in zip(fleet.target, STARTS_M, strict=False)
+    ]
+    return targets, [names.index(member.target) for member in fleet.members]
 
 
 def _is_shared(own: Sequence[str], links: Sequence[Sequence[str]]) -> bool:

@@ -7,12 +7,23 @@ import contextlib
 import math
 import socket
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.payload.registry import MAVLINK, kind_by_name
+from sidelong.sitl.settings import (
+    Flavour,
+    Home,
+    PayloadSettings,
+    RunSettings,
+    Settings,
+    TargetSettings,
+    in_a_row,
+)
+from sidelong.sitl.world.airframe import Wind
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -30,46 +41,67 @@ class SimulatedVehicles:
     """Starts ``python -m sitl`` for one configuration or several, and stops it. Use as ``async with``.
 
     truths: one file per vehicle. ``urls`` are the vehicles'; their system ids count from 1. Shared settings, such as
-    the wind, are the first one's. on_end: receives a sentence if they end early. targets: options for the targets.
+    the wind, are the first one's. on_end: receives a sentence if they end early. targets: instead of the configured
+    one; looks_at: which of them each payload sees first, from 0.
     """
 
     def __init__(
         self,
         configs: Sequence[Config],
-        truths: Sequence[Path],
+        truths: Sequence[Path | None],
         on_end: Callable[[str], object],
-        targets: Sequence[str] = (),
+        targets: Sequence[TargetSettings] = (),
+        looks_at: Sequence[int] = (),
     ) -> None:
-        config, simulation = configs[0], configs[0].simulation
+        first, simulation = configs[0], configs[0].simulation
         ports = [free_udp_port() for _ in configs]
         self.urls = tuple(f"udpin://127.0.0.1:{port}" for port in ports)
         self.payload_url: str | None = None
-        device: tuple[str, ...] = ()
-        if config.payload.kind != MAVLINK:
+        device = ""
+        if first.payload.kind != MAVLINK:
             payload_port = free_udp_port()
-            scheme = kind_by_name(config.payload.kind).url.partition(":")[0]
+            scheme = kind_by_name(first.payload.kind).url.partition(":")[0]
             self.payload_url = f"{scheme}://127.0.0.1:{payload_port}"
-            device = ("--device", f"{config.payload.kind}@127.0.0.1:{payload_port}")
-        self._options = [
-            *("--vehicles", str(len(configs))),
-            *("--autopilot", ",".join(one.simulation.autopilot for one in configs)),
-            *(option for number, port in enumerate(ports, 1) for option in ("--to", f"{number}@127.0.0.1:{port}")),
-            *(targets or ("--target", simulation.target)),
-            *("--target-speed", f"{config.requirement.target_speed_max_m_s:g}"),
-            *("--seed", str(simulation.seed)),
-            *("--speed", f"{simulation.speed:g}"),
-            *("--airspeed", ",".join(f"{one.aircraft.airspeed_m_s:g}" for one in configs)),
-            *("--pan-limit-deg", f"{math.degrees(config.aircraft.aircraft().pan_limit_rad):g}"),
-            *("--wind-speed", f"{simulation.wind_speed_m_s:g}"),
-            *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
-            *(() if simulation.laser else ("--dropouts", "1")),
-            *(option for truth in truths for option in ("--truth", str(truth))),
-            *(("--require-signing", str(key)) if (key := config.link.signing_key_file) is not None else ()),
-            *(("--terrain", config.terrain.folder) if config.terrain.folder is not None else ()),
-            *((f"--home={simulation.home[0]},{simulation.home[1]}",) if simulation.home is not None else ()),
-            *device,
-            "--while-input",  # so that they do not outlive this program, however that ends
-        ]
+            device = f"{first.payload.kind}@127.0.0.1:{payload_port}"
+        speed_max_m_s = first.requirement.target_speed_max_m_s
+        payload = PayloadSettings(
+            dropout_fraction=PayloadSettings().dropout_fraction if simulation.laser else 1.0,
+            pan_limit_deg=math.degrees(first.aircraft.aircraft().pan_limit_rad),
+        )
+        common = Settings(
+            flavour=Flavour(simulation.autopilot),
+            seed=simulation.seed,
+            wind=Wind.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
+            home=None if simulation.home is None else Home(*simulation.home),
+            home_on_ground=True,
+            targets=tuple(replace(one, speed_max_m_s=speed_max_m_s) for one in targets)
+            or (TargetSettings(simulation.target, speed_max_m_s),),
+            payload=payload,
+            device=device,
+            terrain=None if first.terrain.folder is None else Path(first.terrain.folder),
+        )
+        self.settings = RunSettings(
+            tuple(
+                replace(
+                    one,
+                    flavour=Flavour(config.simulation.autopilot),
+                    airspeed_m_s=config.aircraft.airspeed_m_s,
+                    stations=(f"127.0.0.1:{port}",),
+                    truth=truth,
+                    looks_at=seen,
+                )
+                for one, config, port, truth, seen in zip(
+                    in_a_row(common, len(configs)),
+                    configs,
+                    ports,
+                    truths or [None] * len(configs),
+                    looks_at or [0] * len(configs),
+                    strict=True,
+                )
+            ),
+            simulation.speed,
+            signing_key_file=first.link.signing_key_file,
+        )
         self._what = "the simulated vehicle" if len(configs) == 1 else "the simulation of the vehicles"
         self._process: asyncio.subprocess.Process | None = None
         self._on_end = on_end
@@ -78,14 +110,17 @@ class SimulatedVehicles:
     async def __aenter__(self) -> SimulatedVehicles:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
         self._process = await asyncio.create_subprocess_exec(
-            *helper_command("sidelong.sitl", *self._options),
+            *helper_command("sidelong.sitl", "--settings", "-"),
             env=helper_environment(),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
             start_new_session=True,
         )
+        assert self._process.stdin is not None
         assert self._process.stdout is not None
+        # It ends with this input, so that it does not outlive this program, however that ends.
+        self._process.stdin.write(self.settings.to_json() + b"\n")
         try:
             line = await asyncio.wait_for(self._process.stdout.readline(), _READY_S)
         except TimeoutError as error:

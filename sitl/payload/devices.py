@@ -28,4 +28,5 @@ def device_of(settings: Settings) -> Device | None:
     """Return the device of a vehicle, None where its payload has no port of its own."""
     if not settings.device:
         return None
-    return DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
+    kind = settings.device.partition("@")[0]
+    return DEVICES[kind](settings.quirks, np.random.default_rng(settings.seed))

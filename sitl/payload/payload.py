@@ -75,6 +75,9 @@ class Payload:
 
     def __init__(self, settings: PayloadSettings, seed: np.random.SeedSequence) -> None:
         self._settings = settings
+        self._sigma_rad, self._yaw_bias_rad, self._pan_limit_rad = map(
+            math.radians, (settings.gimbal_sigma_deg, settings.gimbal_yaw_bias_deg, settings.pan_limit_deg)
+        )
         self._range_rng, self._outlier_rng, self._gimbal_rng, self._dropout_rng = (
             np.random.default_rng(child) for child in seed.spawn(4)
         )
@@ -94,14 +97,14 @@ class Payload:
             range_m = max(_RANGE_MIN_M, range_m + math.copysign(size_m, sign - 0.5))
         valid = not dropped and _RANGE_MIN_M <= range_m <= _RANGE_MAX_M
         yaw_noise, pitch_noise = (float(noise) for noise in self._gimbal_rng.standard_normal(2))
-        bearing_error_rad = settings.gimbal_yaw_bias_rad + settings.gimbal_sigma_rad * yaw_noise
-        elevation_error_rad = settings.gimbal_sigma_rad * pitch_noise
+        bearing_error_rad = self._yaw_bias_rad + self._sigma_rad * yaw_noise
+        elevation_error_rad = self._sigma_rad * pitch_noise
         if not sight.clear:
             return Measurement([], False, False)
         yaw_rad, pitch_rad = sight.bearing_rad + bearing_error_rad, sight.elevation_rad + elevation_error_rad
         pan_rad = math.remainder(yaw_rad - heading_rad, math.tau)
-        if abs(pan_rad) > settings.pan_limit_rad:  # the gimbal waits at its stop, and the laser hits something else
-            yaw_rad, valid = heading_rad + math.copysign(settings.pan_limit_rad, pan_rad), False
+        if abs(pan_rad) > self._pan_limit_rad:  # the gimbal waits at its stop, and the laser hits something else
+            yaw_rad, valid = heading_rad + math.copysign(self._pan_limit_rad, pan_rad), False
         messages = [self._gimbal_message(boot_ms, pitch_rad, yaw_rad, heading_rad)]
         if valid:
             messages.insert(0, self._range_message(boot_ms, range_m, outlier))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Annotated, Generic, TypeVar
 
 import numpy as np
+from pydantic import Field
 
 T = TypeVar("T")
 
@@ -16,11 +17,15 @@ _BITS_PER_BYTE = 10  # with start and stop bit
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
-    loss: float = 0.0  # fraction, each direction
-    duplicate: float = 0.0  # fraction of the datagrams that are not lost
-    delay_s: float = 0.0  # of the stations' clock, each direction
+    """Faults of a link, in each direction."""
+
+    loss: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # fraction
+    duplicate: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # fraction of the datagrams that are not lost
+    delay_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0  # of the stations' clock
     jitter_s: float = 0.0  # maximum additional delay, drawn for each datagram: datagrams overtake each other
-    baud: float = float("inf")  # of a serial line, each direction
+    baud: Annotated[float, Field(ge=1200.0)] = float(
+        "inf"
+    )  # of a serial line: what it cannot carry is late, then lost
 
 
 class FaultyLink(Generic[T]):

@@ -62,9 +62,9 @@ class Telemetry:
     def _gimbal_manager(self) -> Any:
         """Return the limits of a gimbal that the autopilot manages; None if it pans all around."""
         settings = self._vehicle.settings
-        if settings.payload is None or settings.device or settings.payload.pan_limit_rad >= math.pi:
+        if settings.payload is None or settings.device or settings.payload.pan_limit_deg >= 180.0:
             return None
-        pan_rad, pitch_rad = settings.payload.pan_limit_rad, 0.5 * math.pi
+        pan_rad, pitch_rad = math.radians(settings.payload.pan_limit_deg), 0.5 * math.pi
         flags = mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS
         return mavlink.MAVLink_gimbal_manager_information_message(
             self._vehicle.boot_ms, flags, 1, 0.0, 0.0, -pitch_rad, 0.0, -pan_rad, pan_rad

@@ -132,4 +132,5 @@ def test_the_simulated_payload_has_a_laser_as_the_preset_has(name, tmp_path):
     file = tmp_path / "mission.toml"
     file.write_text(config_text(name))
     simulated = SimulatedVehicles([load_config(file)], [], pytest.fail)
-    assert ("--dropouts" in simulated._options) is not PAYLOAD_PRESETS[name].has_laser
+    (vehicle,) = simulated.settings.vehicles
+    assert (vehicle.payload.dropout_fraction == 1.0) is not PAYLOAD_PRESETS[name].has_laser

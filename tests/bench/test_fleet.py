@@ -56,8 +56,8 @@ class World:
         self.fleet_file = folder / "fleet.toml"
         self.own = own = all(PROGRAMS) and not lose
         ports = [free_udp_port(), free_udp_port()]
-        options = [f"--to={number}@127.0.0.1:{port}" for number, port in enumerate(ports, 1)]
-        options += [f"--lose={one}" for one in lose]
+        options = [f'--set={number}.stations=["127.0.0.1:{port}"]' for number, port in enumerate(ports, 1)]
+        options += ["--set={}.lost_s={}".format(*one.split("@")) for one in lose]
         if own:
             options = [f"--binary={program}" for program in PROGRAMS]
         self._process = subprocess.Popen(

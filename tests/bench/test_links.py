@@ -32,7 +32,7 @@ HOSTILE, SEEDS = int(os.environ.get("HOSTILE", "100000")), int(os.environ.get("S
 SIGNED_MAX, RADIO_MAX = 0.01, 0.03  # of the time on the side
 FRAMES_PER_S = 1500
 FAR_M = 10_000.0
-RADIO = ("--baud", "57600", "--loss", "0.05", "--delay-ms", "75")  # each way
+RADIO = ("--set", "link.baud=57600", "--set", "link.loss=0.05", "--set", "link.delay_s=0.075")  # each way
 ROOT = Path(__file__).parents[2]
 MANUAL = {"arduplane": (3, 0), "px4": (12, 1 << 16)}  # as a heartbeat reports it: autopilot, custom mode
 
@@ -117,7 +117,7 @@ def test_hostile_frames_reach_nothing(tmp_path, flavour):
 
     duration_s = 4 * HOSTILE / FRAMES_PER_S + 30.0
     launch = ("--signing-key", key, "--duration", f"{duration_s:.0f}")
-    summary, journal = flown(tmp_path, flavour, ("--require-signing", key), launch, begin)
+    summary, journal = flown(tmp_path, flavour, ("--set", f"signing_key_file={key}"), launch, begin)
     attacks[0].join()
     events = list(JournalReader(journal, JOURNAL_TYPES))
     places = [event for event in events if isinstance(event, PositionReading)]
@@ -152,7 +152,10 @@ def test_a_signed_flight_watches_as_an_unsigned_one(tmp_path, flavour):
     key = tmp_path / "plane.key"
     sign(key)
     launch = ("--duration", 1200)
-    ways = {"unsigned": ((), launch), "signed": (("--require-signing", key), (*launch, "--signing-key", key))}
+    ways = {
+        "unsigned": ((), launch),
+        "signed": (("--set", f"signing_key_file={key}"), (*launch, "--signing-key", key)),
+    }
     mean = sides(tmp_path, flavour, 4, ways)
     assert mean["signed"][0] >= mean["unsigned"][0] - SIGNED_MAX
 

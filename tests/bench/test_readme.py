@@ -122,7 +122,7 @@ while True:
 def _vehicle(flavour: str, payload: bool, folder: Path, stack: contextlib.ExitStack) -> str:
     port = _free_port()
     words = ["sitl", "--autopilot", flavour, "--speed", "5", "--to", f"127.0.0.1:{port}"]
-    stack.enter_context(_running([SIDELONG, *words, *([] if payload else ["--no-payload"])], folder))
+    stack.enter_context(_running([SIDELONG, *words, *([] if payload else ["--set", "payload=none"])], folder))
     return f"udpin://127.0.0.1:{port}"
 
 

@@ -29,7 +29,7 @@ WRONG_MAX = 0.1
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_the_return_is_predicted_at_half_of_the_battery(flavour, tmp_path):
     config = configured(tmp_path / "mission.toml", flavour, "[requirement]\ntarget_speed_max_m_s = 4\n")
-    options = ("--speed", RATE, "--endurance", ENDURANCE_S, "--target", "circle")
+    options = ("--speed", RATE, "--set", f"endurance_s={ENDURANCE_S}", "--target", "circle")
     with RealVehicle(flavour, *options) as vehicle, (tmp_path / "reported.txt").open("w") as announced:
         command = [sys.executable, "-m", "sidelong.app", "launch", config, "--connect", vehicle.urls[0]]
         command += ["--duration", 2.0 * ENDURANCE_S, "--out", tmp_path / "runs"]

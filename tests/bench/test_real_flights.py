@@ -125,10 +125,13 @@ def fly(
 ) -> Flight:
     """Fly next to a target; payload: the maker's protocol that laser and gimbal speak, "" is MAVLink."""
     played = folder / "target.csv"
-    options, more = [*simulated(flavour, played, folder / "truth.csv"), "--pan-limit-deg", pan_limit_deg], ""
+    options, more = (
+        [*simulated(flavour, played, folder / "truth.csv"), "--set", f"payload.pan_limit_deg={pan_limit_deg}"],
+        "",
+    )
     if payload:
         address = f"127.0.0.1:{free_udp_port()}"
-        options += ["--device", f"{payload}@{address}"]
+        options += ["--set", f"device={payload}@{address}"]
         scheme = "tcp" if payload in OVER_TCP else "udp"
         more = f'[payload]\nkind = "{payload}"\nurl = "{scheme}://{address}"\n'
     requirement = (
@@ -174,7 +177,7 @@ def simulated(flavour: str, target: Path, truth: Path) -> list[object]:
     options = {
         "--speed": RATE,
         "--target": target,
-        "--target-skip": 0,
+        "--set": "targets.skip_s=0",
         "--target-speed": TARGET_SPEED_MAX_M_S[flavour],
         "--wind-speed": WIND_M_S[flavour],
         "--wind-from-deg": WIND_FROM_DEG,

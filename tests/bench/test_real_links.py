@@ -41,7 +41,7 @@ pytestmark = pytest.mark.autopilot
 def test_signed_as_unsigned(tmp_path, flavour):
     key, flights, sides = tmp_path / "plane.key", {}, {}
     with ExitStack() as open_links:
-        for name, demand in {"unsigned": (), "signed": ("--require-signing", key)}.items():
+        for name, demand in {"unsigned": (), "signed": ("--set", f"signing_key_file={key}")}.items():
             if demand:
                 print(f"\n{flavour:9} {signed_up(key)}")
             vehicle = open_links.enter_context(RealVehicle(flavour, "--speed", SPEED, *demand))

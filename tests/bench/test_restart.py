@@ -17,7 +17,7 @@ import pytest
 from sidelong.app.flight.simulated import free_udp_port
 
 RESTARTS = int(os.environ.get("RESTARTS", "10"))
-RADIO = ("--baud", "57600", "--loss", "0.05", "--delay-ms", "75")  # each way
+RADIO = ("--set", "link.baud=57600", "--set", "link.loss=0.05", "--set", "link.delay_s=0.075")  # each way
 AGAIN_MAX_S, FLOWN_S = 8.0, 5.0
 ROOT = Path(__file__).parents[2]
 

@@ -37,7 +37,7 @@ def vehicles(port: int, *options: tuple[object, ...]) -> Iterator[None]:
 def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
     port = free_port()
     url = f"udpin://127.0.0.1:{port}"
-    with vehicles(port, ("--system-id", 1), ("--system-id", 7, "--autopilot", "px4")):
+    with vehicles(port, ("--set", "system_id=1"), ("--set", "system_id=7", "--autopilot", "px4")):
         unnamed = sidelong("launch", "--connect", url, "--out", tmp_path)
         assert unnamed.returncode == 2, unnamed.stdout + unnamed.stderr
         assert "several vehicles share the link: system 1 (" in unnamed.stderr

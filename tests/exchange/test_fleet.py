@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from sidelong.mission.core.events import End
 from sidelong.mission.core.fleet import Role
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.fleet.events import PlansReported, SightingReported
-from sidelong.sitl.settings import STARTS_M, Flavour, Settings, TargetSettings, in_turn
+from sidelong.sitl.settings import STARTS_M, Flavour, Settings, TargetSettings, in_a_row
 from tests.messages import message
 
 SYSTEM_TIME, DO_SET_ROI_LOCATION = 2, 195
@@ -53,7 +54,10 @@ class Fleet:
         )
         first = Settings(seed=seed, targets=tuple(moving))
         seen = [targets.index(member.target) for member in self.file.members]
-        settings = in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0], [1e4], len(names), seen)
+        settings = [
+            replace(one, flavour=list(Flavour)[k % 2], endurance_s=1e4, looks_at=seen[k % len(seen)])
+            for k, one in enumerate(in_a_row(first, len(names)))
+        ]
         self.crafts = [
             Craft(member, fly(one.flavour, settings=one, begin=False, seed=one.seed))
             for member, one in zip(self.file.members, settings, strict=True)

@@ -36,7 +36,7 @@ from sidelong.sitl.settings import (
     RangeMessage,
     Settings,
     TargetSettings,
-    in_turn,
+    in_a_row,
 )
 from sidelong.sitl.settings import Home as SitlHome
 from sidelong.sitl.simulation import Simulation
@@ -193,7 +193,7 @@ def _settings(number: int, rng: np.random.Generator) -> Settings:
     payload = PayloadSettings(
         gimbal_frame=GimbalFrame(str(rng.choice([GimbalFrame.EARTH, GimbalFrame.VEHICLE]))),
         range_message=RangeMessage.DISTANCE_SENSOR,
-        gimbal_yaw_bias_rad=math.radians(float(rng.normal(0.0, 0.5))),
+        gimbal_yaw_bias_deg=float(rng.normal(0.0, 0.5)),
     )
     return Settings(
         flavour,
@@ -230,7 +230,10 @@ def _fleet(first: Settings, flown: Flown) -> tuple[list[Craft], Callable[[], Non
     )
     seen = [targets.index(member.target) for member in file.members]
     flavours = [first.flavour, *(one for one in Flavour if one is not first.flavour)]
-    all_settings = in_turn(replace(first, targets=moving), flavours, [15.0], [1e4], count, seen, [None])
+    all_settings = [
+        replace(one, flavour=flavours[k % 2], release=None, endurance_s=1e4, looks_at=seen[k])
+        for k, one in enumerate(in_a_row(replace(first, targets=moving), count))
+    ]
     crafts: list[Craft] = []
     coordination = Coordination(coordinator_of(file), _NoJournal(), lambda _name, _text: None)
     for number, (member, settings) in enumerate(zip(file.members, all_settings, strict=True)):

@@ -18,7 +18,7 @@ from tests.command_line import SIDELONG, sidelong
 @contextlib.contextmanager
 def simulated(kind: str, port: int, vehicle_port: int) -> Iterator[None]:
     """Run a simulated vehicle whose payload listens at a port."""
-    options = ("--device", f"{kind}@127.0.0.1:{port}", "--to", f"127.0.0.1:{vehicle_port}", "--while-input")
+    options = ("--set", f"device={kind}@127.0.0.1:{port}", "--to", f"127.0.0.1:{vehicle_port}", "--while-input")
     with subprocess.Popen(
         [str(SIDELONG), "sitl", *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:

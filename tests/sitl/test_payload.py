@@ -1,6 +1,7 @@
 """Laser and gimbal against the truth, and in the form of the recorded logs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def yaw_pitch_rad(message):
 
 def test_the_recorded_quaternion_comes_out():
     """The first gimbal message of the recorded ArduPlane flight, within its noise of 0.35 degrees and 0.4 bias."""
-    quiet = PayloadSettings(gimbal_sigma_rad=0.0)
+    quiet = PayloadSettings(gimbal_sigma_deg=0.0)
     q = np.array(of_kind(measurements(quiet, 1), "GIMBAL_DEVICE_ATTITUDE_STATUS")[0].q)
     recorded = np.array([0.3905392289, -0.2444421202, -0.1083713934, -0.8808988333])
     angle_rad = 2.0 * math.acos(min(1.0, abs(float(q @ recorded))))
@@ -36,7 +37,8 @@ def test_the_recorded_quaternion_comes_out():
 
 
 def test_a_gimbal_waits_at_its_stop_for_a_target_beyond_its_pan_limits():
-    settings = PayloadSettings(gimbal_sigma_rad=0.0, gimbal_yaw_bias_rad=0.0, dropout_fraction=0.0, pan_limit_rad=2.0)
+    exact = PayloadSettings(gimbal_sigma_deg=0.0, gimbal_yaw_bias_deg=0.0, dropout_fraction=0.0)
+    settings = replace(exact, pan_limit_deg=math.degrees(2.0))
     for pan_rad, yaw_rad in ((1.9, 1.9), (-1.9, -1.9), (2.1, 2.0), (-2.1, -2.0)):
         sight = Sight(300.0, 0.8 + pan_rad, -0.3)
         (measured,) = measurements(settings, 1, sight, heading_rad=0.8)
@@ -85,7 +87,7 @@ def test_an_outlier_admits_its_poor_quality():
     [
         {"range_sigma_m": 5.0},
         {"outlier_fraction": 0.5},
-        {"gimbal_sigma_rad": 0.1, "gimbal_yaw_bias_rad": 0.0},
+        {"gimbal_sigma_deg": math.degrees(0.1), "gimbal_yaw_bias_deg": 0.0},
     ],
 )
 def test_a_change_of_one_noise_leaves_the_dropouts_alone(change):
@@ -103,7 +105,7 @@ def test_the_laser_ends_where_its_message_ends(range_m, received):
 
 
 def test_a_vehicle_frame_gimbal_reports_yaw_from_the_nose():
-    exact = PayloadSettings(gimbal_sigma_rad=0.0, gimbal_yaw_bias_rad=0.0, gimbal_frame=GimbalFrame.VEHICLE)
+    exact = PayloadSettings(gimbal_sigma_deg=0.0, gimbal_yaw_bias_deg=0.0, gimbal_frame=GimbalFrame.VEHICLE)
     message = of_kind(measurements(exact, 1, heading_rad=1.0), "GIMBAL_DEVICE_ATTITUDE_STATUS")[0]
     yaw_rad, pitch_rad = yaw_pitch_rad(message)
     assert math.remainder(yaw_rad - (LOG_SIGHT.bearing_rad - 1.0), math.tau) == pytest.approx(0.0, abs=1e-9)

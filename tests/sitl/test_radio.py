@@ -71,10 +71,10 @@ def test_unknown_messages_are_refused_as_by_the_real_ones(pair):
     assert interval(ground, 999, 1.0) == expected
 
 
-@pytest.mark.parametrize(("limit_rad", "reported"), [(2.0, [(-2.0, 2.0)]), (math.pi, [])])
+@pytest.mark.parametrize(("limit_deg", "reported"), [(math.degrees(2.0), [(-2.0, 2.0)]), (180.0, [])])
 @pytest.mark.parametrize("flavour", Flavour)
-def test_the_autopilot_reports_the_pan_limits_of_its_gimbal(simulate, station, flavour, limit_rad, reported):
-    ground = station(simulate(flavour=flavour, payload=PayloadSettings(pan_limit_rad=limit_rad)))
+def test_the_autopilot_reports_the_pan_limits_of_its_gimbal(simulate, station, flavour, limit_deg, reported):
+    ground = station(simulate(flavour=flavour, payload=PayloadSettings(pan_limit_deg=limit_deg)))
     ground.command_long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION)
     assert [(one.yaw_min, one.yaw_max) for one in ground.all("GIMBAL_MANAGER_INFORMATION")] == reported
 

@@ -5,10 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-import typer
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.options import releases_of
 from sidelong.sitl.payload.payload import Payload, Sight
 from sidelong.sitl.settings import NEWEST, Flavour, GimbalFrame, PayloadSettings
 
@@ -148,12 +146,3 @@ def test_a_mount_of_4_4_names_no_frame_of_its_yaw():
     assert unnamed[0] & 0b1111_0000 == 0
     assert named[0] & mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
     assert unnamed[1] == named[1]
-
-
-def test_releases_go_with_their_autopilots():
-    flavours = [Flavour.ARDUPLANE, Flavour.PX4]
-    assert releases_of("4.5.7,1.16", flavours) == [(4, 5), (1, 16)]
-    assert releases_of(None, flavours) == [None]
-    for wrong in ("4.5", "1.16,4.5", "4.5,2.0", "4.5,x"):
-        with pytest.raises(typer.Exit):
-            releases_of(wrong, flavours)

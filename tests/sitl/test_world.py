@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
-from sidelong.sitl.settings import Flavour, Settings, TargetSettings, in_turn
+from sidelong.sitl.settings import Flavour, Settings, TargetSettings, in_a_row
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.geodesy import HomePlane
 
@@ -16,8 +17,10 @@ def pair():
     """Return two simulations with the rows of truth that each has written, 60 s long."""
     first = Settings(seed=4, targets=(TargetSettings("turning", 3.0),))
     rows: list[list] = [[], []]
+    plane, wing = in_a_row(first, 2)
     simulations = [
-        Simulation(one) for one in in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0, 20.0], [1000.0, 100.0], 2)
+        Simulation(replace(plane, endurance_s=1000.0)),
+        Simulation(replace(wing, flavour=Flavour.PX4, airspeed_m_s=20.0, endurance_s=100.0)),
     ]
     for simulation, written in zip(simulations, rows, strict=True):
         simulation.on_truth = written.append
