@@ -20,13 +20,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
-from sidelong.sitl.payload.device_port import Address, device_port
-from sidelong.sitl.payload.devices import device_of
+from sidelong.sitl.payload.devices import Address, device_of, device_port
 from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, Home, PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
 from sidelong.sitl.world.airframe import Wind
 from sidelong.sitl.world.hills import HillsError
-from sidelong.sitl.world.shared_target import SharedTarget
+from sidelong.sitl.world.motion import SharedTarget
 
 _STOP_S = 5.0
 _INSTANCES = 10

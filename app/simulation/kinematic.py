@@ -32,8 +32,7 @@ from sidelong.mission.upload.mission_item import e7
 from sidelong.sitl.arduplane.mission import ArduPlaneMission
 from sidelong.sitl.arduplane.vehicle import QUIRKS as ARDUPLANE_QUIRKS
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, UNSUPPORTED, Command
-from sidelong.sitl.protocol.items import Item
-from sidelong.sitl.protocol.transfer import Transfer
+from sidelong.sitl.protocol.transfer import Item, Transfer
 from sidelong.sitl.px4.mission import Px4Mission
 from sidelong.sitl.px4.vehicle import QUIRKS as PX4_QUIRKS
 

@@ -14,8 +14,7 @@ from enum import IntEnum
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item, ItemRefused
-from sidelong.sitl.protocol.store import Store
+from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, ItemRefused, Store
 
 _ACCEPTED: int = mavlink.MAV_MISSION_ACCEPTED
 

@@ -1,27 +1,295 @@
-"""ArduPlane as a ground program meets it: modes, mission, commands, failsafe."""
+"""ArduPlane as a ground program meets it: modes, parameters, commands, telemetry, failsafe and terrain requests.
+
+Terrain heights come in blocks of 8 x 7 squares, each of 4 x 4 posts 100 m apart. Here blocks overlap by one row of
+posts, so that every position is between four posts of one block.
+"""
 
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.arduplane.mission import NAVIGATION, ArduPlaneMission, MissionState
-from sidelong.sitl.arduplane.modes import SELF_FLYING, Mode
 from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
-from sidelong.sitl.arduplane.parameters import arduplane_parameters
-from sidelong.sitl.arduplane.telemetry import DATA_STREAMS, DEFAULT_INTERVAL_S, ArduPlaneTelemetry
-from sidelong.sitl.arduplane.terrain import TerrainDatabase
-from sidelong.sitl.autopilot import Autopilot
+from sidelong.sitl.autopilot import NAN, Autopilot, Builder, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
-from sidelong.sitl.protocol.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
+from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.store import Store
-from sidelong.sitl.protocol.transfer import ProtocolQuirks
-from sidelong.sitl.settings import Settings
-from sidelong.sitl.world.airframe import AirframeParameters
-from sidelong.sitl.world.place import Place
+from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, ProtocolQuirks, Store
+from sidelong.sitl.settings import Release, Settings
+from sidelong.sitl.world.airframe import AirframeParameters, Place
+
+_SPACING_M = 100
+_ACROSS, _UP, _SQUARE = 8, 7, 4
+_METRES_PER_DEG = 111_318.84502145034  # ArduPilot's LATLON_TO_M, in degrees
+
+
+class TerrainDatabase:
+    """Terrain heights (AMSL) around a position, as far as they have been received."""
+
+    def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
+        self._origin_deg = latitude_deg, longitude_deg
+        self._step_deg = _SPACING_M / _METRES_PER_DEG
+        self._blocks: dict[tuple[int, int], npt.NDArray[np.float64]] = {}
+
+    def request(self, latitude_deg: float, longitude_deg: float) -> Any:
+        """Return the TERRAIN_REQUEST for what is missing of the block about a place; None where nothing is."""
+        corner, heights, _, _ = self._block(latitude_deg, longitude_deg)
+        mask = sum(1 << bit for bit in range(_ACROSS * _UP) if np.isnan(_square(heights, bit)).any())
+        return mavlink.MAVLink_terrain_request_message(*corner, _SPACING_M, mask) if mask else None
+
+    def take(self, data: Any) -> None:
+        """Take a TERRAIN_DATA that answers a request."""
+        for (row, column), heights in self._blocks.items():
+            if (data.lat, data.lon) == self._corner_e7(row, column) and data.grid_spacing == _SPACING_M:
+                _square(heights, data.gridbit)[:] = np.reshape(data.data, (_SQUARE, _SQUARE))
+
+    def report(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Any:
+        """Return the TERRAIN_REPORT of a place; its spacing is 0 where the height is not known."""
+        _, heights, x, y = self._block(latitude_deg, longitude_deg)
+        column, row = int(x), int(y)
+        u, v = x - column, y - row
+        (sw, se), (nw, ne) = heights[row : row + 2, column : column + 2].tolist()
+        ground_m = (1 - v) * ((1 - u) * sw + u * se) + v * ((1 - u) * nw + u * ne)
+        known = not math.isnan(ground_m)
+        pending = sum(int(np.isnan(block).sum()) for block in self._blocks.values()) // _SQUARE**2
+        return mavlink.MAVLink_terrain_report_message(
+            round(latitude_deg * 1e7),
+            round(longitude_deg * 1e7),
+            _SPACING_M if known else 0,
+            ground_m if known else 0.0,
+            altitude_m - ground_m if known else 0.0,
+            pending,
+            len(self._blocks) * _ACROSS * _UP - pending,
+        )
+
+    def _block(
+        self, latitude_deg: float, longitude_deg: float
+    ) -> tuple[tuple[int, int], npt.NDArray[np.float64], float, float]:
+        """Return corner (1e-7 degrees) and posts of the block about a place, and where among the posts that is."""
+        rows, columns = _UP * _SQUARE - 1, _ACROSS * _SQUARE - 1
+        y = (latitude_deg - self._origin_deg[0]) / self._step_deg
+        row = math.floor(y / rows)
+        shrunk = math.cos(math.radians(self._corner_e7(row, 0)[0] * 1e-7))
+        x = (longitude_deg - self._origin_deg[1]) / (self._step_deg / shrunk)
+        column = math.floor(x / columns)
+        heights = self._blocks.setdefault((row, column), np.full((rows + 1, columns + 1), np.nan))
+        return self._corner_e7(row, column), heights, x - column * columns, y - row * rows
+
+    def _corner_e7(self, row: int, column: int) -> tuple[int, int]:
+        south_deg = self._origin_deg[0] + row * (_UP * _SQUARE - 1) * self._step_deg
+        step_east_deg = self._step_deg / math.cos(math.radians(round(south_deg * 1e7) * 1e-7))
+        west_deg = self._origin_deg[1] + column * (_ACROSS * _SQUARE - 1) * step_east_deg
+        return round(south_deg * 1e7), round(west_deg * 1e7)
+
+
+def _square(heights: npt.NDArray[np.float64], bit: int) -> npt.NDArray[np.float64]:
+    row, column = _SQUARE * (bit // _ACROSS), _SQUARE * (bit % _ACROSS)
+    return heights[row : row + _SQUARE, column : column + _SQUARE]
+
+
+# MAV_SYS_STATUS bits as the stock simulator sends them.
+_PRESENT = 0x1261FC3F
+_ENABLED = 0x1261803F
+_HEALTHY = 0x1231803F
+_HEALTHY_BEFORE_READY = 0x0211803F  # before the EKF and the pre-arm checks are content
+_CONTROLLERS = 0x00007C00  # enabled and healthy once armed
+
+# What REQUEST_DATA_STREAM turns on and off together.
+_GROUPS: dict[int, tuple[int, ...]] = {
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+        mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+    ),
+    mavlink.MAV_DATA_STREAM_POSITION: (
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    ),
+    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
+    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
+    mavlink.MAV_DATA_STREAM_EXTRA3: (
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
+        mavlink.MAVLINK_MSG_ID_WIND,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST,
+        mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT,
+    ),
+}
+_STREAMED = tuple(message_id for group in _GROUPS.values() for message_id in group)
+DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
+DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
+
+
+class ArduPlaneTelemetry(Telemetry):
+    gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
+    gps_dilution = (121, 200)
+    gps_accuracy_mm = (300, 300, 0)
+    home_quaternion = (NAN, NAN, NAN, NAN)
+    parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+
+    _vehicle: ArduPlane
+
+    def builders(self) -> dict[int, Builder]:
+        builders = super().builders() | {
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._nav_controller_output,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
+            mavlink.MAVLINK_MSG_ID_WIND: self._wind,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status,
+            mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: self._terrain_request,
+            mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: self._terrain_report,
+        }
+        if self._vehicle.release < (4, 6):  # no message of its own: it comes with each request for terrain
+            del builders[mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT]
+        return builders
+
+    def _sys_status(self) -> Any:
+        controllers = _CONTROLLERS if self._vehicle.armed else 0
+        healthy = _HEALTHY if self._vehicle.ready else _HEALTHY_BEFORE_READY
+        return mavlink.MAVLink_sys_status_message(
+            _PRESENT, _ENABLED | controllers, healthy | controllers, 0, 12600, 1000, self.battery_percent, *(0,) * 6
+        )
+
+    def _mission_current(self) -> Any:
+        mission = self._vehicle.mission
+        if self._vehicle.release < (4, 5):
+            return mavlink.MAVLink_mission_current_message(mission.index)
+        return mavlink.MAVLink_mission_current_message(
+            mission.index,
+            max(0, len(mission.items()) - 1),
+            mission.reported_state,
+            int(self._vehicle.mode == Mode.AUTO),
+        )
+
+    def _nav_controller_output(self) -> Any:
+        plane, craft, navigator = self._vehicle, self._craft, self._vehicle.navigator
+        goal, guidance = navigator.goal, navigator.guidance
+        return mavlink.MAVLink_nav_controller_output_message(
+            math.degrees(plane.roll_goal_rad),
+            math.degrees(craft.pitch_rad),
+            round(math.degrees(math.remainder(guidance.nav_bearing_rad, math.tau))),
+            round(math.degrees(plane.here.bearing_rad(goal))),
+            min(65535, round(goal.distance_m(craft))),
+            plane.height_goal_m - craft.height_m,
+            plane.airspeed_goal_m_s - craft.airspeed_m_s / plane.true_airspeed_ratio,
+            guidance.cross_track_m,
+        )
+
+    def _position_target(self) -> Any:
+        plane = self._vehicle
+        if plane.mode not in (Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL) or not plane.armed:
+            return None
+        goal = plane.navigator.goal
+        return mavlink.MAVLink_position_target_global_int_message(
+            plane.boot_ms,
+            mavlink.MAV_FRAME_GLOBAL,
+            0xFDF8,  # only the position counts
+            *self.place_e7(*goal.ground_m),
+            self.altitude_m(goal.height_m),
+            *(0.0,) * 8,
+        )
+
+    def _wind(self) -> Any:
+        wind = self._craft.wind
+        from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s))
+        return mavlink.MAVLink_wind_message(from_deg, math.hypot(wind.east_m_s, wind.north_m_s), 0.0)
+
+    def _terrain_request(self) -> Any:
+        terrain = self._vehicle.terrain
+        if terrain is None:
+            return None
+        request = terrain.request(*self._place_deg)
+        if self._vehicle.release >= (4, 6):
+            return request
+        return [*([] if request is None else [request]), self._terrain_report()]
+
+    def _terrain_report(self) -> Any:
+        terrain = self._vehicle.terrain
+        return None if terrain is None else terrain.report(*self._place_deg, self.altitude_m(self._craft.height_m))
+
+    @property
+    def _place_deg(self) -> tuple[float, float]:
+        return self._vehicle.plane.latitude_longitude_deg(self._craft.east_m, self._craft.north_m)
+
+    def _ekf_status(self) -> Any:
+        flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
+        return mavlink.MAVLink_ekf_status_report_message(flags, *(0.01,) * 5)
+
+
+_FORMER: dict[str, tuple[Release, str, int, float]] = {  # renamed in, name before, its type and unit
+    "AIRSPEED_CRUISE": ((4, 5), "TRIM_ARSPD_CM", INT32, 0.01),
+    "AIRSPEED_MIN": ((4, 5), "ARSPD_FBW_MIN", INT16, 1.0),
+    "AIRSPEED_MAX": ((4, 5), "ARSPD_FBW_MAX", INT16, 1.0),
+    "ROLL_LIMIT_DEG": ((4, 5), "LIM_ROLL_CD", INT16, 0.01),
+    "RTL_ALTITUDE": ((4, 5), "ALT_HOLD_RTL", INT32, 0.01),
+    "MAV_GCS_SYSID": ((4, 7), "SYSID_MYGCS", INT16, 1.0),
+    "MAV_SYSID": ((4, 7), "SYSID_THISMAV", INT16, 1.0),
+}
+
+
+def arduplane_parameters(settings: Settings) -> Parameters:
+    """Return the parameters a ground program looks at, with the stock simulator's values."""
+    airspeed_m_s = settings.airspeed_m_s
+    table: dict[str, tuple[int, float]] = {
+        "AIRSPEED_CRUISE": (REAL32, airspeed_m_s),
+        "AIRSPEED_MIN": (INT16, math.floor(min(10.0, 0.7 * airspeed_m_s))),
+        "AIRSPEED_MAX": (INT16, math.ceil(max(30.0, 1.35 * airspeed_m_s))),
+        "ROLL_LIMIT_DEG": (REAL32, 65.0),
+        "WP_LOITER_RAD": (INT16, 80.0),
+        "WP_RADIUS": (INT16, 50.0),
+        "RTL_RADIUS": (INT16, 0.0),
+        "RTL_ALTITUDE": (REAL32, 100.0),
+        "TKOFF_ALT": (INT16, 50.0),
+        "NAVL1_PERIOD": (REAL32, 17.0),
+        "NAVL1_DAMPING": (REAL32, 0.75),
+        "NAVL1_XTRACK_I": (REAL32, 0.02),
+        "FS_GCS_ENABL": (INT8, 0.0),
+        "FS_LONG_ACTN": (INT8, 0.0),
+        "FS_LONG_TIMEOUT": (REAL32, 5.0),
+        "FS_SHORT_ACTN": (INT8, 0.0),
+        "FS_SHORT_TIMEOUT": (REAL32, 1.5),
+        "MAV_GCS_SYSID": (INT16, 255.0),
+        "MAV_SYSID": (INT16, settings.system_id),
+        "FENCE_ENABLE": (INT8, 0.0),
+        "FENCE_ACTION": (INT8, 1.0),
+        "FENCE_TOTAL": (INT8, 0.0),
+        "ARMING_MIS_ITEMS": (INT32, 0.0),
+        "MIS_RESTART": (INT8, 0.0),
+        "MIS_TOTAL": (INT16, 0.0),
+        "RNGFND1_TYPE": (INT8, 0.0),
+        "STAT_RUNTIME": (INT32, 0.0),
+    }
+    release, former = settings.release_or_newest, {}
+    for name, (renamed_in, old_name, kind, unit) in _FORMER.items():
+        if release < renamed_in:
+            table[old_name] = (kind, table.pop(name)[1] / unit)
+            former[name] = (old_name, unit)
+    return Parameters(table, bytewise=False, former=former)
+
+
+class Mode(IntEnum):
+    MANUAL = 0
+    FBWA = 5
+    CRUISE = 7
+    AUTO = 10
+    RTL = 11
+    LOITER = 12
+    TAKEOFF = 13
+    GUIDED = 15
+
+
+SELF_FLYING = (Mode.AUTO, Mode.RTL, Mode.LOITER, Mode.TAKEOFF, Mode.GUIDED)
+
 
 # The stock simulator's airframe turns less than its bank would in a coordinated turn. With L1, which has no
 # integral on circles, that is why it flies 116 m for 100, 69 for 50 and 167 for 150 at 22 m/s.

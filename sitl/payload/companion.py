@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.payload.device import Device, Wired
 from sidelong.sitl.payload.payload import PERIOD_S, Measurement, Payload, Sight
-from sidelong.sitl.protocol.signing import signing_time
+from sidelong.sitl.protocol.radio import signing_time
 from sidelong.sitl.settings import PayloadSettings
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills

@@ -8,8 +8,8 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.payload.device import Device, Seen
-from sidelong.sitl.protocol.telemetry import NAN, quaternion
 from sidelong.sitl.settings import Quirks
+from sidelong.sitl.world.airframe import quaternion
 
 _SYSTEM, _PAYLOAD, _CAMERA, _GIMBAL = 1, 26, 101, 154
 _RANGE_INDEX, _PARAMETERS = 2, 28
@@ -82,7 +82,7 @@ class SimulatedGremsy(Device):
     def _angles(self, now_s: float, seen: Seen) -> bytes:
         pointing = list(quaternion(seen.lean_rad, seen.elevation_rad, self._signed(seen.bearing_rad)))
         message = mavlink.MAVLink_gimbal_device_attitude_status_message(
-            0, 0, round(now_s * 1000.0), _LOCKED, pointing, NAN, NAN, NAN, 0
+            0, 0, round(now_s * 1000.0), _LOCKED, pointing, math.nan, math.nan, math.nan, 0
         )
         return self._packed(_GIMBAL, message)
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.protocol.telemetry import NAN, quaternion
 from sidelong.sitl.settings import GimbalFrame, PayloadSettings, RangeMessage
+from sidelong.sitl.world.airframe import quaternion
 
 PERIOD_S = 0.1
 PAYLOAD_MESSAGES = ("DISTANCE_SENSOR", "RANGEFINDER", "GIMBAL_DEVICE_ATTITUDE_STATUS", "HEARTBEAT")
@@ -151,7 +151,7 @@ class Payload:
             yaw_rad -= heading_rad
         pointing = list(quaternion(0.0, pitch_rad, yaw_rad))
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
-            0, 0, boot_ms, _FLAGS[settings.gimbal_frame], pointing, *(NAN,) * 3, 0
+            0, 0, boot_ms, _FLAGS[settings.gimbal_frame], pointing, *(math.nan,) * 3, 0
         )
 
     @staticmethod

@@ -7,16 +7,146 @@ stored on arrival or the whole list is replaced at the end.
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.protocol.items import Item, ItemRefused
-from sidelong.sitl.protocol.radio import Radio, Station
-from sidelong.sitl.protocol.store import Store
-from sidelong.sitl.protocol.wire import Extended
+from sidelong.sitl.protocol.radio import Extended, Radio, Station
+
+
+class Store:
+    """Items that are replaced as a whole when all have come. All results are MAV_MISSION_RESULT."""
+
+    def __init__(self, with_checksum: bool) -> None:
+        self._with_checksum = with_checksum
+        self._items: list[Item] = []
+        self._arriving: list[Item] = []
+
+    def items(self) -> list[Item]:
+        return self._items
+
+    def current_index(self) -> int:
+        return -1
+
+    def opaque_id(self) -> int | None:
+        """Return a checksum of the items, None where the autopilot has none."""
+        return checksum(self._items) if self._with_checksum else None
+
+    def begin(self, count: int) -> int:
+        """Prepare for an upload of ``count`` items."""
+        self._arriving = []
+        return self.clear() if count == 0 else int(mavlink.MAV_MISSION_ACCEPTED)
+
+    def put(self, index: int, item: Item, current: bool) -> None:
+        """Take an item. Raises ItemRefused."""
+        self._arriving.append(item)
+
+    def finish(self) -> int:
+        """Take over the upload: all items have come."""
+        self._items, self._arriving = self._arriving, []
+        return int(mavlink.MAV_MISSION_ACCEPTED)
+
+    def abandon(self) -> int | None:
+        """Forget the upload: it was cut. Return the checksum of what had come."""
+        arrived_id = checksum(self._arriving) if self._with_checksum else None
+        self._arriving = []
+        return arrived_id
+
+    def clear(self) -> int:
+        self._items = []
+        return int(mavlink.MAV_MISSION_ACCEPTED)
+
+
+ABSOLUTE_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
+
+
+class ItemRefused(Exception):
+    """An item that the vehicle rejects; ``result`` is the MAV_MISSION_RESULT of the rejection."""
+
+    def __init__(self, result: int) -> None:
+        super().__init__(f"MAV_MISSION_RESULT {result}")
+        self.result = result
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """latitude_e7 and longitude_e7 are 1e-7 degrees, altitude_m is in ``frame``; params are 1 to 4."""
+
+    command: int
+    frame: int
+    params: tuple[float, float, float, float]
+    latitude_e7: int
+    longitude_e7: int
+    altitude_m: float
+    autocontinue: int = 1
+
+    @staticmethod
+    def from_message(message: Any) -> Item:
+        """Read a MISSION_ITEM_INT or a MISSION_ITEM. Raises ItemRefused for a place that is none."""
+        x, y = message.x, message.y
+        if message.get_type() == "MISSION_ITEM":
+            if not (abs(x) <= 90.0 and abs(y) <= 180.0):
+                raise ItemRefused(mavlink.MAV_MISSION_INVALID)
+            x, y = round(x * 1e7), round(y * 1e7)
+        return Item(
+            message.command,
+            message.frame,
+            (message.param1, message.param2, message.param3, message.param4),
+            x,
+            y,
+            message.z,
+            message.autocontinue,
+        )
+
+    def message(self, sequence: int, mission_type: int, current: bool, to: tuple[int, int], as_int: bool) -> Any:
+        x, y = (self.latitude_e7, self.longitude_e7) if as_int else (self.latitude_e7 / 1e7, self.longitude_e7 / 1e7)
+        kind = mavlink.MAVLink_mission_item_int_message if as_int else mavlink.MAVLink_mission_item_message
+        return kind(
+            *to,
+            sequence,
+            self.frame,
+            self.command,
+            int(current),
+            self.autocontinue,
+            *self.params,
+            x,
+            y,
+            self.altitude_m,
+            mission_type,
+        )
+
+    @property
+    def has_position(self) -> bool:
+        return self.frame in ABSOLUTE_FRAMES or self.frame in RELATIVE_FRAMES
+
+    @property
+    def latitude_deg(self) -> float:
+        return self.latitude_e7 / 1e7
+
+    @property
+    def longitude_deg(self) -> float:
+        return self.longitude_e7 / 1e7
+
+    def with_params(self, *params: float) -> Item:
+        padded = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
+        return replace(self, params=(padded[0], padded[1], padded[2], padded[3]))
+
+
+def checksum(items: list[Item]) -> int:
+    """Return a number that changes with the contents of a list; 0 for an empty one."""
+    if not items:
+        return 0
+    rows = [(i.command, i.frame, _nan_as_text(i.params), i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]
+    return zlib.crc32(repr(rows).encode())
+
+
+def _nan_as_text(values: tuple[float, ...]) -> tuple[float | str, ...]:
+    return tuple("nan" if math.isnan(value) else value for value in values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item, ItemRefused, checksum
-from sidelong.sitl.protocol.store import Store
+from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, ItemRefused, Store, checksum
 from sidelong.sitl.settings import Home
 from sidelong.sitl.world.geodesy import HomePlane
 

@@ -4,24 +4,233 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from enum import IntEnum
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.autopilot import Autopilot
+from sidelong.sitl.autopilot import NAN, Autopilot, Builder, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
-from sidelong.sitl.protocol.items import Item
-from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.store import Store
-from sidelong.sitl.protocol.transfer import ProtocolQuirks
+from sidelong.sitl.protocol.parameters import INT32, REAL32, Parameters
+from sidelong.sitl.protocol.radio import Extended, Station
+from sidelong.sitl.protocol.transfer import Item, ProtocolQuirks, Store
 from sidelong.sitl.px4.mission import Px4Mission, refusal
-from sidelong.sitl.px4.modes import BY_PILOT, Mode, custom_mode
 from sidelong.sitl.px4.navigator import Px4Navigator
-from sidelong.sitl.px4.parameters import px4_parameters
-from sidelong.sitl.px4.telemetry import DEFAULT_INTERVAL_S, Px4Telemetry
 from sidelong.sitl.settings import Settings
-from sidelong.sitl.world.airframe import AirframeParameters
-from sidelong.sitl.world.place import Place
+from sidelong.sitl.world.airframe import AirframeParameters, Place
+
+
+def custom_mode(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+class Mode(IntEnum):
+    MANUAL = custom_mode(1)
+    ALTCTL = custom_mode(2)
+    POSCTL = custom_mode(3)
+    TAKEOFF = custom_mode(4, 2)
+    HOLD = custom_mode(4, 3)
+    MISSION = custom_mode(4, 4)
+    RTL = custom_mode(4, 5)
+    LAND = custom_mode(4, 6)
+    STABILIZED = custom_mode(7)
+
+
+# MAV_SYS_STATUS bits as the stock simulator sends them.
+_PRESENT = 0x300403F
+_ENABLED = 0x301403F
+_HEALTHY = 0x1320C83F
+_HEALTHY_BEFORE_READY = 0x0320C83F
+
+_STANDARD_MODES: dict[int, int] = {
+    Mode.MISSION: mavlink.MAV_STANDARD_MODE_MISSION,
+    Mode.RTL: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    Mode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
+    Mode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
+}
+_DOWNWARD_MAX_M = 100.0
+_DOWNWARD_BEYOND_CM = 65534
+
+# A ground station's link; ranges as on a companion's.
+DEFAULT_INTERVAL_S = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 1.0 / 15.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 0.1,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.25,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    mavlink.MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 0.1,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 2.0,
+    mavlink.MAVLINK_MSG_ID_WIND_COV: 2.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_PING: 10.0,
+}
+
+
+class Px4Telemetry(Telemetry):
+    gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
+    gps_dilution = (70, 110)
+    gps_accuracy_mm = (900, 1780, 400)
+    home_quaternion = (1.0, 0.0, 0.0, 0.0)
+    parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+
+    _vehicle: Px4
+    _pings = 0
+
+    def builders(self) -> dict[int, Builder]:
+        builders = super().builders() | {
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS: self._orbit_status,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
+            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._ranges,
+            mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._current_mode,
+            mavlink.MAVLINK_MSG_ID_WIND_COV: self._wind,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
+            mavlink.MAVLINK_MSG_ID_PING: self._ping,
+        }
+        if self._vehicle.release < (1, 15):
+            del builders[mavlink.MAVLINK_MSG_ID_CURRENT_MODE]
+        return builders
+
+    def _sys_status(self) -> Any:
+        healthy = _HEALTHY if self._vehicle.ready else _HEALTHY_BEFORE_READY
+        return mavlink.MAVLink_sys_status_message(
+            _PRESENT, _ENABLED, healthy, 454, 16200, -1, self.battery_percent, *(0,) * 6
+        )
+
+    def _mission_current(self) -> Any:
+        px4 = self._vehicle
+        if px4.release < (1, 15):
+            return mavlink.MAVLink_mission_current_message(px4.mission.index)
+        fence_id, rally_id = (px4.transfers[kind].store.opaque_id() or 0 for kind in px4.mission_types[1:])
+        base = mavlink.MAVLink_mission_current_message(
+            px4.mission.index,
+            len(px4.mission.items()) or 65535,
+            px4.mission_state if px4.release >= (1, 17) else mavlink.MISSION_STATE_UNKNOWN,
+            1 if px4.mode == Mode.MISSION else 2,
+        )
+        return Extended(base, px4.mission.mission_id, fence_id, rally_id)
+
+    def _orbit_status(self) -> Any:
+        circle = self._vehicle.navigator.circle
+        if circle is None or not self._craft.flying:
+            return None
+        return mavlink.MAVLink_orbit_execution_status_message(
+            self._vehicle.boot_us,
+            circle.radius_m if circle.clockwise else -circle.radius_m,
+            mavlink.MAV_FRAME_GLOBAL,
+            *self.place_e7(*circle.centre.ground_m),
+            self.altitude_m(circle.centre.height_m),
+        )
+
+    def _position_target(self) -> Any:
+        px4 = self._vehicle
+        if not self._craft.flying or px4.mode in BY_PILOT:
+            return None
+        goal = px4.navigator.goal
+        return mavlink.MAVLink_position_target_global_int_message(
+            px4.boot_ms,
+            mavlink.MAV_FRAME_GLOBAL_INT,
+            0,
+            *self.place_e7(*goal.ground_m),
+            self.altitude_m(goal.height_m),
+            *(NAN,) * 8,
+        )
+
+    def _ranges(self) -> list[Any]:
+        """Return its own downward sensor, and what another component last reported."""
+        height_m = self._craft.height_m
+        height_cm = round(height_m * 100.0) if height_m < _DOWNWARD_MAX_M else _DOWNWARD_BEYOND_CM
+        downward = mavlink.MAVLink_distance_sensor_message(
+            self._vehicle.boot_ms,
+            0,
+            round(_DOWNWARD_MAX_M * 100.0),
+            height_cm,
+            mavlink.MAV_DISTANCE_SENSOR_LASER,
+            0,
+            mavlink.MAV_SENSOR_ROTATION_PITCH_270,
+            0,
+        )
+        relayed, self._vehicle.relayed_range = self._vehicle.relayed_range, None
+        return [downward] if relayed is None else [downward, relayed]
+
+    def _current_mode(self) -> Any:
+        standard = _STANDARD_MODES.get(self._vehicle.mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
+        return mavlink.MAVLink_current_mode_message(standard, self._vehicle.mode, self._vehicle.mode)
+
+    def _wind(self) -> Any:
+        wind = self._craft.wind
+        return mavlink.MAVLink_wind_cov_message(
+            self._vehicle.boot_us,
+            wind.north_m_s,
+            wind.east_m_s,
+            0.0,
+            1.0,
+            0.0,
+            self.altitude_m(self._craft.height_m),
+            0.0,
+            0.0,
+        )
+
+    def _estimator_status(self) -> Any:
+        flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
+        if self._vehicle.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
+            flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
+        return mavlink.MAVLink_estimator_status_message(self._vehicle.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
+
+    def _ping(self) -> Any:
+        self._pings += 1
+        return mavlink.MAVLink_ping_message(self._vehicle.boot_us, self._pings, 0, 0)
+
+
+def px4_parameters(settings: Settings) -> Parameters:
+    """Return the parameters a ground program looks at, with the stock simulator's values."""
+    airspeed_m_s = settings.airspeed_m_s
+    table: dict[str, tuple[int, float]] = {
+        "FW_AIRSPD_MIN": (REAL32, min(10.0, 0.7 * airspeed_m_s)),
+        "FW_AIRSPD_MAX": (REAL32, max(20.0, 1.35 * airspeed_m_s)),
+        "FW_AIRSPD_TRIM": (REAL32, airspeed_m_s),
+        "FW_R_LIM": (REAL32, 50.0),
+        "NAV_LOITER_RAD": (REAL32, 80.0),
+        "NAV_ACC_RAD": (REAL32, 10.0),
+        "NAV_FW_ALT_RAD": (REAL32, 10.0),
+        "NPFG_PERIOD": (REAL32, 10.0),
+        "NPFG_DAMPING": (REAL32, 0.7071),
+        "NAV_DLL_ACT": (INT32, 0),
+        "NAV_RCL_ACT": (INT32, 2),
+        "COM_DL_LOSS_T": (INT32, 10),
+        "COM_FAIL_ACT_T": (REAL32, 5.0),
+        "COM_RC_IN_MODE": (INT32, 1),
+        "COM_OF_LOSS_T": (REAL32, 1.0),
+        "MIS_TKO_LAND_REQ": (INT32, 2),
+        "MIS_TAKEOFF_ALT": (REAL32, 30.0),
+        "FW_LND_ANG": (REAL32, 5.0),
+        "RTL_RETURN_ALT": (REAL32, 60.0),
+        "RTL_LOITER_RAD": (REAL32, 80.0),
+        "GF_ACTION": (INT32, 2),
+        "GF_MAX_HOR_DIST": (REAL32, 0.0),
+        "GF_MAX_VER_DIST": (REAL32, 0.0),
+        "MAV_SYS_ID": (INT32, settings.system_id),
+        "MAV_TYPE": (INT32, 1),
+    }
+    release = settings.release_or_newest
+    if release < (1, 14):
+        del table["MIS_TKO_LAND_REQ"]
+    return Parameters(table, bytewise=True, reports_errors=release >= (1, 18))
+
+
+BY_PILOT = (Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.STABILIZED)
+
 
 QUIRKS = ProtocolQuirks(
     asks_with_int=True,

@@ -114,3 +114,40 @@ class Airframe:
     def _move(self, dt_s: float) -> None:
         self.east_m += self.velocity_east_m_s * dt_s
         self.north_m += self.velocity_north_m_s * dt_s
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Height is above home."""
+
+    east_m: float
+    north_m: float
+    height_m: float
+
+    @staticmethod
+    def of(craft: Airframe) -> Place:
+        return Place(craft.east_m, craft.north_m, craft.height_m)
+
+    @property
+    def ground_m(self) -> tuple[float, float]:
+        return self.east_m, self.north_m
+
+    def distance_m(self, craft: Airframe) -> float:
+        return math.hypot(self.east_m - craft.east_m, self.north_m - craft.north_m)
+
+    def bearing_rad(self, other: Place) -> float:
+        """Return the bearing of ``other`` from here."""
+        return math.atan2(other.east_m - self.east_m, other.north_m - self.north_m)
+
+
+def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float, float, float]:
+    """Return (w, x, y, z) of yaw, then pitch, then roll."""
+    cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
+    cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
+    cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )

@@ -18,7 +18,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import mission_of, read_mission
 from sidelong.app.link.parameters import read_parameters
 from sidelong.app.link.vehicle import LinkError, Vehicle
-from sidelong.sitl.protocol.items import Item
+from sidelong.sitl.protocol.transfer import Item
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
 

@@ -15,8 +15,8 @@ from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
 from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.waypoints import lay_out
-from sidelong.sitl.arduplane.guidance import L1Guidance
-from sidelong.sitl.px4.pathfollowing import PathFollower
+from sidelong.sitl.arduplane.navigator import L1Guidance
+from sidelong.sitl.px4.navigator import PathFollower
 from sidelong.sitl.world.airframe import Airframe, AirframeParameters
 from sidelong.sitl.world.airframe import Wind as Air
 

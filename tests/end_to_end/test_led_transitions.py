@@ -11,8 +11,8 @@ from sidelong.mission.exchange.leading_circle import leading_circle
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
-from sidelong.sitl.arduplane.guidance import L1Guidance
-from sidelong.sitl.px4.pathfollowing import PathFollower
+from sidelong.sitl.arduplane.navigator import L1Guidance
+from sidelong.sitl.px4.navigator import PathFollower
 from sidelong.sitl.world.airframe import Airframe, AirframeParameters, Wind
 
 STEP_S, GRAVITY_M_S2, AIRSPEED_M_S, RADIUS_M = 0.02, 9.80665, 15.0, 70.0

@@ -12,7 +12,7 @@ from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, DecisionRecord, OperatorRequest, UploadPlan, Yield
 from sidelong.mission.exchange.reports import ShutdownRequested
-from sidelong.sitl.arduplane.modes import Mode
+from sidelong.sitl.arduplane.vehicle import Mode
 
 _DECIDED = DecisionRecord, UploadPlan, ActivatePlan, Yield
 

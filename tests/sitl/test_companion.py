@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.sitl.payload.companion import Companion, CompanionError, _send, accompany
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.payload.payload import Payload
-from sidelong.sitl.protocol.signing import signing_time
+from sidelong.sitl.protocol.radio import signing_time
 from sidelong.sitl.settings import PayloadSettings, Quirks, TargetSettings
 from sidelong.sitl.simulation import target_motion
 

@@ -12,14 +12,12 @@ from pathlib import Path
 import pytest
 
 from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
-from sidelong.sitl.arduplane.parameters import arduplane_parameters
 from sidelong.sitl.arduplane.vehicle import BUILD as ARDUPLANE_BUILD
+from sidelong.sitl.arduplane.vehicle import arduplane_parameters
 from sidelong.sitl.px4.navigator import Px4Navigator
-from sidelong.sitl.px4.parameters import px4_parameters
-from sidelong.sitl.px4.vehicle import Px4
+from sidelong.sitl.px4.vehicle import Px4, px4_parameters
 from sidelong.sitl.settings import Flavour, Settings
-from sidelong.sitl.world.airframe import Airframe, Wind
-from sidelong.sitl.world.place import Place
+from sidelong.sitl.world.airframe import Airframe, Place, Wind
 
 with Path(__file__).with_name("flown_moves.csv").open(newline="") as file:
     MOVES = [
