@@ -201,7 +201,7 @@ class SensorsSection(Section):
     """1-sigma prior of the gimbal's yaw bias; 0: no bias is estimated, degrees."""
     pitch_bias_sigma_deg: float = Field(0.5, ge=0, le=20)
     """1-sigma prior of the gimbal's pitch bias; 0: no bias is estimated, degrees."""
-    range_bias_sigma_m: float = Field(0.0, ge=0, le=50)
+    range_bias_sigma_m: float = Field(0.3, ge=0, le=50)
     """1-sigma prior of the laser's range bias; 0: no bias is estimated, m."""
     filter: Annotated[Literal["imm", "ekf"], BeforeValidator(_filter_offered)] = "imm"
     """Motion model of the target filter."""

@@ -82,7 +82,7 @@ class TrackerSettings:
 
     yaw_bias_sigma_rad: float = math.radians(1.0)
     pitch_bias_sigma_rad: float = math.radians(0.5)
-    range_bias_sigma_m: float = 0.5
+    range_bias_sigma_m: float = 0.3
     """Prior of the constant errors of gimbal and laser."""
 
     target_speed_sigma_m_s: float = 5.0

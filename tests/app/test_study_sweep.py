@@ -80,7 +80,6 @@ def test_every_parameter_that_shapes_a_study_reaches_it():
     )
     assert (s.requirement().range_min_m, s.requirement().threshold) == (120.0, 0.8)
     assert (s.config.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
-    assert s.config.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is reported
 
 
 def test_a_radius_that_fits_is_found_for_each_value_that_is_swept(tmp_path):
