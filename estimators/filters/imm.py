@@ -131,18 +131,21 @@ class TargetImm:
         left_s, self.time_s = round(time_s - self.time_s, 6), time_s
         if left_s <= 0.0:
             return
-        ground, densities = self._ground, steadier(self.densities) if self._averages else self.densities
+        densities = steadier(self.densities) if self._averages else self.densities
         for _ in range(_STEPS_MAX):  # the motions switch by steps of at most 1 s; after a minute little changes
             step_s = min(left_s, 1.0)
             left_s = round(left_s - step_s, 6)
-            ahead = np.empty_like(self.state)
-            if ground is None:
-                kernel.predict(self.state, step_s, densities, ahead)
-            else:
-                predict_standing(self.state, step_s, densities, ground.grid, ground.sigma_m, ahead)
-            self.state = ahead
+            self._move(step_s, densities)
             if left_s <= 0.0:
                 break
+
+    def _move(self, step_s: float, densities: Densities) -> None:
+        ahead, ground = np.empty_like(self.state), self._ground
+        if ground is None:
+            kernel.predict(self.state, step_s, densities, ahead)
+        else:
+            predict_standing(self.state, step_s, densities, ground.grid, ground.sigma_m, ahead)
+        self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
         """Update the state with a sighting made at the filter's time, unless the gate rejects it.

@@ -4,7 +4,7 @@ The state is an array (models, 1 + n + n * n). A row is one motion model: its pr
 covariance (n, n). The first TARGET numbers of a mean describe the target: position in the local plane, velocity,
 height of its ground, and turn rate (clockwise). Then come the constant errors of each payload: yaw, pitch and range,
 and, in a filter of several payloads, by how much the payload's clock is ahead. An error without variance keeps its
-value. A state of a single row is a Kalman filter with the cruising model.
+value.
 
 Each motion touches few numbers of the covariance; these are written out instead of multiplying by matrices.
 """
@@ -314,14 +314,11 @@ def combine(state: FloatArray, mean: FloatArray, covariance: FloatArray) -> None
 @compiled
 def predict(state: FloatArray, step_s: float, densities: Densities, found: FloatArray) -> None:
     """Fill in the state ``step_s`` later."""
-    n, single = numbers_of(state), len(state) == 1
-    if single:
-        found[:] = state
-    else:
-        mix(state, n, step_s, found)
+    n = numbers_of(state)
+    mix(state, n, step_s, found)
     for model in range(len(found)):
         p = found[model, 1 + n :].reshape(n, n)
-        move(CRUISING if single else model, found[model, 1 : 1 + n], p, step_s, densities)
+        move(model, found[model, 1 : 1 + n], p, step_s, densities)
         first, block = errors_of(0, n)
         for error in range(first, n, block):
             for i in range(ERRORS):

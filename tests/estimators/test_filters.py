@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from sidelong.estimators.filters.biases import Biases
 from sidelong.estimators.filters.ekf import TargetEkf
 from sidelong.estimators.filters.imm import DENSITIES, TargetImm, starting_moments
-from sidelong.estimators.filters.imm_kernel import TARGET, Densities, predict
+from sidelong.estimators.filters.imm_kernel import TARGET
 from sidelong.estimators.settings import TrackerSettings
 from tests.estimators.plain_motion import (
     CRUISING,
@@ -92,16 +92,18 @@ def test_a_bias_of_yaw_is_learnt_with_the_precision_that_is_claimed(kind, scene)
 def test_a_single_model_predicts_as_the_cruising_matrices_do():
     """The extended filter: nothing but the cruising model, and the drift of the errors that are estimated."""
     rng, n = np.random.default_rng(1), TARGET + 3
+    settings = TrackerSettings(filter="ekf", acceleration_density_m2_s3=0.03)
     root = rng.normal(size=(n, n))
     mean, covariance = rng.normal(size=n), root @ root.T
     mean[5] = covariance[5, :] = covariance[:, 5] = 0.0
-    row, found = np.concatenate(([1.0], mean, covariance.ravel())), np.empty((1, 1 + n + n * n))
-    predict(row[None], 0.4, Densities(0.03, 0.0, 0.0), found)
+    target = TargetEkf.resumed(settings, 0.0, np.concatenate(([1.0], mean, covariance.ravel()))[None])
+    target.predict(0.4)
     transition, noise = cruise(n, 0.4), cruise_noise(n, 0.4, 0.03)
     noise[5, 5] = 0.25**2  # of the turn rate, which it does not use
     noise[6:, 6:] = 0.4 * np.diag([2e-8, 1e-10, 1e-7])
-    assert found[0, 1 : 1 + n] == pytest.approx(transition @ mean)
-    assert found[0, 1 + n :].reshape(n, n) == pytest.approx(transition @ covariance @ transition.T + noise)
+    found = target.state[0]
+    assert found[1 : 1 + n] == pytest.approx(transition @ mean)
+    assert found[1 + n :].reshape(n, n) == pytest.approx(transition @ covariance @ transition.T + noise)
 
 
 class Reference(ExtendedKalmanFilter):

@@ -71,27 +71,28 @@ def carried(state: np.ndarray, transition: np.ndarray, shift: np.ndarray, height
     return found
 
 
-def test_a_prediction_over_ground_turns_the_height_into_its_offset_and_back(ground: Ground) -> None:
+@pytest.mark.parametrize("kind", [TargetImm, TargetEkf])
+def test_a_prediction_over_ground_turns_the_height_into_its_offset_and_back(kind, ground: Ground) -> None:
     """Compared with matrices, for targets anywhere over the hills, and beyond them, through steps of any length."""
     settings, rng = TrackerSettings(), np.random.default_rng(5)
     on_known_ground = 0
     for _ in range(30):
         at_m = rng.uniform(-18_000.0, 18_000.0, 2).tolist()
-        free = TargetImm(settings, seen(0.0, (0.0, 0.0, 20.0), 0.8), Biases.prior(settings))
+        free = kind(settings, seen(0.0, (0.0, 0.0, 20.0), 0.8), Biases.prior(settings))
         state, step_s = free.state.copy(), round(float(rng.uniform(0.05, 1.0)), 6)
         state[:, 1 + EAST] += at_m[0]
         state[:, 1 + NORTH] += at_m[1]
         state[:, 3:5] = rng.normal(0.0, 3.0, 2)
-        on_ground = TargetImm.resumed(settings, 0.0, state, ground)
+        on_ground = kind.resumed(settings, 0.0, state, ground)
         mean, covariance = on_ground.moments()
         on_ground.predict(step_s)
         before = patch_of(ground, float(mean[EAST]), float(mean[NORTH]))
         if before is None:
-            free = TargetImm.resumed(settings, 0.0, state)
+            free = kind.resumed(settings, 0.0, state)
             free.predict(step_s)
         else:
             on_known_ground += 1
-            free = TargetImm.resumed(settings, 0.0, carried(state, *offset_from(before, 9), 0.0))
+            free = kind.resumed(settings, 0.0, carried(state, *offset_from(before, 9), 0.0))
             free.densities = free.densities._replace(height_m2_s=0.0)  # the grid has the ground's changes
             free.predict(step_s)
             speed_m_s = math.sqrt(mean[2] ** 2 + mean[3] ** 2 + covariance[2, 2] + covariance[3, 3])
