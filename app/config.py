@@ -143,7 +143,6 @@ class RequirementSection(Section):
             self.target_speed_max_m_s,
             self.threshold,
             course_horizon_s=self.course_horizon_s,
-            fleet_size=self.fleet_size,
         )
         return watching_from(plain, self.side)
 

@@ -265,7 +265,7 @@ def _planner_of(settings: Config) -> PlannerKind | None:
         return None
     from sidelong.app.fleet.planner import planner_in_fleet  # noqa: PLC0415  # a single flight is read without
 
-    return planner_in_fleet(settings.planner.name)
+    return planner_in_fleet(settings)
 
 
 def _exchange_of(settings: Config, controller: StandoffController, header: Header) -> MissionController | None:

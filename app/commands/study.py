@@ -307,9 +307,8 @@ def _fly_fleet(
     for name, reason in settings.skipped:
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
-        console.print(
-            f"{settings.requirement().fleet_size} aircraft on each target, {settings.layer_m:g} m of height apart"
-        )
+        size = settings.config.requirement.fleet_size
+        console.print(f"{size} aircraft on each target, {settings.layer_m:g} m of height apart")
         console.print(study_fidelity(settings))
         print_whole(fleet_table(flown))
     write_json(json, fleet_json(settings, flown))

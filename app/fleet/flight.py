@@ -124,7 +124,7 @@ class FleetFlight:
         async with contextlib.AsyncExitStack() as stack:
             with life.computing():
                 for one in self._aircraft:
-                    kind = planner_in_fleet(one.config.planner.name)
+                    kind = planner_in_fleet(one.config)
                     one.controller = controller_of(one.config, progress, self._note, kind)
                 coordinator = coordinator_of(self._fleet, progress)
             urls, simulated = await self._urls(stack, life)

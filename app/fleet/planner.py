@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from sidelong.app.config import Config
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.predictive import Predictive
 from sidelong.app.planners.registry import planner_by_name
@@ -11,7 +12,7 @@ from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.plan import Planner
 
 if TYPE_CHECKING:
-    from sidelong.mission.predictive.planner import PredictivePlanner
+    from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
 
 
 class TeamPredictive(Predictive):
@@ -24,6 +25,11 @@ class TeamPredictive(Predictive):
 
         return super().is_compiled() and is_cached(team_decide)
 
+    def settings(self) -> PredictiveSettings:
+        from sidelong.mission.fleet.team import IN_TEAM  # noqa: PLC0415  # see PlannerKind
+
+        return IN_TEAM
+
     def finished(self, planner: PredictivePlanner) -> Planner:
         """Return the cooperative planner; a requirement without sides to share has the planner of one aircraft."""
         from sidelong.mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415  # see PlannerKind
@@ -32,6 +38,7 @@ class TeamPredictive(Predictive):
         return TeamPlanner(planner) if has_sides else planner
 
 
-def planner_in_fleet(name: str) -> PlannerKind:
-    """Return the kind of planner of a name for an aircraft of a fleet. Raises KeyError for an unknown name."""
-    return TeamPredictive() if name == TeamPredictive.name else planner_by_name(name)
+def planner_in_fleet(settings: Config) -> PlannerKind:
+    """Return the kind of planner of an aircraft of a fleet; one that watches alone has that of a single aircraft."""
+    together = settings.requirement.fleet_size > 1 and settings.planner.name == TeamPredictive.name
+    return TeamPredictive() if together else planner_by_name(settings.planner.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from sidelong.app.planners.planner_kind import DecisionInputs, PlannerNeeds
@@ -12,7 +13,7 @@ from sidelong.mission.core.plan import Planner, PlannerFactory
 from sidelong.mission.core.requirement import Aircraft, Requirement
 
 if TYPE_CHECKING:
-    from sidelong.mission.predictive.planner import PredictivePlanner
+    from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
     from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 
 
@@ -44,14 +45,20 @@ class Predictive:
         )
         from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
 
-        configuration = table_configuration(aircraft, requirement)
+        configuration = table_configuration(aircraft, requirement, 0.0, self.settings())
         table = completed(configuration, np.zeros(configuration.shape, np.float32))
-        planner = PredictivePlanner(aircraft, requirement, table)
+        planner = PredictivePlanner(aircraft, requirement, table, self.settings())
         looker = planner.lookers[0]
         scene = scene_at(*known, looker)
         futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
         min_gain = commitment(scene, futures, looker)
         look_deeper(scene, futures, looker, planner.sight_in(scene), min_gain, np.empty(MOVES))
+
+    def settings(self) -> PredictiveSettings:
+        """Return how it plans, but for what the configuration sets."""
+        from sidelong.mission.predictive.planner import USUAL  # noqa: PLC0415  # see PlannerKind
+
+        return USUAL
 
     def finished(self, planner: PredictivePlanner) -> Planner:
         """Return what decides: the planner itself, or a planner made of it."""
@@ -59,13 +66,13 @@ class Predictive:
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
         from sidelong.app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
-        from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import PredictivePlanner  # noqa: PLC0415
 
-        settings = PredictiveSettings(lost_after_s=needs.lost_after_s)
+        settings = replace(self.settings(), lost_after_s=needs.lost_after_s)
         tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
 
         def tables_for(aircraft: Aircraft, wanted: Requirement, winds_m_s: Sequence[float]) -> list[ValueTable]:
-            configurations = _configurations(aircraft, wanted, winds_m_s)
+            configurations = self._configurations(aircraft, wanted, winds_m_s)
             for one in configurations:
                 tables[one] = tables.get(one) or value_table(one, needs.progress)
             return [tables[one] for one in configurations]
@@ -85,12 +92,12 @@ class Predictive:
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
         from sidelong.app.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
 
-        await have_at_hand(_configurations(aircraft, requirement, winds_m_s))
+        await have_at_hand(self._configurations(aircraft, requirement, winds_m_s))
 
+    def _configurations(
+        self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]
+    ) -> list[TableConfiguration]:
+        from sidelong.mission.predictive.planner import table_configuration  # noqa: PLC0415  # see PlannerKind
 
-def _configurations(
-    aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]
-) -> list[TableConfiguration]:
-    from sidelong.mission.predictive.planner import table_configuration  # noqa: PLC0415  # see PlannerKind
-
-    return [table_configuration(aircraft, requirement, wind_m_s) for wind_m_s in (0.0, *winds_m_s)]
+        settings = self.settings()
+        return [table_configuration(aircraft, requirement, wind_m_s, settings) for wind_m_s in (0.0, *winds_m_s)]

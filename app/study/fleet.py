@@ -50,6 +50,7 @@ from sidelong.mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
+from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.geometry.progress import circling_of, line_of
@@ -149,7 +150,7 @@ class FleetRun:
         self._coordinator = FleetCoordinator(
             [FleetMember(one.name, aircraft, TrackerSettings(), one.height_m) for one in self._members],
             [FleetTarget(_TARGET, requirement)],
-            lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table)),
+            lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table, IN_TEAM)),
             estimate_of=lambda _target, _time_s: self._estimate,
         )
         self._planners = {one.name: one.planner for one in self._members}
@@ -273,7 +274,7 @@ class FleetRun:
         settings, flown = self._settings, self._scene
         requirement, aircraft = settings.requirement(), settings.aircraft()
         members = []
-        for k in range(requirement.fleet_size):
+        for k in range(settings.config.requirement.fleet_size):
             side = requirement.side if k % 2 == 0 else requirement.side.opposite
             circle = first_circle(settings, flown, side, START_RANGE_M + k // 2 * aircraft.radius_m)
             body, height_m = (
@@ -286,7 +287,7 @@ class FleetRun:
                     height_m,
                     new_flight(body.body, circling_of(circle), height_m, (1, 1), self._steps, 1),
                     body,
-                    TeamPlanner(PredictivePlanner(aircraft, requirement, table)),
+                    TeamPlanner(PredictivePlanner(aircraft, requirement, table, IN_TEAM)),
                     aircraft.airspeed_m_s,
                 )
             )

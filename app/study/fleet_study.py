@@ -54,7 +54,7 @@ def fleet_json(settings: StudySettings, fleets: Fleets) -> dict[str, Any]:
     """Return the summary that ``--json`` writes."""
     return {
         "planners": {planner.value: _figures(runs) for planner, runs in fleets.items()},
-        "fleet": settings.requirement().fleet_size,
+        "fleet": settings.config.requirement.fleet_size,
         **targets_json(settings),
     }
 

@@ -18,7 +18,8 @@ from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
 from sidelong.app.value_cache import value_table
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.fleet.team import IN_TEAM
+from sidelong.mission.predictive.planner import USUAL, table_configuration
 from sidelong.mission.predictive.value_table import ValueTable
 
 Progress = Callable[[int], None]
@@ -157,7 +158,7 @@ def flown_again(flown: RunId, settings: StudySettings) -> Track:
 
 def table_of(settings: StudySettings, progress: Callable[[float], None] = lambda _share: None) -> ValueTable:
     """Return the predictive planner's value table; it is computed where none is kept."""
-    configuration = table_configuration(
-        settings.aircraft(), settings.requirement(), settings.config.simulation.wind_speed_m_s
-    )
+    wind_speed_m_s = settings.config.simulation.wind_speed_m_s
+    own = IN_TEAM if settings.config.requirement.fleet_size > 1 else USUAL
+    configuration = table_configuration(settings.aircraft(), settings.requirement(), wind_speed_m_s, own)
     return value_table(configuration, progress)

@@ -69,7 +69,6 @@ class Requirement:
     either_side: ``side`` is only the one to begin with; the nearer one is taken. sector: watch from these bearings,
     whichever way the target moves; ``side`` then only selects the sense of the circles.
     course_horizon_s: the side refers to the course made good over this time; 0: to the present course.
-    fleet_size: how many aircraft watch together, this one included.
     """
 
     range_min_m: float
@@ -80,7 +79,6 @@ class Requirement:
     either_side: bool = False
     sector: Sector | None = None
     course_horizon_s: float = 20.0
-    fleet_size: int = 1
 
     def __post_init__(self) -> None:
         convert_to_floats(self, "range_min_m", "range_max_m", "target_speed_max_m_s", "threshold", "course_horizon_s")

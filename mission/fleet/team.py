@@ -6,12 +6,17 @@ import numpy as np
 
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.fleet.cover_kernel import Team
+from sidelong.mission.predictive.planner import PRICE_SHARE, PredictiveSettings
 from sidelong.mission.predictive.value_table import ValueTable
 
 # A circle that takes more of the band swings further about the target: predictions of the others are worth less.
 _WIDE, _WIDER_POWER = 1.0 / 7.0, 3
 # The share of the band that the fastest target crosses in a lap: where it is more, a circle is left sooner anyway.
 _CROSSED = 0.43
+# Where other aircraft watch during a move, cheaper moves than those of this share are too frequent in the tables. A
+# remaining aircraft keeps these, as others may join it. By tight turns one gets back to the side sooner where a turn
+# of the target has put all of them off it. Another can look where one is beyond its pan limit.
+IN_TEAM = PredictiveSettings(min_share=PRICE_SHARE, turn_share=0.5, keeps_pan_limits=False)
 _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 

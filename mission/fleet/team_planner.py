@@ -38,7 +38,8 @@ class TeamPlanner:
     """Implements :class:`sidelong.mission.core.fleet.CooperativePlanner`.
 
     Args:
-        alone: the planner of a single aircraft. Its required side is the wanted one until advice changes it.
+        alone: the planner of a single aircraft, with the settings ``IN_TEAM``. Its required side is the wanted one
+            until advice changes it.
 
     Raises:
         ValueError: The requirement has no side: either side, or a sector.
@@ -51,8 +52,7 @@ class TeamPlanner:
         self._alone, self._side = alone, requirement.side
         self._wanted = 1.0 if self._side is Side.LEFT else -1.0
         self._teams = [team_of(one, self._side) for one in alone.tables]
-        if requirement.fleet_size > 1:
-            alone.price_share = self._teams[0].price
+        alone.price_share = self._teams[0].price
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
 

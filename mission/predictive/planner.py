@@ -53,12 +53,9 @@ from sidelong.mission.viewpoint.side_policy import SidePolicy
 _MAX_TRIES = 30
 # What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
 # more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
-# leaves room in it. In a fleet, where other aircraft watch during a move, cheaper moves than those of that share are
-# too frequent in the tables. A remaining aircraft keeps these, as others may join it, and pays the fleet's price.
-# Figures of eight take two moves each, whatever their width: they have the least price.
-_PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
-_MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
-_TURN_SHARE_IN_FLEET = 0.5
+# leaves room in it. Figures of eight take two moves each, whatever their width: they have the least price.
+_PRICE_S, PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
+_MIN_SHARE, _MAX_SHARE = 1.0 / 8.0, 1.0 / 3.8
 _NO_BREACH = "a better place should the target turn"
 _EIGHT = "half a figure of eight keeps the target within the pan limits"
 # The table's classes need some speed, even for a target that is reported as stationary.
@@ -73,6 +70,9 @@ class PredictiveSettings:
     band in threat_s.
     beam: how many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
     target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s.
+    min_share: share of the band below which a narrower circle makes no move cheaper. turn_share: tightest turn of a
+    transition, in radii of the circle; tighter ones come nearer to the target. keeps_pan_limits: whether to plan for
+    the gimbal's pan limit.
     """
 
     change_cost: float | None = None
@@ -84,44 +84,35 @@ class PredictiveSettings:
     turn_rate_rad_s: float = math.radians(3.0)
     turn_fades_s: float = 10.0
     lost_after_s: float = 60.0
+    min_share: float = _MIN_SHARE
+    turn_share: float = 1.0
+    keeps_pan_limits: bool = True
 
 
-def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
+USUAL = PredictiveSettings()
+
+
+def price_s(aircraft: Aircraft, requirement: Requirement, settings: PredictiveSettings = USUAL) -> float:
     """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free."""
     share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
-    if pan_limit_rad(aircraft, requirement) < math.pi:
+    if settings.keeps_pan_limits and aircraft.has_pan_limit:
         share = _MIN_SHARE
-    min_share = _MIN_SHARE if requirement.fleet_size == 1 else _MIN_SHARE_IN_FLEET
-    return _PRICE_S * float((min(max(share, min_share), _MAX_SHARE) / _PRICE_SHARE) ** _PRICE_POWER)
-
-
-def pan_limit_rad(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return the pan limit that is planned for: aircraft of a fleet, of which another can look, plan for none."""
-    return aircraft.pan_limit_rad if requirement.fleet_size == 1 else math.pi
-
-
-def turn_share(requirement: Requirement) -> float:
-    """Return the tightest turn of a transition, in radii of the circle.
-
-    One aircraft alone gains little by tighter ones than the circle, and comes nearer to the target. Of several one
-    gets back to the side sooner where a turn of the target has put all of them off it.
-    """
-    return 1.0 if requirement.fleet_size == 1 else _TURN_SHARE_IN_FLEET
+    return _PRICE_S * float((min(max(share, settings.min_share), _MAX_SHARE) / PRICE_SHARE) ** _PRICE_POWER)
 
 
 def table_configuration(
-    aircraft: Aircraft, requirement: Requirement, wind_speed_m_s: float = 0.0
+    aircraft: Aircraft, requirement: Requirement, wind_speed_m_s: float = 0.0, settings: PredictiveSettings = USUAL
 ) -> TableConfiguration:
     """Return the configuration of the value table that a planner for this aircraft and requirement needs."""
     sector = requirement.sector
-    pan_rad = pan_limit_rad(aircraft, requirement)
+    pan_rad = aircraft.pan_limit_rad if settings.keeps_pan_limits else math.pi
     fine = sector is None and (wind_speed_m_s == 0.0 or pan_rad < math.pi)
     half_width_rad = math.pi / 2 if sector is None else sector.half_width_rad
     return TableConfiguration(
         aircraft.airspeed_m_s,
         aircraft.radius_m,
-        turn_radius_m(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, turn_share(requirement)),
-        sharpness_per_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, turn_share(requirement)),
+        turn_radius_m(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, settings.turn_share),
+        sharpness_per_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, settings.turn_share),
         max(requirement.target_speed_max_m_s, _MIN_TARGET_SPEED_M_S),
         WatchCost.inside(
             requirement.range_min_m,
@@ -136,7 +127,7 @@ def table_configuration(
         # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds. Figures of
         # eight need them.
         wind_speed_m_s=wind_speed_m_s,
-        leave_cost=price_s(aircraft, requirement),
+        leave_cost=price_s(aircraft, requirement, settings),
         cells=28 if fine else 20,
         improvements=(8, 5) if fine else (5, 3),
     )
@@ -145,11 +136,11 @@ def table_configuration(
 class PredictivePlanner:
     """Implements :class:`sidelong.mission.core.plan.Planner`.
 
-    table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
-    present wind is used. check returns which fence a plan would break, or None: the best plan that breaks none is
-    taken. sight returns what the ground hides about a target of this place and velocity (east, north, m and m/s).
-    table_at returns the table for another wind speed, which has to be at hand when it is prepared for. route: the
-    target's expected route.
+    table is that of :func:`table_configuration` with the settings; windy are more of them, for other winds. The one
+    nearest to the present wind is used. check returns which fence a plan would break, or None: the best plan that
+    breaks none is taken. sight returns what the ground hides about a target of this place and velocity (east, north,
+    m and m/s). table_at returns the table for another wind speed, which has to be at hand when it is prepared for.
+    route: the target's expected route.
     """
 
     def __init__(
@@ -157,7 +148,7 @@ class PredictivePlanner:
         aircraft: Aircraft,
         requirement: Requirement,
         table: ValueTable,
-        settings: PredictiveSettings | None = None,
+        settings: PredictiveSettings = USUAL,
         windy: Sequence[ValueTable] = (),
         check: Callable[[Plan], str | None] = lambda _plan: None,
         sight: SightAt = lambda *_target: NOTHING_HIDDEN,
@@ -165,7 +156,7 @@ class PredictivePlanner:
         route: Route | None = None,
     ) -> None:
         self.aircraft, self.requirement, self.tables = aircraft, requirement, [table, *windy]
-        self.settings = settings or PredictiveSettings()
+        self.settings = settings
         self.check, self._sight, self._table_at = check, sight, table_at
         self.price_share = 1.0  # of what moves cost, in its own decisions
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
@@ -181,7 +172,7 @@ class PredictivePlanner:
         least_of_class = table.values.min(axis=(1, 2, 3)).astype(np.float64)
         change = price if own.change_cost is None else own.change_cost
         return Looker(
-            craft_of(self.aircraft, turn_share(self.requirement)),
+            craft_of(self.aircraft, own.turn_share),
             self.requirement.target_speed_max_m_s,
             self._policy.wish,
             table.configuration.cost.terms,
@@ -208,7 +199,7 @@ class PredictivePlanner:
     @property
     def plans_pan_limits(self) -> bool:
         """See :class:`sidelong.mission.core.plan.PanLimitPlanner`."""
-        return self.requirement.fleet_size == 1
+        return self.settings.keeps_pan_limits
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`sidelong.mission.core.plan.WindPlanner`.

@@ -16,6 +16,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, OperatorRequest
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
+from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.predictive import planner
 
@@ -50,11 +51,14 @@ def test_a_real_vehicle_is_made_ready_for_a_likely_wind(changes, winds):
 
 @pytest.mark.parametrize("fleet_size", [1, 2])
 def test_what_flies_decides_as_what_is_studied(fleet_size):
-    kind = None if fleet_size == 1 else planner_in_fleet("predictive")
-    controller = controller_of(load_config(None, {"requirement": {"fleet_size": fleet_size}}), kind=kind)
+    config = load_config(None, {"requirement": {"fleet_size": fleet_size}})
+    controller, own = (
+        controller_of(config, kind=planner_in_fleet(config)),
+        planner.USUAL if fleet_size == 1 else IN_TEAM,
+    )
     aircraft, requirement = controller.settings.aircraft, controller.settings.requirement
-    table = value_cache.value_table(planner.table_configuration(aircraft, requirement))
-    alone = planner.PredictivePlanner(aircraft, requirement, table)
+    table = value_cache.value_table(planner.table_configuration(aircraft, requirement, 0.0, own))
+    alone = planner.PredictivePlanner(aircraft, requirement, table, own)
     studied, circle = alone if fleet_size == 1 else TeamPlanner(alone), Circle(-250.0, 0.0, 50.0, True)
     assert type(controller.planning.planner) is type(studied)
     for time_s in range(30):

@@ -49,9 +49,8 @@ def test_each_aircraft_has_a_configuration_as_if_it_flew_alone(written):
 
 def test_each_knows_how_many_watch_together(written):
     fleet = load_fleet(written(TWO))
-    assert [one.config.requirement.requirement().fleet_size for one in fleet.members] == [2, 2]
-    assert [one.fleet_size for one in fleet.asked.values()] == [2]
-    assert load_config(None).requirement.requirement().fleet_size == 1
+    assert [one.config.requirement.fleet_size for one in fleet.members] == [2, 2]
+    assert load_config(None).requirement.fleet_size == 1
 
 
 def test_a_fleet_plans_for_no_pan_limits(written):

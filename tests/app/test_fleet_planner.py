@@ -5,12 +5,12 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import numpy as np
-import pytest
 
 from sidelong.app.cli import load_command
 from sidelong.app.config import Config
 from sidelong.app.fleet.planner import TeamPredictive, planner_in_fleet
 from sidelong.app.planners.paper import Paper
+from sidelong.app.planners.predictive import Predictive
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
@@ -19,9 +19,7 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side
 from tests.app.conftest import recorded, target_at
 
-
-def config_of(fleet_size: int) -> Config:
-    return Config.model_validate({"requirement": {"fleet_size": fleet_size}})
+TOGETHER = Config.model_validate({"requirement": {"fleet_size": 2}})
 
 
 def advice(until_s: float) -> dict[float, FleetAdvice | NeighbourPlanned]:
@@ -40,19 +38,14 @@ def advice(until_s: float) -> dict[float, FleetAdvice | NeighbourPlanned]:
     return events
 
 
-@pytest.mark.parametrize("fleet_size", [1, 2])
-def test_journals_of_the_cooperative_planner_still_replay(fleet_size, tmp_path, capsys):
-    """Earlier versions flew single aircraft with the cooperative planner, too."""
+def test_journals_of_the_cooperative_planner_replay(tmp_path, capsys):
     folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
-    more = advice(180.0) if fleet_size > 1 else {}
-    recorded(folder, config_of(fleet_size), 100.0, more, TeamPredictive())
-    if fleet_size > 1:
-        assert "better alongside south" in folder.journal.read_text()
+    recorded(folder, TOGETHER, 100.0, advice(180.0), TeamPredictive())
+    assert "better alongside south" in folder.journal.read_text()
     load_command("replay").main([str(folder.path), "--verify"], standalone_mode=False)
     assert "all the same to the last bit" in capsys.readouterr().out
 
 
 def test_other_planners_fly_in_a_fleet_unchanged():
-    assert isinstance(planner_in_fleet("paper"), Paper)
-    with pytest.raises(KeyError):
-        planner_in_fleet("none")
+    assert isinstance(planner_in_fleet(Config.model_validate({"planner": {"name": "paper"}})), Paper)
+    assert type(planner_in_fleet(Config())) is Predictive

@@ -15,8 +15,7 @@ from sidelong.app.study.fleet_study import fleet_json
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.routes import own_route
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
-from sidelong.app.value_cache import value_table
-from sidelong.mission.predictive.planner import table_configuration
+from sidelong.app.study.study import table_of
 
 TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 SETTINGS = StudySettings(
@@ -26,7 +25,7 @@ SETTINGS = StudySettings(
 
 @pytest.fixture(scope="module")
 def fleets():
-    table = value_table(table_configuration(SETTINGS.aircraft(), SETTINGS.requirement()))
+    table = table_of(SETTINGS)
     return {
         planner: [run_fleet(SETTINGS, number, table, planner) for number in SETTINGS.numbers]
         for planner in FleetPlannerName
@@ -42,7 +41,7 @@ def test_at_least_one_sees_as_much_as_the_better_one_alone(fleets):
 
 def test_together_they_see_the_side_almost_always(fleets):
     usual = replace(SETTINGS, runs=4, legs_s=StudySettings().legs_s)
-    table = value_table(table_configuration(usual.aircraft(), usual.requirement()))
+    table = table_of(usual)
     assert min(run_fleet(usual, number, table).time_on_side_any for number in usual.numbers) > 0.98
     # A target that turns every 30 to 60 s is no one's to keep: changes have their price. One run of 60 has 0.9.
     restless = replace(SETTINGS, runs=6)
@@ -61,7 +60,7 @@ def fast():
     tracks = recorded_targets([TRACKS / "cycle_016.csv"], 14.0).flown
     of_class = studied(airspeed_m_s=30.0, radius_m=105.0, target_speed_max_m_s=14.0, fleet_size=2)
     settings = replace(SETTINGS, runs=1, tracks=tracks, config=of_class)
-    return settings, value_table(table_configuration(settings.aircraft(), settings.requirement()))
+    return settings, table_of(settings)
 
 
 def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it(fast):
@@ -95,7 +94,7 @@ def test_laws_that_hold_phases_keep_the_aircraft_opposite(fleets):
 
 def test_the_other_takes_over_when_one_is_lost(fleets):
     settings = replace(SETTINGS, runs=6)
-    table = value_table(table_configuration(settings.aircraft(), settings.requirement()))
+    table = table_of(settings)
     shares = []
     for number in settings.numbers:
         one = run_fleet(settings, number, table, losses=[Loss(0, 60.0)]).logs[1]
@@ -107,7 +106,7 @@ def test_the_other_takes_over_when_one_is_lost(fleets):
 
 
 def test_the_same_run_again_is_the_same(fleets):
-    table = value_table(table_configuration(SETTINGS.aircraft(), SETTINGS.requirement()))
+    table = table_of(SETTINGS)
     again = run_fleet(SETTINGS, 1, table)
     assert np.array_equal(again.logs, fleets[FleetPlannerName.JOINT][1].logs)
 

@@ -23,7 +23,6 @@ from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.study.study import table_of
-from sidelong.app.value_cache import value_table
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
@@ -39,9 +38,10 @@ from sidelong.mission.fleet.events import (
     Tick,
     VehicleReported,
 )
+from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 from tests.bench.size import size
 from tests.studies import run_study
@@ -60,7 +60,7 @@ def settings() -> StudySettings:
 
 @pytest.fixture(scope="module")
 def table(settings: StudySettings) -> ValueTable:
-    return value_table(table_configuration(settings.aircraft(), settings.requirement()))
+    return table_of(settings)
 
 
 def test_one_of_two_watches_from_the_required_side(settings, table):
@@ -150,9 +150,9 @@ def test_decisions_of_four_on_two_targets(settings, table):
             for k, name in enumerate(names)
         ],
         [FleetTarget(name, requirement) for name in ("boat", "bike")],
-        lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table)),
+        lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table, IN_TEAM)),
     )
-    planners = {name: TeamPlanner(PredictivePlanner(aircraft, requirement, table)) for name in names}
+    planners = {name: TeamPlanner(PredictivePlanner(aircraft, requirement, table, IN_TEAM)) for name in names}
     circles = {
         name: Circle(3000.0 * (k // 2) + (-300.0, 300.0)[k % 2], 0.0, 50.0, k % 2 == 0)
         for k, name in enumerate(names)

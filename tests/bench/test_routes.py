@@ -28,11 +28,11 @@ from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.routes import own_route, route_next_to
 from sidelong.app.study.run import aircraft_on, first_circle, run, scene, sensed_by
 from sidelong.app.study.settings import STUDIED, PlannerName, StudySettings, studied
-from sidelong.app.value_cache import value_table
+from sidelong.app.study.study import table_of
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
-from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.route.progress_kernel import ON_ROUTE, fresh_progress
 from sidelong.mission.route.route import Route
@@ -99,7 +99,7 @@ def _routed(target: RecordedTarget, tracks: tuple[RecordedTarget, ...], mode: st
 
 def _flown(study: StudySettings, number: int, table: ValueTable) -> tuple[tuple[float, ...], np.ndarray]:
     """Return side, band, least range, moves and reversals of a run, and the times of its decisions."""
-    if study.requirement().fleet_size == 1:
+    if study.config.requirement.fleet_size == 1:
         x = run(study, PlannerName.PREDICTIVE, number, table)
         values = x.time_on_side, x.time_in_band, x.min_range_m, x.moves_per_hour, x.reversals_per_hour
         return values, x.decision_s
@@ -126,7 +126,7 @@ def compared(
     for draw in range(draws):
         flown = tuple(_routed(target, tracks, mode, draw) for target in tracks)
         study = settings_of(one, flown, draws, horizon_s, fleet_size)
-        table = value_table(table_configuration(study.aircraft(), study.requirement()))
+        table = table_of(study)
         for k, target in enumerate(flown):
             values, decision_s = _flown(study, draw * len(flown) + k, table)
             rows.setdefault(target.name, []).append(values)
@@ -225,7 +225,7 @@ def departures(folder: Path, runs: int, every: int = 1) -> Iterator[Left]:
             continue
         study = settings_of(one, (departure.target,))
         study = replace(study, seed=number)
-        table = value_table(table_configuration(study.aircraft(), study.requirement()))
+        table = table_of(study)
         flown = scene(study, 0)
         circle = first_circle(study, flown)
         inputs = aircraft_on(study, flown, circle), circle, study.config.aircraft.height_m, sensed_by(study, flown)

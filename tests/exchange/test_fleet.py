@@ -36,7 +36,7 @@ class Craft:
         self.home = Home(home.latitude_deg, home.longitude_deg, home.altitude_m)
 
     def make_core(self, plane):
-        controller = controller_of(self.config, kind=planner_in_fleet(self.config.planner.name))
+        controller = controller_of(self.config, kind=planner_in_fleet(self.config))
         return mission_controller_of(self.config, controller, self.flight.dialect, plane, self.home)
 
 

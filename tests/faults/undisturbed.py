@@ -96,7 +96,7 @@ class Craft(ClosedLoop[bytes]):
     def ready(self, *, in_fleet: bool) -> None:
         """Make the core."""
         config, plane = self._config, self.telemetry.plane
-        controller = controller_of(config, kind=planner_in_fleet(config.planner.name) if in_fleet else None)
+        controller = controller_of(config, kind=planner_in_fleet(config) if in_fleet else None)
         settle(controller, config, plane, (self._home.latitude_deg, self._home.longitude_deg))
         self.core = mission_controller_of(config, controller, self._dialect, plane, self._home)
 

@@ -17,6 +17,7 @@ from sidelong.estimators.frames import wrap_rad
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import Trapezoids
@@ -26,7 +27,7 @@ from sidelong.mission.predictive.cost_kernel import blind_rate
 from sidelong.mission.predictive.decision_kernel import commitment
 from sidelong.mission.predictive.eights_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.foresight_kernel import foresee
-from sidelong.mission.predictive.planner import PredictivePlanner, price_s, scene_at, table_configuration
+from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, price_s, scene_at, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air
 from sidelong.mission.predictive.value_iteration import compute
 
@@ -104,19 +105,18 @@ def test_it_costs_where_the_gimbal_cannot_look_and_more_far_beyond():
 
 
 def test_aircraft_of_a_fleet_plan_for_no_pan_limit():
-    def planned_rad(requirement):
-        return table_configuration(LIMITED, requirement).cost.pan_limit_rad
+    def planned_rad(settings):
+        return table_configuration(LIMITED, BAND, 0.0, settings).cost.pan_limit_rad
 
-    assert planned_rad(BAND) == LIMITED.pan_limit_rad - math.radians(2.0)
-    assert planned_rad(Requirement(100.0, 500.0, Side.LEFT, 3.0, fleet_size=2)) == math.pi
+    assert planned_rad(USUAL) == LIMITED.pan_limit_rad - math.radians(2.0)
+    assert planned_rad(IN_TEAM) == math.pi
 
 
 def test_a_figure_of_eight_has_the_price_of_a_narrow_circle_whatever_its_width():
     narrow, wide = Aircraft(AIRSPEED_M_S, RADIUS_M), Aircraft(20.0, 70.0)
     limited = replace(wide, pan_limit_rad=LIMITED.pan_limit_rad)
     assert price_s(limited, BAND) == price_s(narrow, BAND) < price_s(wide, BAND)
-    pair = replace(BAND, fleet_size=2)
-    assert price_s(limited, pair) == price_s(wide, pair)
+    assert price_s(limited, BAND, IN_TEAM) == price_s(wide, BAND, IN_TEAM)
 
 
 @pytest.fixture(scope="module")

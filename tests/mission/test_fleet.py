@@ -18,12 +18,12 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet import cover_kernel as kernel
 from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
-from sidelong.mission.fleet.team import team_of
+from sidelong.mission.fleet.team import IN_TEAM, team_of
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.geometry.separation import flown_places
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 
-REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0, fleet_size=2)
+REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0)
 
 
 def costs(a: float, b: float, **of_b: bool) -> dict[str, Candidate]:
@@ -130,11 +130,11 @@ def test_the_course_whose_sides_count():
 # -- one aircraft's decisions next to another's ---------------------------------------------------------------------
 
 AIRCRAFT = Aircraft(10.0, 50.0)
-TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT))
+TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT, 0.0, IN_TEAM))
 
 
 def planner(check=lambda _plan: None, requirement=REQUIREMENT) -> TeamPlanner:
-    return TeamPlanner(PredictivePlanner(AIRCRAFT, requirement, TABLE, check=check))
+    return TeamPlanner(PredictivePlanner(AIRCRAFT, requirement, TABLE, IN_TEAM, check=check))
 
 
 def on_circle(east_m: float, north_m: float, clockwise: bool) -> tuple[AircraftState, Plan]:
@@ -158,14 +158,12 @@ def advised(team: TeamPlanner, other: tuple[AircraftState, Plan] | None, role: R
     return team
 
 
-@pytest.mark.parametrize(("fleet_size", "price_share"), [(1, 1.0), (2, team_of(TABLE, Side.LEFT).price)])
-def test_alone_it_decides_as_the_planner_of_one_does_and_one_of_a_fleet_at_its_prices(fleet_size, price_share):
+def test_without_others_it_decides_as_the_planner_of_one_does_at_the_fleets_prices():
     state, plan = on_circle(-280.0, 40.0, True)
-    requirement = replace(REQUIREMENT, fleet_size=fleet_size)
-    one = PredictivePlanner(AIRCRAFT, requirement, TABLE)
-    one.price_share = price_share
+    one = PredictivePlanner(AIRCRAFT, REQUIREMENT, TABLE, IN_TEAM)
+    one.price_share = team_of(TABLE, Side.LEFT).price
     lone = one.decide(state, going(0.0), plan, Wind(), 0.5)
-    on_its_own, given = planner(requirement=requirement), planner(requirement=requirement)
+    on_its_own, given = planner(), planner()
     for team in (on_its_own, advised(given, None, Role.WANTED, Side.LEFT)):
         mine = team.decide(state, going(0.0), plan, Wind(), 0.5)
         assert (mine.reason, mine.values) == (lone.reason, lone.values)
@@ -177,7 +175,7 @@ def test_moves_cost_less_and_gaps_more_where_a_target_crosses_much_of_the_band_i
             replace(
                 TABLE,
                 configuration=table_configuration(
-                    Aircraft(30.0, 105.0), replace(REQUIREMENT, target_speed_max_m_s=speed_max_m_s)
+                    Aircraft(30.0, 105.0), replace(REQUIREMENT, target_speed_max_m_s=speed_max_m_s), 0.0, IN_TEAM
                 ),
             ),
             Side.LEFT,

@@ -10,10 +10,12 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
+from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s
 from sidelong.mission.predictive.planner import (
+    USUAL,
     PredictivePlanner,
     PredictiveSettings,
     table_configuration,
@@ -313,13 +315,14 @@ def test_the_table_of_a_requirement(paper_aircraft, paper_requirement):
 def test_moves_of_wide_circles_are_costly_but_never_so_costly_that_the_band_is_lost(
     paper_aircraft, paper_requirement
 ):
-    in_fleet = replace(paper_requirement, fleet_size=2)
     alone, together = (
         [
-            table_configuration(replace(paper_aircraft, radius_m=radius_m), requirement).leave_cost
+            table_configuration(
+                replace(paper_aircraft, radius_m=radius_m), paper_requirement, 0.0, settings
+            ).leave_cost
             for radius_m in (10.0, 50.0, 70.0, 105.0, 150.0)
         ]
-        for requirement in (paper_requirement, in_fleet)
+        for settings in (USUAL, IN_TEAM)
     )
     assert together[:3] == [4.0, 4.0, 4.0]
     assert alone[:2] == pytest.approx([4.0 * (5.0 / 7.0) ** 1.7] * 2)
