@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sidelong.app.analysis.summary import Summary
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config, config_from, load_config, with_values
 from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
@@ -152,7 +152,7 @@ async def watch(
     def note_safely(text: str) -> None:
         loop.call_soon_threadsafe(watched.note, text)
 
-    controller = await asyncio.to_thread(lambda: controller_of(settings, announce=note_safely))
+    done = await asyncio.to_thread(lambda: prepared(settings, announce=note_safely))
     recording = Recording(folder, settings, note_safely)
     lives: list[Life] = []
 
@@ -164,7 +164,7 @@ async def watch(
         try:
             with contextlib.closing(recording):
                 flown = await fly_single(
-                    settings, duration_s, folder, recording, watched, Sharing(), life, note_safely, lambda: controller
+                    settings, duration_s, folder, recording, watched, Sharing(), life, note_safely, lambda: done
                 )
             folder.write_summary(flown.summary.as_json())
         except asyncio.CancelledError:

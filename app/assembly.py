@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,8 +28,9 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.core.heights import ClimbRates, OneHeight
-from sidelong.mission.core.plan import Plan
+from sidelong.mission.control.surroundings import Surroundings
+from sidelong.mission.core.heights import ClimbRates, Heights, OneHeight
+from sidelong.mission.core.plan import CheckedPlannerFactory
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 from sidelong.mission.exchange.plan_backend import BackendSettings
@@ -37,7 +39,10 @@ from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
-    from sidelong.mission.core.sight import Sight, SightAt
+    from sidelong.mission.core.sight import Sight
+
+Pair = tuple[float, float]
+HomeDeg = Pair | None
 
 # Laser dropouts of one or two seconds are normal and need no message.
 _COASTING_AFTER_S = 3.0
@@ -88,13 +93,53 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
     )
 
 
-def controller_of(
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A configuration for which all that takes long is computed: its control step is made without a pause."""
+
+    config: Config
+    make_planner: CheckedPlannerFactory
+
+    def controller(self, plane: LocalPlane | None = None, home_deg: HomeDeg = None) -> StandoffController:
+        """Return the control step: first its surroundings, then the planner among them.
+
+        Args:
+            plane: The local plane; None: none is known, as in some logs, and there are no fences and no ground.
+            home_deg: See ``ground_of``.
+
+        Raises:
+            InputError: A fence is not a valid polygon, or the elevation data is unusable.
+        """
+        config, make = self.config, self.make_planner
+        surroundings = Surroundings() if plane is None else surroundings_of(config, plane, home_deg)
+        tracker = tracker_of(config)
+        if surroundings.ground is not None:
+            tracker.stand_on(surroundings.ground, config.sensors.angles_alone)
+        elif plane is not None and config.terrain.flat:
+            from sidelong.estimators.terrain.ground import flat_ground  # noqa: PLC0415  # as in surroundings_of
+
+            tracker.stand_on(flat_ground(config.terrain.sigma_m), config.sensors.angles_alone)
+        settings = StandoffSettings(
+            config.requirement.requirement(),
+            config.aircraft.aircraft(),
+            lost_after_s=config.planner.lost_after_s,
+            give_up_after_s=config.planner.give_up_after_s,
+            give_up_action=config.planner.at_end,
+            # The coordinator of a fleet calls for relief, and sends an aircraft home.
+            at_low_battery=config.planner.at_low_battery if config.requirement.fleet_size == 1 else "warn",
+        )
+        return StandoffController(
+            settings, tracker, lambda aircraft, wanted: make(aircraft, wanted, surroundings), surroundings
+        )
+
+
+def prepared(
     config: Config,
     progress: Callable[[float], None] = lambda _share: None,
     announce: Callable[[str], None] = lambda _text: None,
     kind: PlannerKind | None = None,
-) -> StandoffController:
-    """Return the control step for a configuration, ready to run without a pause.
+) -> Prepared:
+    """Compile and compute ahead what the control step of a configuration needs.
 
     Args:
         config: The configuration of one aircraft.
@@ -106,7 +151,14 @@ def controller_of(
     if not (kind.is_compiled() and is_cached(update)):
         announce("compiling the planner and the filter, once for this version of the program: up to a minute")
         _compile(config, kind)
-    return _controller(config, kind, progress)
+    return _prepared(config, kind, progress)
+
+
+def controller_of(
+    config: Config, plane: LocalPlane | None = None, home_deg: HomeDeg = None, kind: PlannerKind | None = None
+) -> StandoffController:
+    """Return the control step of a configuration; see ``prepared`` and ``Prepared.controller``."""
+    return prepared(config, kind=kind).controller(plane, home_deg)
 
 
 def _compile(config: Config, kind: PlannerKind) -> None:
@@ -137,40 +189,13 @@ def _compile(config: Config, kind: PlannerKind) -> None:
             helper.wait()
 
 
-def _controller(
-    config: Config, kind: PlannerKind, progress: Callable[[float], None] = lambda _share: None
-) -> StandoffController:
-    aircraft = config.aircraft.aircraft()
-    requirement = config.requirement.requirement()
-
-    def check(plan: Plan) -> str | None:
-        # Called each time: fences and ground are known only once the plane is.
-        cleared = controller.cleared(plan)
-        return cleared if isinstance(cleared, str) else None
-
-    def sight(*target: float) -> Sight:
-        return controller.surroundings.sight(*target)
-
-    # Made before the flight: no step may wait for a disk or a computation.
-    make_planner = kind.factory(planner_needs(config, progress, check, sight))
-
-    controller = StandoffController(
-        StandoffSettings(
-            requirement,
-            aircraft,
-            lost_after_s=config.planner.lost_after_s,
-            give_up_after_s=config.planner.give_up_after_s,
-            give_up_action=config.planner.at_end,
-            # The coordinator of a fleet calls for relief, and sends an aircraft home.
-            at_low_battery=config.planner.at_low_battery if config.requirement.fleet_size == 1 else "warn",
-        ),
-        tracker_of(config),
-        make_planner,
-    )
+def _prepared(config: Config, kind: PlannerKind, progress: Callable[[float], None] = lambda _share: None) -> Prepared:
+    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
+    make_planner = kind.factory(planner_needs(config, progress))
     beyond_m = requirement.range_max_m - 190.0
-    warm_up_planner(make_planner(aircraft, requirement), beyond_m, config.route.is_known)
+    warm_up_planner(make_planner(aircraft, requirement, Surroundings()), beyond_m, config.route.is_known)
     warm_up_track(_track_of(config))
-    return controller
+    return Prepared(config, make_planner)
 
 
 def winds_m_s(config: Config) -> list[float]:
@@ -188,12 +213,7 @@ def winds_m_s(config: Config) -> list[float]:
     return sorted(winds_m_s)
 
 
-def planner_needs(
-    config: Config,
-    progress: Callable[[float], None],
-    check: Callable[[Plan], str | None],
-    sight: SightAt,
-) -> PlannerNeeds:
+def planner_needs(config: Config, progress: Callable[[float], None]) -> PlannerNeeds:
     """Return what a planner of a configuration may be made of."""
     return PlannerNeeds(
         config.aircraft.aircraft(),
@@ -201,15 +221,13 @@ def planner_needs(
         winds_m_s(config),
         config.planner.lost_after_s,
         progress,
-        check,
-        sight,
     )
 
 
 def mission_controller_of(
     config: Config, controller: StandoffController, autopilot: Autopilot, plane: LocalPlane, home: Home
 ) -> MissionController:
-    """Return the whole core of a flight: ``controller``, settled already, and its exchange with the autopilot."""
+    """Return the whole core of a flight: the control step, and its exchange with the autopilot."""
     aircraft = config.aircraft
     return MissionController(
         controller,
@@ -226,7 +244,7 @@ def mission_controller_of(
             radius_m=aircraft.radius_m,
             clockwise=config.requirement.requirement().side.clockwise,
             by_command=config.planner.guidance == "command",
-            cleared=controller.surroundings.cleared,
+            cleared=controller.surroundings.levelled,
         ),
     )
 
@@ -249,24 +267,13 @@ def fences_of(config: Config, plane: LocalPlane) -> Fences:
         raise InputError(f"fences: {error}; correct its corners.") from error
 
 
-def settle(
-    controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None
-) -> Ground | None:
-    """Pass fences and ground to the control step, once the plane is known, and home as in ``ground_of``.
-
-    Returns the ground, None if no elevation data is configured. Raises InputError if a fence is not a valid polygon,
-    or if the elevation data is unusable.
-    """
-    surroundings, aircraft = controller.surroundings, config.aircraft
-    surroundings.check = fences_of(config, plane).check(aircraft.height_m)
-    surroundings.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
+def surroundings_of(config: Config, plane: LocalPlane, home_deg: HomeDeg) -> Surroundings:
+    """Return fences and ground of a configuration in the plane; see ``Prepared.controller``."""
+    aircraft, fences = config.aircraft, fences_of(config, plane).check(config.aircraft.height_m)
     ground = ground_of(config, plane, home_deg)
     if ground is None:
-        if config.terrain.flat:
-            from sidelong.estimators.terrain.ground import flat_ground  # noqa: PLC0415  # as below
-
-            controller.tracker.stand_on(flat_ground(config.terrain.sigma_m), config.sensors.angles_alone)
-        return None
+        rates = ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s)
+        return Surroundings(fences, OneHeight(rates))
     # Compiled code takes a second to load, so it is imported only if there is elevation data.
     from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
     from sidelong.mission.terrain.sight import SightField  # noqa: PLC0415
@@ -281,23 +288,20 @@ def settle(
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
-    over = surroundings.heights = FlightHeights(ground, rules)
-    field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
+    over, field = (
+        FlightHeights(ground, rules),
+        SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m),
+    )
     warm_up_over(ground, _track_of(config), over, field)
 
-    def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
-        heights = surroundings.heights
+    def hidden(heights: Heights, flown_m: float | None, target_m: Pair, velocity_m_s: Pair) -> Sight:
         assert isinstance(heights, FlightHeights)
-        height_m = heights.expected_m(controller.flown_height_m, (east_m, north_m))
-        return field.sight(east_m, north_m, velocity_east_m_s, velocity_north_m_s, height_m)
+        return field.sight(*target_m, *velocity_m_s, heights.expected_m(flown_m, target_m))
 
-    surroundings.sight = sight
-    controller.tracker.stand_on(ground, config.sensors.angles_alone)
-    controller.health.payload.stand_on(ground.height_m)
-    return ground
+    return Surroundings(fences, over, ground, hidden)
 
 
-def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None) -> Ground | None:
+def ground_of(config: Config, plane: LocalPlane, home_deg: HomeDeg) -> Ground | None:
     """Return the ground about home, None where no elevation data is configured.
 
     Args:
@@ -319,7 +323,7 @@ def _compile_part(part: str) -> None:
     gc.disable()  # to search for garbage takes a tenth of the time
     config, kind = pickle.loads(sys.stdin.buffer.read())
     if part == _PARTS[0]:
-        _controller(config, kind)
+        _prepared(config, kind)
         return
     if isinstance(kind, CompilesInParts):
         kind.compile_part(config.aircraft.aircraft(), config.requirement.requirement(), DECISION_INPUTS)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 from sidelong.app.errors import InputError
 from sidelong.app.records.journal import encode, to_builtins
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading, Reading
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Snapshot
@@ -105,19 +104,21 @@ class Proposals:
         controller.step(ControlAcquired(time_s, circle, _MODE))
 
 
-def log_events(
-    messages: Iterable[Message], telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
-) -> Iterator[InboundEvent]:
-    """Yield the events of a log; ``on_plane`` is called once the local plane is known."""
-    plane = None
+def log_events(messages: Iterable[Message], telemetry: Telemetry) -> Iterator[InboundEvent]:
+    """Yield the events of a log, from when the local plane is known: the first ones then."""
+    early: list[InboundEvent] = []
     for message in messages:
         event = telemetry.event(message)
-        if telemetry.plane is not plane:
-            plane = telemetry.plane
-            assert plane is not None
-            on_plane(plane)
-        if event is not None:
-            yield event
+        if event is None:
+            continue
+        if telemetry.plane is None:
+            early.append(event)
+            continue
+        if early:
+            yield from early
+            early.clear()
+        yield event
+    yield from early
 
 
 def require_sightings(sightings: int, log: Log) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import Prepared, prepared
 from sidelong.app.commands.flying import kept_if_armed, run_flight, warn_of_prediction
 from sidelong.app.commands.output import console, say, warn
 from sidelong.app.commands.progress import table_progress
@@ -25,7 +25,6 @@ from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay, served
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.app.view.prompt import keyboard_descriptor
-from sidelong.mission.control.controller import StandoffController
 
 
 def fly_one(
@@ -46,17 +45,17 @@ async def _recorded(
             def note(text: str) -> None:
                 loop.call_soon_threadsafe(display.note, text)
 
-            def make_controller() -> StandoffController:
-                controller = controller_of(config, table_progress(display.note), display.note)
+            def prepare() -> Prepared:
+                done = prepared(config, table_progress(display.note), display.note)
                 warn_of_prediction(config, display.note)
-                return controller
+                return done
 
             recording = Recording(folder, config, note)
             life = begun(Life(lambda: recording.begun, display.note))
             with life.heeding_signals():
                 with contextlib.closing(recording):
                     ended = await fly_single(
-                        config, duration_s, folder, recording, display, sharing, life, note, make_controller
+                        config, duration_s, folder, recording, display, sharing, life, note, prepare
                     )
                 if ended.is_internal:
                     warn(f"this is a fault of the program; {ended.aircraft}.")

@@ -27,13 +27,13 @@ def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (T
     check_alone(settings)
     check_flyable(settings)
     begun_s = time.monotonic()
-    from sidelong.app.assembly import controller_of  # noqa: PLC0415  # a wrong configuration is reported first
+    from sidelong.app.assembly import prepared  # noqa: PLC0415  # a wrong configuration is reported first
     from sidelong.app.value_cache import DIRECTORY  # noqa: PLC0415
     from sidelong.estimators.compiled import FOLDER  # noqa: PLC0415
 
     def announce(text: str) -> None:
         say(text)
 
-    controller_of(settings, table_progress(announce), announce)
+    prepared(settings, table_progress(announce), announce)
     took_s = time.monotonic() - begun_s
     announce(f"prepared in {took_s:.0f} s; machine code in {FOLDER}, value tables in {DIRECTORY}")

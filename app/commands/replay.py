@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import replace
@@ -22,7 +23,7 @@ from sidelong.app.analysis.replay import (
 )
 from sidelong.app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
 from sidelong.app.analysis.truth import Truth, read_truth
-from sidelong.app.assembly import controller_of, mission_controller_of, settle
+from sidelong.app.assembly import Prepared, mission_controller_of, prepared
 from sidelong.app.autopilots.registry import autopilot_by_name
 from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, warn_of_log, write_json
@@ -30,7 +31,6 @@ from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.config import Config, check_flyable, load_config, with_values
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
-from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
@@ -138,10 +138,7 @@ def _show(
     if what_if is not None and journal is None:
         _replay_log(log, None, changed, True, what_if)
     elif what_if is not None and journal is not None:
-        controller = controller_of(changed, table_progress(console.print), console.print, _planner_of(changed))
-        plane = journal.header.plane
-        if plane is not None:
-            settle(controller, changed, plane, journal.header.home_deg)
+        controller = _prepared(changed).controller(journal.header.plane, journal.header.home_deg)
         for _ in what_if.noted(Proposals(controller).follow(journal), _encoder(changed), proposals=True):
             pass
     from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
@@ -183,19 +180,18 @@ def _replay_log(
     log = open_log(path)
     warn_of_log(path, LogContext.of(log).warning)
     telemetry = Telemetry()
-    controller = controller_of(settings, table_progress(console.print), console.print)
-
-    def fence(plane: LocalPlane) -> None:
-        # A log does not hold the home position: the first position of an aircraft on the ground is near it.
-        judged.collector.ground = settle(controller, settings, plane, None)
-        if frames is not None:
-            frames.plane = plane
-
+    made = prepared(settings, table_progress(console.print), console.print)
     progress, task = progress_bar(path.name)
     with progress:
         messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
+        events = log_events(messages, telemetry)
+        first = list(itertools.islice(events, 1))
+        # A log does not hold the home position: the first position of an aircraft on the ground is near it.
+        controller = made.controller(telemetry.plane)
+        if frames is not None:
+            frames.plane = telemetry.plane
         judged = _Judged(settings, controller, progress, quiet)
-        replayed = Proposals(controller).follow(log_events(messages, telemetry, fence))
+        replayed = Proposals(controller).follow(itertools.chain(first, events))
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     require_sightings(controller.tracker.sightings, log)
     result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
@@ -220,11 +216,9 @@ def _replay_run(
         settings = _changed(flown, config, changes)
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        controller = controller_of(settings, table_progress(console.print), console.print, _planner_of(settings))
-        judged = _Judged(settings, controller, progress, quiet or verify, of_a_flight=True)
         plane = journal.header.plane
-        if plane is not None:
-            judged.collector.ground = settle(controller, settings, plane, journal.header.home_deg)
+        controller = _prepared(settings).controller(plane, journal.header.home_deg)
+        judged = _Judged(settings, controller, progress, quiet or verify, of_a_flight=True)
         compares = verify or not quiet
         # Nothing depends on the exchange but what it sends, and that only a comparison reads.
         repeats = settings == flown and compares
@@ -259,13 +253,13 @@ def _replay_run(
     return judged.summary(truth, plane, start_s)
 
 
-def _planner_of(settings: Config) -> PlannerKind | None:
-    """Return the kind of planner of an aircraft of a fleet, None for an aircraft that flew alone."""
-    if settings.requirement.fleet_size == 1:
-        return None
-    from sidelong.app.fleet.planner import planner_in_fleet  # noqa: PLC0415  # a single flight is read without
+def _prepared(settings: Config) -> Prepared:
+    kind = None
+    if settings.requirement.fleet_size > 1:
+        from sidelong.app.fleet.planner import planner_in_fleet  # noqa: PLC0415  # a single flight is read without
 
-    return planner_in_fleet(settings)
+        kind = planner_in_fleet(settings)
+    return prepared(settings, table_progress(console.print), console.print, kind)
 
 
 def _exchange_of(settings: Config, controller: StandoffController, header: Header) -> MissionController | None:
@@ -297,6 +291,7 @@ class _Judged:
         self.engaged_s: float | None = None
         self.controller, self._progress, self._quiet = controller, progress, quiet
         self.collector = SummaryCollector(settings.requirement.requirement())
+        self.collector.ground = controller.surroundings.ground
 
     def follow(self, steps: Iterable[Replayed]) -> None:
         for step in steps:

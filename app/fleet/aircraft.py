@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.analysis.truth import Truth
+from sidelong.app.assembly import Prepared
 from sidelong.app.fleet.fleet_file import Member
 from sidelong.app.fleet.summary import FlownTrack
 from sidelong.app.flight.display import FlightDisplay
@@ -35,7 +36,7 @@ class FleetAircraft:
         self.clock_rate = ClockRate(lambda: self.session.telemetry.now_s)
         self.outcome = ""
         self.error: Exception | None = None
-        self.controller: StandoffController
+        self.prepared: Prepared
         self.joined = False  # once it is, it has a session and a flight
         self.session: Session
         self.flight: Flight
@@ -49,6 +50,11 @@ class FleetAircraft:
     def trouble(self, text: str) -> None:
         """Display a problem, from any thread."""
         self._event_loop.call_soon_threadsafe(self.display.note, text)
+
+    @property
+    def controller(self) -> StandoffController:
+        """Its control step."""
+        return self.flight.controller
 
     @property
     def is_received(self) -> bool:

@@ -32,13 +32,10 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
     """
     members, nothing = fleet.members, Surroundings()
     configs = {member.name: member.config for member in members}
-    factories = {
-        name: TeamPredictive().factory(planner_needs(config, progress, nothing.check, nothing.sight))
-        for name, config in configs.items()
-    }
+    factories = {name: TeamPredictive().factory(planner_needs(config, progress)) for name, config in configs.items()}
 
     def judge(name: str, aircraft: Aircraft, wanted: Requirement) -> TeamPlanner:
-        planner = factories[name](aircraft, wanted)
+        planner = factories[name](aircraft, wanted, nothing)
         assert isinstance(planner, TeamPlanner)  # a fleet's file has a side
         return planner
 

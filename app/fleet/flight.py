@@ -22,7 +22,7 @@ from importlib.metadata import version
 from itertools import combinations
 
 from sidelong.app.analysis.truth import truth_if_whole
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.fleet.aircraft import FleetAircraft
 from sidelong.app.fleet.assembly import coordinator_of
@@ -125,7 +125,7 @@ class FleetFlight:
             with life.computing():
                 for one in self._aircraft:
                     kind = planner_in_fleet(one.config)
-                    one.controller = controller_of(one.config, progress, self._note, kind)
+                    one.prepared = prepared(one.config, progress, self._note, kind)
                 coordinator = coordinator_of(self._fleet, progress)
             urls, simulated = await self._urls(stack, life)
             await self._connect(stack, urls, simulated, life)
@@ -221,7 +221,7 @@ class FleetFlight:
         )
         one.display.note(f"connected to {one.session.autopilot.name}, system {one.session.vehicle.system_id}")
         one.flight = Flight(
-            one.session, one.config, one.controller, one.recording, one.display, self._duration_s, self._sharing
+            one.session, one.config, one.prepared, one.recording, one.display, self._duration_s, self._sharing
         )
         one.joined = True
 

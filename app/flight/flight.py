@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import mission_controller_of, settle, winds_m_s
+from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s
 from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
@@ -127,7 +127,7 @@ class Flight:
         self,
         session: Session,
         config: Config,
-        controller: StandoffController,
+        prepared: Prepared,
         recording: Recording,
         display: FlightDisplay,
         duration_s: float | None,
@@ -139,7 +139,8 @@ class Flight:
         self._session, self._release = session, session.release
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
-        self._controller, self._senders = controller, session.senders
+        self._prepared, self._senders = prepared, session.senders
+        self._core: StandoffController | None = None  # known once the vehicle is checked
         self._begin = session.begin
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s, self._takeover_s = math.inf, math.inf
@@ -181,7 +182,9 @@ class Flight:
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
-        self._ready = _Ready(plane, home, required_parameters if self._config.link.set_parameters else (), parameters)
+        borrowed = required_parameters if self._config.link.set_parameters else ()
+        self._ready = _Ready(plane, home, borrowed, parameters)
+        self.share_plane(plane)
 
     async def watch(
         self,
@@ -198,9 +201,15 @@ class Flight:
             self._vehicle,
             self._ready.parameters,
             self._display.note,
-            lambda: self._controller.phase is not Phase.YIELDED,
+            lambda: self.controller.phase is not Phase.YIELDED,
         ):
             return await self._watched(self._ready, stopped, stepped, over)
+
+    @property
+    def controller(self) -> StandoffController:
+        """The control step; before ``prepare`` has passed one that knows no surroundings and flies nothing."""
+        self._core = self._core or self._prepared.controller()
+        return self._core
 
     @property
     def plane(self) -> LocalPlane:
@@ -220,8 +229,8 @@ class Flight:
 
         Before the control step runs, this is the latest time reported by the vehicle.
         """
-        if self._loop is not None and math.isfinite(self._controller.time_s):
-            return -math.inf if self._loop.is_sending else self._controller.time_s
+        if self._loop is not None and math.isfinite(self.controller.time_s):
+            return -math.inf if self._loop.is_sending else self.controller.time_s
         last = self._vehicle.latest.get("GLOBAL_POSITION_INT")
         return math.inf if last is None else float(last.fields["time_boot_ms"]) * 1e-3
 
@@ -233,17 +242,18 @@ class Flight:
     def share_plane(self, plane: LocalPlane) -> None:
         """Fly in another vehicle's local plane, between ``prepare`` and ``watch``."""
         assert self._ready is not None
-        self._telemetry.plane = plane
+        self._telemetry.plane, home = plane, self._ready.home
         self._ready = replace(self._ready, plane=plane)
+        self._core = self._prepared.controller(plane, (home.latitude_deg, home.longitude_deg))
 
     async def _watched(
         self, ready: _Ready, stopped: asyncio.Event, stepped: Stepped, ended: asyncio.Event | None
     ) -> str:
         plane, home = ready.plane, ready.home
         home_deg = (home.latitude_deg, home.longitude_deg)
-        self._collector.ground = settle(self._controller, self._config, plane, home_deg)
+        self._collector.ground = self.controller.surroundings.ground
         self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m)
-        core = mission_controller_of(self._config, self._controller, self._autopilot, plane, home)
+        core = mission_controller_of(self._config, self.controller, self._autopilot, plane, home)
         shared = contextlib.ExitStack()
         observers = self._observers(plane, home, shared)
         own = {one.name: one.value for one in ready.parameters}
@@ -276,12 +286,12 @@ class Flight:
         if beacon is not None:
             shared.callback(beacon.stop)
         changes = MissionChanges(
-            self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
+            self._config, self.controller, lambda: self._telemetry.now_s, loop.put, self._display.say
         )
         shared.callback(changes.stop)
         observers += self._pan_limits(changes)
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
-        tables = WindTables(kind, self._controller, winds, loop.put, self._display.note)
+        tables = WindTables(kind, self.controller, winds, loop.put, self._display.note)
         shared.callback(tables.stop)
         observers.append(tables)
 
@@ -344,11 +354,11 @@ class Flight:
                 home = await home_of(self._vehicle)
                 found = checks(self._config, self._vehicle, self._autopilot, ready.table, home, rates)
                 missing = [str(check) for check in found if not check.ready and not check.before_take_off]
-                if objection := self._controller.resume_objection():
+                if objection := self.controller.resume_objection():
                     missing.insert(0, objection)
                 if not missing:
                     break
-                if time.monotonic() > until_s or self._controller.phase is not Phase.YIELDED:
+                if time.monotonic() > until_s or self.controller.phase is not Phase.YIELDED:
                     raise InputError("not ready, " + "; ".join(missing) + ".")
         for check in found:
             if not check.ready:  # the target may be out of the laser's range while a pilot flies
@@ -367,7 +377,7 @@ class Flight:
                 alarms.acknowledge(wish)
             case _:
                 loop.put(wish)
-                if wish.action == "resume" and self._controller.phase is Phase.YIELDED:
+                if wish.action == "resume" and self.controller.phase is Phase.YIELDED:
                     self._resumption.begin(self._try_to_resume)
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
@@ -387,7 +397,7 @@ class Flight:
 
     def _pan_limits(self, changes: MissionChanges) -> list[Observer]:
         """Return what plans for the gimbal's pan limits, where the planner can."""
-        planner, configured_deg = self._controller.planning.planner, self._config.aircraft.pan_limit_deg
+        planner, configured_deg = self.controller.planning.planner, self._config.aircraft.pan_limit_deg
         if not (isinstance(planner, PanLimitPlanner) and planner.plans_pan_limits):
             return []
         vehicle, payload = self._vehicle, self._payload
@@ -427,7 +437,7 @@ class Flight:
     def _pointers(self, plane: LocalPlane, altitude_m: AltitudeAt, shared: contextlib.ExitStack) -> list[Observer]:
         """Return what points the gimbal, by the payload's own protocol or by the vehicle."""
         if self._payload is not None and self._sharing.point_gimbal:
-            tracker = self._controller.tracker
+            tracker = self.controller.tracker
             return [PayloadPointer(self._payload.point, self._heading_rad, tracker, self._target_height_m)]
         if not (self._sharing.point_gimbal or self._sharing.turn_payload):
             return []
@@ -518,11 +528,11 @@ class Flight:
         begin, end = self._battery_percent, self._status().battery_percent
         judged = summarise(
             self._collector,
-            self._controller.snapshot(),
+            self.controller.snapshot(),
             truth=truth,
             plane=self._telemetry.plane,
             start_s=self._start_s,
-            tracker=self._controller.tracker,
+            tracker=self.controller.tracker,
             outcome=outcome,
         )
         return judged if begin is None or end is None else replace(judged, battery_percent=(begin, end))

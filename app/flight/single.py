@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.analysis.truth import truth_if_whole
+from sidelong.app.assembly import Prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.flight.display import FlightDisplay
@@ -21,7 +22,6 @@ from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.mavsdk_link import SETTLING_S
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.mission.control.controller import StandoffController
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ async def fly_single(
     sharing: Sharing,
     life: Life,
     note: Callable[[str], None],
-    make_controller: Callable[[], StandoffController],
+    prepare: Callable[[], Prepared],
     joined: Callable[[Session], object] = lambda _session: None,
 ) -> FlightEnded:
     """Fly to the end and return how it ended. Raises what happens before the aircraft was armed.
@@ -69,12 +69,12 @@ async def fly_single(
         sharing: Outputs to the vehicle.
         life: What ends the flight early.
         note: Receives messages, from any thread.
-        make_controller: Makes the control step; it may compute for seconds.
+        prepare: Returns what the control step is made of; it may compute for seconds.
         joined: Called with the session once the vehicle is connected.
     """
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():
-            controller = make_controller()
+            prepared = prepare()
         urls, truth, simulated = config.link.connections, None, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
@@ -102,7 +102,7 @@ async def fly_single(
         )
         life.watch(session.vehicle)
         joined(session)
-        flight = Flight(session, config, controller, recording, display, duration_s, sharing, payload)
+        flight = Flight(session, config, prepared, recording, display, duration_s, sharing, payload)
         if simulated is not None:
             pace = asyncio.create_task(simulated.keep_pace(lambda: flight.come_to_s))
             stack.callback(pace.cancel)
@@ -116,12 +116,13 @@ async def fly_single(
             outcome, error = f"failed: {raised}", raised
         links = tuple(report.as_json(clock_rate.mean) for report in session.vehicle.link.reports())
         aircraft = describe_aircraft(
-            session.vehicle, session.autopilot, controller.snapshot(), simulated=truth is not None
+            session.vehicle, session.autopilot, flight.controller.snapshot(), simulated=truth is not None
         )
     # Only now, with the simulated vehicle ended, is its truth file whole.
     if life.failure is not None:
         outcome = f"failed: {life.failure}"
-    summary = replace(flight.summary(outcome, truth_if_whole(truth, controller.time_s, display.note)), links=links)
+    whole = truth_if_whole(truth, flight.controller.time_s, display.note)
+    summary = replace(flight.summary(outcome, whole), links=links)
     if life.failure is not None:
         return FlightEnded(folder, summary, FlightError(life.failure))
     if life.signal_name is not None:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.feasibility import Change
-from sidelong.mission.core.plan import AircraftState, Plan, PlannerFactory
+from sidelong.mission.core.plan import AircraftState, CheckedPlannerFactory, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
-
-if TYPE_CHECKING:
-    from sidelong.mission.core.sight import SightAt
-
 
 DecisionInputs = tuple[AircraftState, TargetEstimate, Plan, Wind, float]
 """What ``Planner.decide`` takes."""
@@ -24,8 +20,7 @@ class PlannerNeeds:
     """The inputs from which a planner is made.
 
     winds_m_s: wind speeds to prepare for, in addition to zero. progress: called with the share 0..1 of a computation
-    that takes seconds. check: returns the fence or ground that a plan would violate, or None. sight: returns what the
-    terrain hides.
+    that takes seconds.
     """
 
     aircraft: Aircraft
@@ -33,8 +28,6 @@ class PlannerNeeds:
     winds_m_s: Sequence[float]
     lost_after_s: float
     progress: Callable[[float], None]
-    check: Callable[[Plan], str | None]
-    sight: SightAt
 
 
 class PlannerKind(Protocol):
@@ -51,10 +44,11 @@ class PlannerKind(Protocol):
     def is_compiled(self) -> bool:
         """Return whether the planner can be made without compilation."""
 
-    def factory(self, needs: PlannerNeeds) -> PlannerFactory:
-        """Compute what takes long for ``needs``, and return what makes a planner for an aircraft and a requirement.
+    def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
+        """Compute what takes long for ``needs``, and return what makes a planner.
 
-        It makes one at once for those of ``needs``, another side, and whatever ``make_ready`` was called for.
+        That takes an aircraft, a requirement and the check of plans. It makes one at once for those of ``needs``,
+        another side, and whatever ``make_ready`` was called for.
         """
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:

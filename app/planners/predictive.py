@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sidelong.app.planners.planner_kind import DecisionInputs, PlannerNeeds
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.feasibility import Change, unflyable
-from sidelong.mission.core.plan import Planner, PlannerFactory
+from sidelong.mission.core.plan import CheckedPlannerFactory, PlanCheck, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Predictive:
         """Return what decides: the planner itself, or a planner made of it."""
         return planner
 
-    def factory(self, needs: PlannerNeeds) -> PlannerFactory:
+    def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
         from sidelong.app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
         from sidelong.mission.predictive.planner import PredictivePlanner  # noqa: PLC0415
 
@@ -77,13 +77,13 @@ class Predictive:
                 tables[one] = tables.get(one) or value_table(one, needs.progress)
             return [tables[one] for one in configurations]
 
-        def make(aircraft: Aircraft, wanted: Requirement) -> Planner:
+        def make(aircraft: Aircraft, wanted: Requirement, plans: PlanCheck) -> Planner:
             def table_at(wind_m_s: float) -> ValueTable:
                 return tables_for(aircraft, wanted, [wind_m_s])[-1]
 
             calm, *windy = tables_for(aircraft, wanted, needs.winds_m_s)
             return self.finished(
-                PredictivePlanner(aircraft, wanted, calm, settings, windy, needs.check, needs.sight, table_at)
+                PredictivePlanner(aircraft, wanted, calm, settings, windy, plans.cleared, plans.sight, table_at)
             )
 
         tables_for(needs.aircraft, needs.requirement, needs.winds_m_s)

@@ -23,7 +23,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import Prepared, prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.display import FlightDisplay
@@ -42,7 +42,6 @@ from sidelong.app.serve.memory import release_unused
 from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.standby import Standby, VehicleGoneError
 from sidelong.app.serve.triggers import Request, Triggers
-from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import OperatorRequest
 
@@ -229,7 +228,7 @@ class Resident:
         def announce(text: str) -> None:
             loop.call_soon_threadsafe(self._become, State.WAITING, text)
 
-        await asyncio.to_thread(lambda: controller_of(self._config, announce=announce))
+        await asyncio.to_thread(lambda: prepared(self._config, announce=announce))
         await asyncio.to_thread(release_unused)
 
     async def _stood_by(self) -> str:
@@ -344,16 +343,16 @@ class Resident:
                         self._sharing,
                         life,
                         self._log,
-                        self._controller,
+                        self._prepared,
                         self._join,
                     )
         finally:
             self._unwritten, self._recording = recording.lost, None
 
-    def _controller(self) -> StandoffController:
-        controller = controller_of(self._config, announce=self._log)
+    def _prepared(self) -> Prepared:
+        done = prepared(self._config, announce=self._log)
         release_unused()
-        return controller
+        return done
 
     def _run_folder(self) -> RunFolder:
         """Return a new run folder, elsewhere where the configured place takes none: a watch needs no disk."""

@@ -45,7 +45,7 @@ class HillPlanner:
         self._heights, self._height_m = heights, height_m
         self._field = SightField(ground, study.requirement().range_max_m + 4.0 * study.aircraft().radius_m)
         self._planner = PredictivePlanner(
-            study.aircraft(), study.requirement(), table, check=self._check, sight=self._sight
+            study.aircraft(), study.requirement(), table, check=self._levelled, sight=self._sight
         )
         self._present: Plan | None = None
         self._target = (0.0, 0.0)
@@ -55,19 +55,10 @@ class HillPlanner:
     ) -> Decision:
         """See :class:`sidelong.mission.core.plan.Planner`."""
         self._present, self._target = present, (target.east_m, target.north_m)
-        decision = self._planner.decide(aircraft, target, present, wind, latency_s)
-        if decision.plan is None:
-            return decision
-        levelled = self._levelled(decision.plan)
-        assert isinstance(levelled, Plan)  # it was checked
-        return replace(decision, plan=levelled)
+        return self._planner.decide(aircraft, target, present, wind, latency_s)
 
     def _levelled(self, plan: Plan) -> Plan | str:
         return self._heights.levelled(plan, settled_m(self._height_m(), self._present), self._target)
-
-    def _check(self, plan: Plan) -> str | None:
-        levelled = self._levelled(plan)
-        return levelled if isinstance(levelled, str) else None
 
     def _sight(self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
         height_m = self._heights.expected_m(self._height_m(), (east_m, north_m))

@@ -22,8 +22,8 @@ Rules
     seen since then. Without heartbeat nothing new is commanded.
     While the target is not seen, the aircraft keeps away from where it can be by now
     (:mod:`sidelong.mission.geometry.retreat`).
-11. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
-    the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
+11. While advice is fresh, estimate, target and side are those of the advice; without it the aircraft goes on by its
+    own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
 
@@ -56,7 +56,7 @@ from sidelong.mission.control.planning import Planning
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
-from sidelong.mission.control.surroundings import Surroundings
+from sidelong.mission.control.surroundings import Flown, Surroundings
 from sidelong.mission.control.target_news import DelayNews, JumpNews, MountNews, RangeNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
@@ -134,7 +134,7 @@ class StandoffController:
         surroundings: Surroundings | None = None,
     ) -> None:
         self.settings, self.tracker = settings, tracker
-        self.surroundings = surroundings or Surroundings()
+        self.surroundings = surroundings = surroundings or Surroundings()
         self.phase = Phase.WAITING
         self.time_s = -math.inf
         self.decision: Decision | None = None
@@ -144,6 +144,8 @@ class StandoffController:
         self.aircraft: AircraftState | None = None  # as it was last reported
         self.door = Plausibility(_WIND_MAX_SHARE * settings.aircraft.airspeed_m_s)
         self.health = Health(tracker.parent_from_mount)
+        if surroundings.ground is not None:
+            self.health.payload.stand_on(surroundings.ground.height_m)
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
@@ -372,6 +374,7 @@ class StandoffController:
         if self.phase is not Phase.WATCHING or present is None:
             return ()
         assert aircraft is not None
+        self.surroundings.flown = self.flown
         escape = self._escape(aircraft, present)
         if escape or target is None:
             return escape
@@ -412,7 +415,7 @@ class StandoffController:
                 decision, plan=None, reason="staying: the target is not seen and may be too near there"
             )
         if decision.plan is not None:
-            cleared = self.cleared(decision.plan)
+            cleared = self.surroundings.cleared(decision.plan)
             if isinstance(cleared, str):
                 decision = replace(decision, plan=None, reason=f"staying: {cleared}")
                 if self.decision is None or self.decision.reason != decision.reason:
@@ -436,7 +439,7 @@ class StandoffController:
             return ()
         settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
         plans = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
-        plan = next((one for one in map(self.cleared, plans) if isinstance(one, Plan)), None)
+        plan = next((one for one in map(self.surroundings.cleared, plans) if isinstance(one, Plan)), None)
         if plan is None and self._crossed == _CROSSED_COUNT:
             text, layer_m = f"no separated circle is free: {crossed}", self.planning.layer_m
             if layer_m > self._height_m + _BELOW_LAYER_M:  # as after the takeover of two that circle together
@@ -462,7 +465,7 @@ class StandoffController:
         if clear_m < keep_m:
             start, later = dead_reckoned(aircraft, latency_s), reach.after(latency_s)
             plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
-            plan = next((one for one in map(self.cleared, plans) if isinstance(one, Plan)), None)
+            plan = next((one for one in map(self.surroundings.cleared, plans) if isinstance(one, Plan)), None)
         if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
             self._hold("the target is not seen")
             return ()
@@ -484,25 +487,12 @@ class StandoffController:
         reason = f"asking for a radius of {wanted_m:.0f} m, so that {present.circle.radius_m:.0f} m is flown"
         return self.changes.upload(self.time_s, self._again(present), self._wind, reason)
 
-    def cleared(self, plan: Plan) -> Plan | str:
-        """Check a plan against fences, ground and other aircraft.
-
-        Returns:
-            The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
-        """
-        height_m = self.flown_height_m
-        cleared = self.surroundings.cleared(plan, height_m, self._target_m)
-        if isinstance(cleared, str):
-            return cleared
-        airspeed_m_s = self.settings.aircraft.airspeed_m_s
-        near = self.surroundings.separation.breach(
-            cleared, self.present, self.aircraft, height_m, self._wind, airspeed_m_s
-        )
-        return near or cleared
-
     @property
-    def _target_m(self) -> tuple[float, float] | None:
-        return None if self.estimate is None else (self.estimate.east_m, self.estimate.north_m)
+    def flown(self) -> Flown:
+        """What is flown now, as plans begin from."""
+        target_m = None if self.estimate is None else (self.estimate.east_m, self.estimate.north_m)
+        airspeed_m_s = self.settings.aircraft.airspeed_m_s
+        return Flown(self.aircraft, self.flown_height_m, self.present, target_m, self._wind, airspeed_m_s)
 
     # -- reports of the vehicle and of the exchange --------------------------------------------------------
 
@@ -510,7 +500,7 @@ class StandoffController:
         self.phase, self._own_mode, self._acquired_s = Phase.WATCHING, event.mode, event.time_s
         self.resuming = False
         begun = Plan(event.circle, None, event.time_s)
-        cleared = self.surroundings.cleared(begun)
+        cleared = self.surroundings.levelled(begun)
         plan = begun if isinstance(cleared, str) else cleared
         self.changes.begin(plan, event.circle, event.commanded or event.circle)
         if self.door.two_vehicles is not None:
@@ -649,8 +639,8 @@ class StandoffController:
         if change.height_m is None or self.present is None:
             return None
         circle = replace(self.present, transition=None)
-        heights = self._heights_at(change.height_m)
-        cleared = self.surroundings.cleared(circle, self.flown_height_m, self._target_m, heights)
+        flown, heights = self.flown, self._heights_at(change.height_m)
+        cleared = self.surroundings.levelled(circle, flown.height_m, flown.target_m, heights)
         return cleared if isinstance(cleared, str) else None
 
     def _heights_at(self, height_m: float) -> Heights:
@@ -667,7 +657,7 @@ class StandoffController:
         if circle.radius_m != radius_m:
             start = dead_reckoned(aircraft, latency_s)
             circle = Circle.tangent_to(start.east_m, start.north_m, start.course_rad, radius_m, circle.clockwise)
-        cleared = self.cleared(Plan(circle, None, self.time_s + latency_s))
+        cleared = self.surroundings.cleared(Plan(circle, None, self.time_s + latency_s))
         if isinstance(cleared, str):
             self._changed_s = None
             return (Announce(self.time_s, "decision", f"staying: {cleared}"),)

@@ -4,38 +4,93 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
 
 from sidelong.mission.core.heights import Heights
-from sidelong.mission.core.plan import Plan
-from sidelong.mission.core.sight import NOTHING_HIDDEN, SightAt
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
 from sidelong.mission.geometry.separation import Separation
 
+if TYPE_CHECKING:
+    from sidelong.estimators.terrain.ground import Ground
+
 FenceCheck = Callable[[Plan], str | None]
+Hidden = Callable[[Heights, float | None, tuple[float, float], tuple[float, float]], Sight]
+
+
+class Flown(NamedTuple):
+    """What is flown while a plan is checked; None: not known yet. height_m: above home. target_m: east and north."""
+
+    aircraft: AircraftState | None = None
+    height_m: float | None = None
+    present: Plan | None = None
+    target_m: tuple[float, float] | None = None
+    wind: Wind = Wind()
+    airspeed_m_s: float = 1.0
+
+
+NOTHING_FLOWN = Flown()
 
 
 @dataclass(slots=True)
 class Surroundings:
-    """Checks of plans against fences and terrain.
+    """The one check of plans, for planner and control step alike. All but ``flown`` is known before both are made.
 
     Attributes:
-        check: Returns the name of the fence that a plan would break, or None.
+        fences: Returns the name of the fence that a plan would break, or None.
         heights: Assigns heights to plans; None: the configured height for all.
-        sight: Returns what terrain hides around a target of given position and velocity.
+        ground: None without elevation data.
+        hidden: Returns what the ground hides, by the heights and the height flown, of a target of given position and
+            velocity (east, north); None: nothing.
+        flown: What plans begin from. The control step updates it.
     """
 
-    check: FenceCheck = lambda _plan: None
+    fences: FenceCheck = lambda _plan: None
     heights: Heights | None = None
-    sight: SightAt = lambda *_target: NOTHING_HIDDEN
+    ground: Ground | None = None
+    hidden: Hidden | None = None
     separation: Separation = field(default_factory=Separation)
+    _flown: Flown = NOTHING_FLOWN
+    _cleared: Plan | None = None  # the plan that passed last: it is not checked again
 
-    def cleared(
+    @property
+    def flown(self) -> Flown:
+        """What is flown."""
+        return self._flown
+
+    @flown.setter
+    def flown(self, flown: Flown) -> None:
+        self._flown, self._cleared = flown, None
+
+    def cleared(self, plan: Plan) -> Plan | str:
+        """Check a plan that is to follow what is flown against fences, ground and other aircraft.
+
+        Returns:
+            The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
+        """
+        if plan is self._cleared:
+            return plan
+        flown = self._flown
+        cleared = self.levelled(plan, flown.height_m, flown.target_m)
+        if isinstance(cleared, str):
+            return cleared
+        near = self.separation.breach(
+            cleared, flown.present, flown.aircraft, flown.height_m, flown.wind, flown.airspeed_m_s
+        )
+        if near:
+            return near
+        self._cleared = cleared
+        return cleared
+
+    def levelled(
         self,
         plan: Plan,
         flown_m: float | None = None,
         target_m: tuple[float, float] | None = None,
         heights: Heights | None = None,
     ) -> Plan | str:
-        """Check a plan against fences, ground and other aircraft.
+        """Check a plan against fences and ground alone.
 
         Args:
             plan: The plan.
@@ -48,4 +103,11 @@ class Surroundings:
         """
         heights = heights or self.heights
         levelled = plan if heights is None else heights.levelled(plan, flown_m, target_m)
-        return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
+        return levelled if isinstance(levelled, str) else self.fences(levelled) or levelled
+
+    def sight(self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
+        """Return what the ground hides of a target."""
+        if self.hidden is None or self.heights is None:
+            return NOTHING_HIDDEN
+        velocity_m_s = velocity_east_m_s, velocity_north_m_s
+        return self.hidden(self.heights, self._flown.height_m, (east_m, north_m), velocity_m_s)

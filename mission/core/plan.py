@@ -11,6 +11,7 @@ from sidelong.estimators.numbers import convert_to_floats, require_type
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.core.sight import Sight
 
 _SAME_HEIGHT_M = 10.0  # an autopilot is seldom farther from what it holds
 
@@ -154,4 +155,15 @@ class PanLimitPlanner(Planner, Protocol):
         """Whether it does so for the present requirement."""
 
 
+class PlanCheck(Protocol):
+    """Fences, ground and other aircraft, as planners meet them."""
+
+    def cleared(self, plan: Plan) -> Plan | str:
+        """Return a plan as it can be flown, with its heights, or in words why it cannot be."""
+
+    def sight(self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
+        """Return what the ground hides of a target."""
+
+
 PlannerFactory = Callable[[Aircraft, Requirement], Planner]
+CheckedPlannerFactory = Callable[[Aircraft, Requirement, PlanCheck], Planner]

@@ -137,10 +137,10 @@ class PredictivePlanner:
     """Implements :class:`sidelong.mission.core.plan.Planner`.
 
     table is that of :func:`table_configuration` with the settings; windy are more of them, for other winds. The one
-    nearest to the present wind is used. check returns which fence a plan would break, or None: the best plan that
-    breaks none is taken. sight returns what the ground hides about a target of this place and velocity (east, north,
-    m and m/s). table_at returns the table for another wind speed, which has to be at hand when it is prepared for.
-    route: the target's expected route.
+    nearest to the present wind is used. check returns a plan as it can be flown, or which fence it would break: the
+    best plan that breaks none is taken. sight returns what the ground hides about a target of this place and velocity
+    (east, north, m and m/s). table_at returns the table for another wind speed, which has to be at hand when it is
+    prepared for. route: the target's expected route.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class PredictivePlanner:
         table: ValueTable,
         settings: PredictiveSettings = USUAL,
         windy: Sequence[ValueTable] = (),
-        check: Callable[[Plan], str | None] = lambda _plan: None,
+        check: Callable[[Plan], Plan | str] = lambda plan: plan,
         sight: SightAt = lambda *_target: NOTHING_HIDDEN,
         table_at: Callable[[float], ValueTable] | None = None,
         route: Route | None = None,
@@ -307,7 +307,7 @@ def scene_at(
 
 
 def cheapest_allowed(
-    scene: Scene, looker: Looker, costs: FloatArray, bar: float, check: Callable[[Plan], str | None]
+    scene: Scene, looker: Looker, costs: FloatArray, bar: float, check: Callable[[Plan], Plan | str]
 ) -> tuple[int, Plan | None, str | None]:
     """Return the cheapest move that costs less than the bar and passes the check, and its plan.
 
@@ -318,14 +318,15 @@ def cheapest_allowed(
         looker: Constants and memory of the planner.
         costs: Cost of each move.
         bar: Cost that a move must stay below.
-        check: Returns why a plan is rejected; None: accepted.
+        check: Returns a plan as it can be flown, or why it is rejected.
     """
     order, broken = np.argsort(costs, kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
         path = Path(*move_line(scene, looker.craft, move))
-        plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=looker.terms.blind > 0.0)
-        rejection = check(plan)
-        if rejection is None:
-            return move, plan, broken
-        broken = broken or rejection
+        checked = check(
+            Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=looker.terms.blind > 0.0)
+        )
+        if isinstance(checked, Plan):
+            return move, checked, broken
+        broken = broken or checked
     return int(order[0]), None, broken

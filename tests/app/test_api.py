@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import sidelong
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
@@ -46,7 +46,7 @@ def test_a_flight_that_is_stopped_while_the_vehicle_is_checked_takes_nothing_ove
             life.stopped.set()
             display = sidelong.Watch(folder.path, lambda _text: None)
             return await fly_single(
-                config, None, folder, recording, display, Sharing(), life, print, lambda: controller_of(config)
+                config, None, folder, recording, display, Sharing(), life, print, lambda: prepared(config)
             )
 
     ended = asyncio.run(fly())

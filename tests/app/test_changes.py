@@ -11,7 +11,7 @@ import pytest
 
 from sidelong.app import value_cache
 from sidelong.app.analysis.replay import JournalReplay
-from sidelong.app.assembly import controller_of, settle
+from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.recording import JOURNAL_TYPES
@@ -28,8 +28,7 @@ PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
 def changes_of(config):
     """Return the changes of a flight that has begun, what they pass on, and what they say."""
-    controller = controller_of(config)
-    settle(controller, config, PLANE, HOME_DEG)
+    controller = controller_of(config, PLANE, HOME_DEG)
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     put: list[MissionChange] = []
     announced: list[str] = []

@@ -26,7 +26,7 @@ from typing import Any
 
 import pytest
 
-from sidelong.app.assembly import controller_of, mission_controller_of, settle
+from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.loop import ClosedLoop
@@ -129,13 +129,14 @@ def traced(flavour: Flavour) -> Tracer:
     vehicle = SitlVehicle(Simulation(Settings(flavour, seed=1)))
     home = vehicle.simulation.vehicle.home
     where = Home(home.latitude_deg, home.longitude_deg, home.altitude_m)
-    controller = controller_of(config)
     loop: ClosedLoop[bytes] = ClosedLoop(vehicle)
     outputs: list[object] = []
     loop.listeners.append(lambda _event, found: outputs.extend(found))
     autopilot = next(one for one in AUTOPILOTS if one.name.lower() == flavour)
-    loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, where))
-    settle(controller, config, loop.telemetry.plane, (where.latitude_deg, where.longitude_deg))
+    home_deg = where.latitude_deg, where.longitude_deg
+    loop.start(
+        lambda plane: mission_controller_of(config, controller_of(config, plane, home_deg), autopilot, plane, where)
+    )
     assert loop.run(240.0, lambda: any(isinstance(one, ControlAcquired) for one in outputs))
     outputs.clear()
     tracer = Tracer()

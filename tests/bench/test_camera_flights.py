@@ -22,8 +22,6 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import settle
-from sidelong.app.config import Config
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.estimators.settings import TrackerSettings
@@ -79,10 +77,9 @@ class _Flight(FaultedFlight):
     def __init__(self, scenario: Scenario, errors: PayloadFaults, world: World) -> None:
         self._errors, self._world = errors, world
         self.inside: list[bool] = []
-        super().__init__(scenario)
+        super().__init__(scenario, configured={"terrain": world.terrain})
 
     def payload(self, rng):
-        settle(self.controller, Config.model_validate({"terrain": self._world.terrain}), faults._PLANE, HOME_DEG)
         return _OnGround(self._errors, rng, self._target, self._world)
 
     def _relative_to_truth(self, now_s, moved):

@@ -27,7 +27,7 @@ import pytest
 from playwright.sync_api import sync_playwright
 from rich.console import Console
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.recording import Recording
@@ -203,7 +203,7 @@ async def _flown(parent: Path) -> Flown:
         vehicle = await stack.enter_async_context(SimulatedVehicles([CONFIG], [run.truth], pytest.fail))
         session = await stack.enter_async_context(connected(vehicle.urls, 10.0, recording.frame))
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
-        flight = Flight(session, CONFIG, controller_of(CONFIG), recording, display, FLOWN_S)
+        flight = Flight(session, CONFIG, prepared(CONFIG), recording, display, FLOWN_S)
         await flight.fly(asyncio.Event())
         announced, _ = await viewers.communicate(b"enough\n")
     return Flown(without_s, with_s, display.held_s, json.loads(announced))

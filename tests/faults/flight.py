@@ -15,7 +15,7 @@ import numpy as np
 
 from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.analysis.score import Samples, judge
-from sidelong.app.assembly import controller_of, mission_controller_of, settle
+from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
@@ -115,9 +115,8 @@ class FaultedFlight(FaultyLoop[Message]):
         self._noise = noise_rng
         ground = {"terrain": {"folder": terrain}} if terrain else {}
         config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}, **ground, **configured})
-        self.controller: StandoffController = controller_of(config, kind=kind)
+        self.controller: StandoffController = controller_of(config, _PLANE, HOME_DEG, kind)
         self._required = config.requirement.requirement()  # a fleet lets an aircraft hold the other side
-        settle(self.controller, config, _PLANE, HOME_DEG)
         self._target = RandomTarget(target_rng, scenario.duration_s + 1.0, 3.0, (15.0, 60.0))
         limits = config.aircraft.aircraft()
         wind_m_s, wind_rad = air_rng.uniform(0.0, 3.0), air_rng.uniform(-math.pi, math.pi)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sidelong.app.assembly import controller_of, mission_controller_of, settle
+from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
 from sidelong.app.fleet.assembly import coordinator_of
@@ -96,8 +96,8 @@ class Craft(ClosedLoop[bytes]):
     def ready(self, *, in_fleet: bool) -> None:
         """Make the core."""
         config, plane = self._config, self.telemetry.plane
-        controller = controller_of(config, kind=planner_in_fleet(config) if in_fleet else None)
-        settle(controller, config, plane, (self._home.latitude_deg, self._home.longitude_deg))
+        home_deg = self._home.latitude_deg, self._home.longitude_deg
+        controller = controller_of(config, plane, home_deg, planner_in_fleet(config) if in_fleet else None)
         self.core = mission_controller_of(config, controller, self._dialect, plane, self._home)
 
     def turn_payload(self) -> None:

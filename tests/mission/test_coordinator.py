@@ -498,12 +498,17 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
     assert {target for target, _ in coordinator.roles.values()} == {"boat"}
 
 
+def cleared(core, plan):
+    core.surroundings.flown = core.flown
+    return core.surroundings.cleared(plan)
+
+
 def test_no_plan_leads_near_another_at_the_same_height():
     for height_m, refused in ((100.0, True), (160.0, False)):
         fleet = pair(height_m=height_m)
         fleet.fly(5.0)
         core = fleet.vehicles["a"].core
-        towards = core.cleared(Plan(Circle(EAST - 120.0, 0.0, RADIUS_M, True), None, core.time_s + 1.0))
+        towards = cleared(core, Plan(Circle(EAST - 120.0, 0.0, RADIUS_M, True), None, core.time_s + 1.0))
         assert isinstance(towards, str) is refused
         if refused:
             assert "b" in towards
@@ -596,12 +601,12 @@ def test_a_foreign_aircraft_counts_as_an_obstacle_while_it_is_received():
     fleet.fly(5.0)
     core = fleet.vehicles["a"].core
     here = Plan(fleet.vehicles["a"].circle, None, core.time_s + 1.0)
-    assert isinstance(core.cleared(here), Plan)
+    assert isinstance(cleared(core, here), Plan)
     fleet.put_event(ForeignAircraftReported("ICAO 4b1805", fleet.time_s, WEST - 200.0, 0.0, 110.0, math.pi / 2, 20.0))
     fleet.fly(1.5)
-    assert "4b1805" in str(core.cleared(here))
+    assert "4b1805" in str(cleared(core, here))
     fleet.fly(40.0)
-    assert isinstance(core.cleared(here), Plan)
+    assert isinstance(cleared(core, here), Plan)
 
 
 def test_a_payload_that_sees_something_else_is_reported():

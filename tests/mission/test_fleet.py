@@ -133,7 +133,7 @@ AIRCRAFT = Aircraft(10.0, 50.0)
 TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT, 0.0, IN_TEAM))
 
 
-def planner(check=lambda _plan: None, requirement=REQUIREMENT) -> TeamPlanner:
+def planner(check=lambda plan: plan, requirement=REQUIREMENT) -> TeamPlanner:
     return TeamPlanner(PredictivePlanner(AIRCRAFT, requirement, TABLE, IN_TEAM, check=check))
 
 
@@ -249,9 +249,9 @@ def test_who_was_left_behind_comes_back_while_another_watches():
 def test_a_move_that_is_refused_gives_way_to_the_next():
     refused = []
 
-    def check(found: Plan) -> str | None:
+    def check(found: Plan) -> Plan | str:
         refused.append(found)
-        return "it would come near b" if len(refused) < 3 else None
+        return "it would come near b" if len(refused) < 3 else found
 
     decisions = flown_lap(planner(check), 360.0, Role.WANTED, Side.LEFT)
     assert decisions[-1].plan is refused[-1]

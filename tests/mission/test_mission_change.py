@@ -101,7 +101,7 @@ def test_another_band_and_side_reach_the_planner_and_send_nothing(watching):
 
 def test_a_change_that_breaks_a_fence_is_objected_to(watching):
     controller, _ = watching
-    controller.surroundings.check = lambda plan: "too high" if plan.circle_height_m(0.0) > 120.0 else None
+    controller.surroundings.fences = lambda plan: "too high" if plan.circle_height_m(0.0) > 120.0 else None
     assert controller.objection(MissionChange(20.0, height_m=150.0)) == "too high"
     assert controller.objection(MissionChange(20.0, height_m=110.0)) is None
 

@@ -279,9 +279,9 @@ def test_a_fence_leaves_the_next_best_move_or_none(paper_aircraft, paper_require
         states = [on_circle(ALONGSIDE, course_rad) for course_rad in np.linspace(0.0, 6.0, 25)]
         return [planner.decide(state, target, Plan(ALONGSIDE), CALM, LATENCY_S) for state in states]
 
-    free = next(k for k, decision in enumerate(decisions(lambda plan: None)) if decision.plan is not None)
-    wanted = decisions(lambda plan: None)[free].plan.circle
-    walled = decisions(lambda plan: "a wall" if plan.circle.east_m > wanted.east_m - 10.0 else None)[free]
+    free = next(k for k, decision in enumerate(decisions(lambda plan: plan)) if decision.plan is not None)
+    wanted = decisions(lambda plan: plan)[free].plan.circle
+    walled = decisions(lambda plan: "a wall" if plan.circle.east_m > wanted.east_m - 10.0 else plan)[free]
     assert walled.plan is None or walled.plan.circle.east_m <= wanted.east_m - 10.0
     shut = decisions(lambda plan: "the circle crosses keep_out polygon 1")[free]
     assert shut.plan is None

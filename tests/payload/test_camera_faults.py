@@ -9,12 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import settle
-from sidelong.app.config import Config
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.inputs import Input, InputState
-from tests.faults import flight as faults
-from tests.faults.flight import HOME_DEG, FaultedFlight, Scenario
+from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_faults import GIMBAL, Fault, flagged, repeated, turned
 from tests.faulty_payload import FaultyPayload
 from tests.payload.test_camera import CAMERA
@@ -32,7 +29,7 @@ def hills() -> Ground:
 class CameraFlight(FaultedFlight):
     def __init__(self, scenario, injected=(), camera=CAMERA, ground=None):
         self._camera, self._ground = camera, ground
-        super().__init__(scenario, injected)
+        super().__init__(scenario, injected, configured={"terrain": {"flat": ground is None}})
 
     def payload(self, rng):
         ground, payload = self._ground, FaultyPayload(self._camera, rng)
@@ -47,7 +44,6 @@ class CameraFlight(FaultedFlight):
 
             payload.measure = over_hills
             return payload
-        settle(self.controller, Config.model_validate({"terrain": {"flat": True}}), faults._PLANE, HOME_DEG)
         return payload
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of, settle
+from sidelong.app.assembly import controller_of
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import _ground_check
@@ -183,17 +183,16 @@ def test_the_controller_asks_ground_and_fences(hills_folder, plane: LocalPlane, 
     config = load_config(
         None, {"planner": {"name": "paper"}, "terrain": terrain, "aircraft": {"height_above": "ground"}}
     )
-    controller = controller_of(config)
-    settle(controller, config, plane, HOME_DEG)
+    controller = controller_of(config, plane, HOME_DEG)
     circle = Circle(4000.0, 1000.0, 50.0, True)
-    cleared = controller.surroundings.cleared(Plan(circle))
+    cleared = controller.surroundings.levelled(Plan(circle))
     assert not isinstance(cleared, str)
     assert cleared.heights.to_m - ground.height_m(4000.0, 1000.0) == pytest.approx(100.0, abs=60.0)
     beyond = Plan(Circle(0.0, 24_000.0, 50.0, True))
-    assert controller.surroundings.cleared(beyond) == "the new circle lies over ground of unknown height"
+    assert controller.surroundings.levelled(beyond) == "the new circle lies over ground of unknown height"
     fenced = load_config(None, {"planner": {"name": "paper"}, "terrain": terrain, "fences": {"floor_m": 300.0}})
-    settle(controller, fenced, plane, HOME_DEG)
-    assert "below the floor of 300 m" in str(controller.surroundings.cleared(Plan(Circle(0.0, 0.0, 20.0, True))))
+    controller = controller_of(fenced, plane, HOME_DEG)
+    assert "below the floor of 300 m" in str(controller.surroundings.levelled(Plan(Circle(0.0, 0.0, 20.0, True))))
 
 
 def test_height_above_ground_needs_a_ground() -> None:
