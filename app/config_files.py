@@ -24,23 +24,32 @@ class NamedTarget(Protocol):
     motion: str | None
 
 
-def check_single(config: Config) -> None:
-    """Raise InputError where one aircraft cannot fly this configuration: before any connection or computation."""
+def check_single(config: Config) -> list[str]:
+    """Raise InputError where one aircraft cannot fly this configuration: before any connection or computation.
+
+    Returns:
+        Notes on its files.
+    """
     check_alone(config)
     check_flyable(config)
-    check_files(config)
+    return check_files(config)
 
 
-def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
+def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> list[str]:
     """Raise InputError, which names the field, if a file or mode cannot be used or a fence is no polygon.
 
     Args:
         config: The configuration of one aircraft or of a fleet.
         targets: Those of a fleet.
+
+    Returns:
+        What of the tracks and routes is not used, in words.
     """
+    notes = []
     for field, check in _checks(config, targets):
         try:
-            check()
+            note = getattr(check(), "note", "")
+            notes += [f"{field}: {note}"] if note else []
         except InputError as error:
             raise InputError(f"{field}: {error}") from error
     corners = [*itertools.chain(*config.fences.keep_in, *config.fences.keep_out)]
@@ -58,6 +67,7 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> None:
         from sidelong.app.flight.outputs import tls_of  # noqa: PLC0415  # it loads MAVLink
 
         tls_of(config.sharing)
+    return notes
 
 
 def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -93,15 +103,16 @@ def _check_modes(modes: Sequence[str]) -> None:
             )
 
 
-def _check_motion(motion: str) -> None:
+def _check_motion(motion: str) -> object:
     from sidelong.sitl.world.motion import MOTIONS  # noqa: PLC0415  # only a simulated flight needs them
-    from sidelong.sitl.world.track import TrackError, read_track  # noqa: PLC0415
+    from sidelong.sitl.world.track import read_track  # noqa: PLC0415
+    from sidelong.sitl.world.track_file import TrackError, is_track_file  # noqa: PLC0415
 
     if motion in MOTIONS:
-        return
-    if Path(motion).suffix.lower() not in (".gpx", ".csv"):
-        raise InputError(f"{motion!r} is none of {', '.join(MOTIONS)} or a .gpx or .csv file.")
+        return None
+    if not is_track_file(Path(motion)):
+        raise InputError(f"{motion!r} is none of {', '.join(MOTIONS)} or a track such as a .gpx or .csv file.")
     try:
-        read_track(Path(motion))
+        return read_track(Path(motion))
     except TrackError as error:
         raise InputError(f"{error}; give another track or one of {', '.join(MOTIONS)}.") from error

@@ -44,7 +44,7 @@ from sidelong.sitl.world.airframe import Wind
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills, HillsError
 from sidelong.sitl.world.motion import MOTIONS
-from sidelong.sitl.world.track import TrackError
+from sidelong.sitl.world.track_file import TrackError, is_track_file
 from sidelong.sitl.world.truth import TruthFile
 
 _LINK, _RUN, _TARGET, _VEHICLE = (
@@ -318,8 +318,9 @@ def _completed(wanted: RunSettings) -> RunSettings:
         if math.hypot(one.wind.east_m_s, one.wind.north_m_s) > 0.9 * one.airspeed_m_s:
             refuse("--wind-speed", f"must be at most 0.9 times the airspeed, {0.9 * one.airspeed_m_s:g} m/s")
         for seen in one.targets:
-            if seen.motion not in MOTIONS and Path(seen.motion).suffix.lower() not in (".gpx", ".csv"):
-                refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {seen.motion!r}")
+            if seen.motion not in MOTIONS and not is_track_file(Path(seen.motion)):
+                motions = ", ".join(MOTIONS)
+                refuse("--target", f"is one of {motions} or a track such as a .gpx or .csv file, not {seen.motion!r}")
         if one.home_on_ground and one.terrain is not None:
             home = one.home_or_default
             ground = Hills(one.terrain, HomePlane(home.latitude_deg, home.longitude_deg))

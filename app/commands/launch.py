@@ -82,7 +82,10 @@ def launch(
         ),
     ] = None,
     target: Annotated[
-        str | None, _SIMULATION(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
+        str | None, _SIMULATION(help="Simulated target: a built-in motion or a track (.gpx, .csv, .kml, .geojson).")
+    ] = None,
+    track: Annotated[
+        str | None, _SIMULATION(metavar="NAME", help="Which of several tracks in the file of --target to use.")
     ] = None,
     target_speed: Annotated[float | None, _MISSION(help="Highest speed to expect of the target, m/s.")] = None,
     duration: Annotated[
@@ -175,6 +178,10 @@ def launch(
       sidelong launch --fleet 2 --autopilot arduplane,px4
     """
     checked_output(json)
+    if track is not None:
+        if target is None:
+            raise InputError("--track: names a track in the file of --target; give --target FILE, too.")
+        target = f"{target}#{track}"
     payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
     overrides: dict[str, dict[str, Any]] = {
         "payload": {"kind": payload_kind, "url": payload_url},
@@ -245,7 +252,8 @@ def launch(
 def _checked(settings: Config, speed: float | None, payload_url: str | None, point_gimbal: bool) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
     settings = _with_simulated_payload(settings, speed, payload_url)
-    check_single(settings)
+    for note in check_single(settings):
+        say(f"note: {note}")
     _check_input(settings, point_gimbal)
     warn_of_band(settings)
     warn_of_settings(settings)
@@ -305,7 +313,8 @@ def _check_simulated(settings: Config, options: dict[str, object]) -> None:
 
 
 def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) -> None:
-    check_files(fleet, fleet.target)
+    for note in check_files(fleet, fleet.target):
+        say(f"note: {note}")
     for member in fleet.members:
         _check_input(member.config, point_gimbal)
     if system_id is not None:

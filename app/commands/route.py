@@ -30,7 +30,10 @@ _NEAR_SHARE = 0.02  # turns at the ends of rows are always near one another
 
 
 def route(
-    file: Annotated[Path, typer.Argument(help="Route: .gpx, .geojson, .kml or .csv; with --from the file to write.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="Route: .gpx, .geojson, .kml, .kmz, .csv, .plan, .waypoints; with --from to be written."),
+    ],
     source: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="Make FILE of the target's path in this run or log.")
     ] = None,
@@ -38,6 +41,7 @@ def route(
     tolerance: Annotated[
         float, typer.Option(min=1.0, max=200.0, help="Standard deviation of the target's lateral offset, m.")
     ] = 10.0,
+    track: Annotated[str | None, typer.Option(metavar="NAME", help="Which of several lines of FILE to use.")] = None,
     png: Annotated[Path | None, typer.Option(help="Draw the route into this file.")] = None,
     json: JsonOption = None,
 ) -> None:
@@ -56,7 +60,7 @@ def route(
     if source is not None:
         checked_file("route", file)
         _write_from(source, file)
-    points = read_route(file)
+    points = read_route(file if track is None else Path(f"{file}#{track}"))
     plane = LocalPlane(float(points.first[0]), float(points.second[0])) if points.geodetic else LocalPlane(0.0, 0.0)
     east_m, north_m = points.in_plane(plane)
     try:
@@ -88,9 +92,8 @@ def _values(found: Route, east_m: np.ndarray, north_m: np.ndarray, points: Route
     warnings = []
     if not points.geodetic:
         warnings.append("is in metres: studies use it, a flight needs degrees (lat,lon).")
-    if points.unused_lines:
-        lines = "line of the file is" if points.unused_lines == 1 else "lines of the file are"
-        warnings.append(f"{points.unused_lines} further {lines} not used; keep only the route in it.")
+    if points.note:
+        warnings.append(f"{points.note}.")
     if leg_m.max() > _LONG_LEG_M:
         warnings.append(f"has a leg of {leg_m.max() / 1000.0:.0f} km; check its way points.")
     if not found.lap and gap_m < _LAP_M < 0.2 * found.length_m:

@@ -371,6 +371,8 @@ def _recorded(
         return found
     slowest_m_s = min(one.settings.requirement().target_speed_max_m_s for one in found)
     read = recorded_targets(targets, slowest_m_s, *((route_next_to,) if routes else ()))
+    for note in read.notes:
+        console.print(f"note: {note}")
     if routes and not any(track.route for track in read.flown):
         raise InputError("--routes: no track has a route next to it; put NAME.route.csv (east_m,north_m) there.")
     tracks = read.flown[:runs]

@@ -14,16 +14,17 @@ from sidelong.app.errors import InputError
 from sidelong.app.simulation.target import TargetTruth
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.route.route import Route
-from sidelong.sitl.world.track import Track, TrackError, read_track
+from sidelong.sitl.world.track import Track, read_track
+from sidelong.sitl.world.track_file import TrackError, file_and_name
 
 _STEP_S = 0.5
 _SMOOTHED_OVER = 5  # steps: 2.5 s
-_SHORTEST_S = 30.0
+_SHORTEST_S, _LONGEST_S = 30.0, 48 * 3600.0
 # A single step faster than this, and by this much faster than both its neighbours, is a jump of the receiver.
 _JUMP_M_S, _JUMP_OVER_OTHERS_M_S = 15.0, 10.0
 # The course is the direction of the path over this many steps, held while that path is shorter than this.
 _COURSE_STEPS, _COURSE_WAY_M = 10, 2.5
-_SUFFIXES = (".csv", ".gpx")
+_SUFFIXES = (".csv", ".gpx", ".kml", ".kmz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +115,11 @@ def prepared(name: str, track: Track) -> RecordedTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedTargets:
-    """The tracks to be flown in the order of their names, and why others are not: (name, reason)."""
+    """The tracks to be flown in the order of their names, why others are not: (name, reason), and notes on files."""
 
     flown: tuple[RecordedTarget, ...]
     skipped: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
 
 
 def recorded_targets(
@@ -125,24 +127,29 @@ def recorded_targets(
     speed_max_m_s: float,
     route_of: Callable[[Path, Track], Route | None] = lambda _file, _track: None,
 ) -> RecordedTargets:
-    """Read the .csv and .gpx tracks in folders, or single files.
+    """Read the .csv, .gpx, .kml and .kmz tracks in folders, or single files.
 
     Tables without a track's columns, such as a list of the files, are passed over. Tracks whose 95th percentile of
     speed is above speed_max_m_s, and those too short or unreadable, are skipped. route_of: finds the route of a
     track; files NAME.route.* are no tracks.
     Raises InputError when none is left.
     """
-    flown, skipped = [], []
+    flown, skipped, notes = [], [], []
     for file in _files(places):
         try:
             track = read_track(file)
         except TrackError as error:
             if "the header names neither" not in str(error) or file in places:
-                skipped.append((file.name, str(error).removeprefix(f"{file} ")))
+                skipped.append((file.name, str(error).removeprefix(f"{file}: ")))
             continue
         if track.time_s[-1] < _SHORTEST_S:
             skipped.append((file.name, f"lasts {track.time_s[-1]:.0f} s, and {_SHORTEST_S:.0f} s is the least"))
             continue
+        if track.time_s[-1] > _LONGEST_S:
+            hours = f"lasts {track.time_s[-1] / 3600.0:.0f} h, and {_LONGEST_S / 3600.0:.0f} h is the most; cut it"
+            skipped.append((file.name, hours))
+            continue
+        notes += [f"{file.name}: {track.note}"] if track.note else []
         target = replace(prepared(file.stem, track), route=route_of(file, track))
         if target.speed_p95_m_s > speed_max_m_s:
             speeds = f"95th percentile of speed {target.speed_p95_m_s:.1f} m/s is above {speed_max_m_s:g} m/s"
@@ -157,7 +164,7 @@ def recorded_targets(
             f"--targets: no track to fly in {where} ({reason}); give tracks with the columns t_s, east_m, north_m, "
             f"or raise --target-speed-max from {speed_max_m_s:g} m/s."
         )
-    return RecordedTargets(tuple(flown), tuple(skipped))
+    return RecordedTargets(tuple(flown), tuple(skipped), tuple(notes))
 
 
 def _files(places: list[Path]) -> list[Path]:
@@ -166,10 +173,12 @@ def _files(places: list[Path]) -> list[Path]:
         if place.is_dir():
             try:
                 tracks = (p for p in place.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file())
-                files += sorted(p for p in tracks if not p.stem.endswith(".route"))
+                found = sorted(p for p in tracks if not p.stem.endswith(".route"))
+                stems = {p.stem for p in found if p.suffix.lower() in (".csv", ".gpx")}  # the others are their routes
+                files += [p for p in found if p.suffix.lower() in (".csv", ".gpx") or p.stem not in stems]
             except OSError as error:
                 raise InputError(f"--targets: {place} cannot be read ({error.strerror}); give a folder.") from error
-        elif place.is_file():
+        elif file_and_name(place)[0].is_file():
             files.append(place)
         else:
             raise InputError(f"--targets: there is no {place}; give a folder of .csv and .gpx tracks.")

@@ -44,7 +44,8 @@ def route_next_to(file: Path, track: Track) -> Route | None:
         InputError: The file is not a route.
     """
     named = [file.with_name(f"{file.stem}.route{suffix}") for suffix in ROUTE_SUFFIXES]
-    named += [file.with_suffix(suffix) for suffix in ROUTE_SUFFIXES if suffix not in (".csv", file.suffix.lower())]
+    apart = (".csv", ".txt", file.suffix.lower())
+    named += [file.with_suffix(suffix) for suffix in ROUTE_SUFFIXES if suffix not in apart]
     found = next((one for one in named if one.is_file()), None)
     if found is None:
         return None

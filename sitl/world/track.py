@@ -2,51 +2,45 @@
 
 from __future__ import annotations
 
-import contextlib
-import csv
-import datetime
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
-from xml.etree import ElementTree
 
 from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.track_file import Line, TrackError, chosen, file_and_name, read_lines
 
-_FILE_MAX_BYTES = 8 << 20
-_TARGET_TRACK = "target"
 _SPIKE_SPEED_M_S = 15.0
 _SPIKE_DETOUR = 3.0  # by way of a spike, over the direct way past it
 _LIVELY_SPEED_M_S = 2.5
 _LIVELY_WINDOW_S = 60.0
 
+_REACH_M = 1e7
+# Times of the years 1990 to 2100 by their size: least, greatest, units per second.
+_UNITS = ((9e17, 4.1e18, 1e9), (1.2e17, 6.7e17, 1e7), (6e14, 4.1e15, 1e6), (6e11, 4.1e12, 1e3))
+_SINCE_START_MAX_S, _STEP_MAX_S = 3e8, 1e5  # other times, which count from any moment
+_TOO_SLOW_M_S, _WALK_M_S, _IMPOSSIBLE_M_S = 0.01, 0.3, 100.0
+_GAP_S, _GAP_STEPS = 6 * 3600.0, 10.0  # a longer gap, also in steps of the track, ends a part of it
+_SAME_PLACE_M = 15.0
 
-_Point = tuple[float, float, float]  # time, then east and north or latitude and longitude
-_Rows = tuple[list[_Point], tuple[float, float] | None]  # points, and latitude and longitude of their origin
-# What the columns of a CSV may be called: time and two of place; whether these are degrees.
-_COLUMNS = (
-    ((("t_s", "time_s", "time", "t"), ("east_m",), ("north_m",)), False),
-    ((("time", "t_s", "time_s", "t"), ("lat", "latitude", "lat_deg"), ("lon", "longitude", "lon_deg")), True),
-)
-
-
-class TrackError(ValueError):
-    """The file cannot be used as a track; the message names it and the reason."""
+_Timed = tuple[float, float, float, int]  # time, east, north, line of the file
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
     """Points with strictly rising times, relative to the first; at least two.
 
-    origin_deg: latitude and longitude of east and north zero; None where the file is in metres.
+    origin_deg: latitude and longitude of east and north zero; None where the file is in metres. note: what of the
+    file is not used, in words.
     """
 
     time_s: Sequence[float]
     east_m: Sequence[float]
     north_m: Sequence[float]
     origin_deg: tuple[float, float] | None = None
+    note: str = ""
 
     def lengths_m(self) -> list[float]:
         """Return the length of the track up to each of its points."""
@@ -94,124 +88,144 @@ class TrackMotion:
 
 
 def read_track(path: Path) -> Track:
-    """Read a .gpx track, or a .csv whose header names t_s, east_m, north_m or time, lat, lon among its columns.
+    """Read a track: see :mod:`sidelong.sitl.world.track_file`. FILE#NAME selects one of several.
 
-    Points come in the order of time, relative to the first; spikes of the receiver are left out.
-    Raises TrackError when the file cannot be read, is too long, or holds fewer than two usable points.
+    Points come in the order of time, relative to the first; spikes of the receiver are left out. Times are judged by
+    the speeds that they imply: see :func:`_judged`.
+
+    Raises:
+        TrackError: The file cannot be read or holds fewer than two usable points.
     """
+    file, name = file_and_name(path)
+    lines, geodetic = read_lines(file)
+    tracks: list[tuple[Line, Track]] = []
+    refused = "holds 0 usable points with times; a track needs two"
+    for line in lines:
+        try:
+            tracks.append((line, _judged(line, geodetic)))
+        except TrackError as error:
+            if line.name == name:
+                raise TrackError(f"{file}: {error}") from error
+            refused = str(error) if line is lines[0] or len(line.points) > 1 else refused
+    if not tracks:
+        raise TrackError(f"{file}: {refused}")
     try:
-        if path.exists() and not path.is_file():
-            raise TrackError(f"{path} cannot be read: it is not a file")
-        if path.stat().st_size > _FILE_MAX_BYTES:
-            raise TrackError(f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; cut the track")
-        rows, origin_deg = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
-    except OSError as error:
-        raise TrackError(f"{path} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise TrackError(f"{path} is not text in UTF-8; a track is a .gpx or a .csv file") from error
-    except (ElementTree.ParseError, csv.Error, LookupError, ArithmeticError, ValueError) as error:
-        if isinstance(error, TrackError):
-            raise
-        raise TrackError(f"{path} is no readable track: {error!s:.160}") from error
-    points = _without_spikes(_rising([row for row in rows if all(map(math.isfinite, row))]))
+        index, note = chosen([(line, track.lengths_m()[-1]) for line, track in tracks], name)
+    except TrackError as error:
+        raise TrackError(f"{file}: {error}") from error
+    track = tracks[index][1]
+    return replace(track, note="; ".join(filter(None, (note, track.note))))
+
+
+def _judged(line: Line, geodetic: bool) -> Track:
+    """Return a line as a track, by the speeds that its times imply.
+
+    - Times of day in ms, microseconds, ns or 100 ns are recognised by their size, others by speeds too slow to be any
+      target's.
+    - Where the time jumps by hours, or the clock was set back, the longest part is used. So are points of 1970 or of
+      no date left out.
+
+    Raises:
+        TrackError: Fewer than two points are usable, the times imply impossible speeds, or several positions have the
+            same time.
+    """
+    limits = (90.0, 180.0) if geodetic else (_REACH_M, _REACH_M)
+    within = [p for p in line.points if abs(p[1]) <= limits[0] and abs(p[2]) <= limits[1]]
+    if geodetic and any(p[1] or p[2] for p in within):
+        within = [p for p in within if p[1] or p[2]]  # a receiver without a fix reports 0, 0
+    if not within and line.points:
+        _, first, second, at = line.points[0]
+        raise TrackError(f"line {at}: {first:g}, {second:g} is out of range ({limits[0]:g}, {limits[1]:g})")
+    plane = HomePlane(*within[0][1:3]) if within and geodetic else None
+    points: list[_Timed] = [
+        (time_s, *(plane.east_north_m(first, second) if plane else (first, second)), at)
+        for time_s, first, second, at in within
+        if math.isfinite(time_s)
+    ]
     if len(points) < 2:
-        raise TrackError(f"{path} holds {len(points)} usable points with times; a track needs two")
-    first_s = points[0][0]
-    time_s, east_m, north_m = zip(*points, strict=True)
-    return Track([t - first_s for t in time_s], east_m, north_m, origin_deg)
+        raise TrackError(f"holds {len(points)} usable points with times; a track needs two")
+    points, left_out = _longest_part(_in_seconds(points))
+    notes = [f"{left_out} points at other times are left out"] if left_out else []
+    points = _without_spikes(_rising(points))
+    if len(points) < 2:
+        raise TrackError("holds 1 usable point with a time; a track needs two")
+    speeds_m_s = [_speed_m_s(*pair) for pair in pairwise(points)]
+    typical_m_s = sorted(speeds_m_s)[len(speeds_m_s) // 2]
+    if typical_m_s > _IMPOSSIBLE_M_S:
+        worst = max(range(len(speeds_m_s)), key=speeds_m_s.__getitem__)
+        raise TrackError(
+            f"its times imply {typical_m_s:.3g} m/s, from line {points[worst][3]} to {points[worst + 1][3]} "
+            f"{speeds_m_s[worst]:.3g} m/s; give times in seconds or of ISO 8601"
+        )
+    time_s, east_m, north_m, _ = zip(*points, strict=True)
+    origin_deg = (plane.latitude_deg, plane.longitude_deg) if plane else None
+    return Track([t - time_s[0] for t in time_s], east_m, north_m, origin_deg, "; ".join(notes))
 
 
-def _read_gpx(path: Path) -> _Rows:
-    """Return the points of all tracks; of a flight's own export those of the target alone."""
-    rows: list[_Point] = []
-    of_target: list[_Point] = []
-    track_begun = 0  # how many points there were before the present track
-    with path.open("rb") as file:
-        for _, element in ElementTree.iterparse(file):
-            name = element.tag.rpartition("}")[2]
-            if name == "trkpt":
-                latitude, longitude, stamp = element.get("lat"), element.get("lon"), element.findtext("{*}time", "")
-                if latitude and longitude and stamp.strip():
-                    rows.append((_seconds(stamp), float(latitude), float(longitude)))
-                element.clear()
-            elif name == "trk":
-                if element.findtext("{*}name") == _TARGET_TRACK:
-                    of_target += rows[track_begun:]
-                track_begun = len(rows)
-    return _from_geodetic(of_target or rows)
+def _in_seconds(points: list[_Timed]) -> list[_Timed]:
+    """Return the points with times in seconds, whatever the unit was."""
+    middle = sorted(abs(p[0]) for p in points)[len(points) // 2]
+    steps_s = sorted(abs(b[0] - a[0]) for a, b in pairwise(points))
+    per_second = next((unit for least, greatest, unit in _UNITS if least < middle < greatest), 1.0)
+    if per_second == 1.0 and (middle < _SINCE_START_MAX_S or steps_s[len(steps_s) // 2] >= _STEP_MAX_S):
+        speeds_m_s = sorted(_speed_m_s(a, b) for a, b in pairwise(points) if b[0] > a[0])
+        quick_m_s = speeds_m_s[9 * len(speeds_m_s) // 10] if speeds_m_s else 1.0
+        if quick_m_s < _TOO_SLOW_M_S:
+            per_second = next((u for u in (1e3, 1e6, 1e9) if _WALK_M_S < u * quick_m_s < _IMPOSSIBLE_M_S), 1.0)
+    return points if per_second == 1.0 else [(t / per_second, *place) for t, *place in points]  # type: ignore[misc]
 
 
-def _read_csv(path: Path) -> _Rows:
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        header = file.readline()
-        columns = [name.strip().lower() for name in next(csv.reader([header], delimiter=_delimiter(header)), [])]
-        rows = csv.reader(file, delimiter=_delimiter(header))
-        for names, geodetic in _COLUMNS:
-            places = [next((columns.index(n) for n in alike if n in columns), None) for alike in names]
-            if None not in places:
-                found = []
-                for row in rows:
-                    try:
-                        point = _point([row[k] for k in places if k is not None and k < len(row)])
-                    except ValueError as error:
-                        raise ValueError(f"line {rows.line_num + 1}: {error}") from error
-                    if point is not None:
-                        found.append(point)
-                return _from_geodetic(found) if geodetic else (found, None)
-    raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
+def _longest_part(points: list[_Timed]) -> tuple[list[_Timed], int]:
+    """Return the longest part without a gap of hours or a clock that is set back, and the number of other points."""
+    ordered = sorted(points)
+    steps_s = sorted(b[0] - a[0] for a, b in pairwise(ordered))
+    gap_s = max(_GAP_S, _GAP_STEPS * steps_s[len(steps_s) // 2])
+    part = max(_split(ordered, lambda a, b: b[0] - a[0] > gap_s), key=_length_m)
+    first_s, last_s = part[0][0], part[-1][0]
+    recorded = [p for p in points if first_s <= p[0] <= last_s]
+    if sum(b[0] < a[0] for a, b in pairwise(recorded)) > len(recorded) // 2:
+        recorded.reverse()
+    if _length_m(part) > 2.0 * _length_m(recorded) + _SAME_PLACE_M:  # in order of time, two passes are mixed
+        part = max(_split(recorded, lambda a, b: b[0] < a[0]), key=_length_m)
+    twice = sum(b[0] == a[0] and math.dist(a[1:3], b[1:3]) > _SAME_PLACE_M for a, b in pairwise(part))
+    if twice > max(0.2 * len(part), 1):
+        at = next(b[3] for a, b in pairwise(part) if b[0] == a[0] and math.dist(a[1:3], b[1:3]) > _SAME_PLACE_M)
+        raise TrackError(
+            f"line {at}: several positions have the same time; give a column that names each track (mmsi, name, id)"
+        )
+    return part, len(points) - len(part)
 
 
-def _delimiter(header: str) -> str:
-    return max(",;\t", key=header.count)
+def _split(points: list[_Timed], between: Callable[[_Timed, _Timed], bool]) -> list[list[_Timed]]:
+    ends = [k for k, pair in enumerate(pairwise(points), 1) if between(*pair)]
+    return [points[a:b] for a, b in pairwise([0, *ends, len(points)])]
 
 
-def _point(cells: list[str]) -> _Point | None:
-    """Return a row's time and position, None if a cell is empty. Raises ValueError if a cell is not a number."""
-    if len(cells) < 3 or not all(cell.strip() for cell in cells):
-        return None
-    return _seconds(cells[0]), float(cells[1]), float(cells[2])
+def _length_m(points: list[_Timed]) -> float:
+    return sum(math.dist(a[1:3], b[1:3]) for a, b in pairwise(points))
 
 
-def _seconds(stamp: str) -> float:
-    with contextlib.suppress(ValueError):
-        return float(stamp)
-    try:
-        return datetime.datetime.fromisoformat(stamp.strip()).timestamp()
-    except ValueError as error:
-        raise ValueError(f"{stamp!r:.40} is neither seconds nor a time of ISO 8601") from error
-
-
-def _from_geodetic(rows: list[_Point]) -> _Rows:
-    rows = [row for row in rows if abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0]
-    if not rows:
-        return [], None
-    origin_deg = rows[0][1:]
-    plane = HomePlane(*origin_deg)
-    return [
-        (time_s, *plane.east_north_m(latitude_deg, longitude_deg)) for time_s, latitude_deg, longitude_deg in rows
-    ], origin_deg
-
-
-def _rising(rows: list[_Point]) -> list[_Point]:
+def _rising(points: list[_Timed]) -> list[_Timed]:
     """Return the points in the order of time, the first of each time."""
-    return [row for k, row in enumerate(rows) if k == 0 or row[0] > rows[k - 1][0]] if (rows := sorted(rows)) else []
+    points = sorted(points)
+    return [point for k, point in enumerate(points) if k == 0 or point[0] > points[k - 1][0]]
 
 
-def _without_spikes(points: list[_Point]) -> list[_Point]:
+def _without_spikes(points: list[_Timed]) -> list[_Timed]:
     """Drop single points that lie far off the way between their neighbours, faster there and back than is possible.
 
     The last point has no neighbour behind it: it is dropped when it cannot be reached at the speed of the others.
     """
-    kept: list[_Point] = []
+    kept: list[_Timed] = []
     for k, point in enumerate(points):
         if kept:
-            there_m_s, there_m = _speed_m_s(kept[-1], point), math.dist(kept[-1][1:], point[1:])
+            there_m_s, there_m = _speed_m_s(kept[-1], point), math.dist(kept[-1][1:3], point[1:3])
             if k + 1 == len(points):
                 before_m_s = _speed_m_s(kept[-2], kept[-1]) if len(kept) > 1 else 0.0
                 if there_m_s > _SPIKE_SPEED_M_S and there_m_s > before_m_s + _SPIKE_SPEED_M_S:
                     continue
             else:
-                back_m, direct_m = (math.dist(points[k + 1][1:], p[1:]) for p in (point, kept[-1]))
+                back_m, direct_m = (math.dist(points[k + 1][1:3], p[1:3]) for p in (point, kept[-1]))
                 hurried = min(there_m_s, _speed_m_s(point, points[k + 1])) > _SPIKE_SPEED_M_S
                 if hurried and there_m + back_m > _SPIKE_DETOUR * direct_m:
                     continue
@@ -219,8 +233,8 @@ def _without_spikes(points: list[_Point]) -> list[_Point]:
     return kept
 
 
-def _speed_m_s(one: _Point, other: _Point) -> float:
-    return math.dist(one[1:], other[1:]) / (other[0] - one[0])
+def _speed_m_s(one: _Timed, other: _Timed) -> float:
+    return math.dist(one[1:3], other[1:3]) / (other[0] - one[0])
 
 
 def _interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:

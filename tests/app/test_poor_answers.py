@@ -20,7 +20,8 @@ from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.journal import encode
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.mission.exchange.reports import ShutdownRequested
-from sidelong.sitl.world.track import TrackError, read_track
+from sidelong.sitl.world.track import read_track
+from sidelong.sitl.world.track_file import TrackError
 from tests.app.conftest import recorded
 
 MISSION = "[requirement]\nrange_max_m = 480.0\n"

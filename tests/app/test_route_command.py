@@ -67,7 +67,7 @@ def test_first_point_long_legs_and_unused_lines_are_printed(tmp_path) -> None:
     line = "<LineString><coordinates>8.5,47.4 8.5,47.5</coordinates></LineString>"
     (tmp_path / "three.kml").write_text(f"<kml>{line * 3}</kml>")
     words = run(tmp_path / "three.kml")
-    assert "three.kml: 2 further lines of the file are not used" in words
+    assert "three.kml: '1', the longest, is used, 2 further lines of the file are not used" in words
     assert "has a leg" not in words
 
 

@@ -49,9 +49,9 @@ def test_every_format_gives_the_same_points(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.txt", "", "is not a route file"),
-        ("a.gpx", "<gpx", "is not a readable route"),
-        ("a.geojson", "[]", "is not a readable route: it is not a GeoJSON object"),
+        ("a.doc", "", "is not a route file"),
+        ("a.gpx", "<gpx", "is not a readable track or route"),
+        ("a.geojson", "[]", "is not a readable track or route: it is not a GeoJSON object"),
         ("a.geojson", "null", "it is not a GeoJSON object"),
         ("a.geojson", '{"type": "Feature", "geometry": [1, 2]}', "it is not a GeoJSON object"),
         (
@@ -68,9 +68,9 @@ def test_every_format_gives_the_same_points(tmp_path: Path, name: str) -> None:
         ("a.csv", "x,y\n1,2", "names neither"),
         ("a.csv", "lat,lon\n47,8\n123.4,8", "point 2, 123.4, 8, is out of range"),
         ("a.csv", "east_m,north_m\n1,2", "contains 1 points"),
-        ("a.csv", "lat,lon\n47,8\n\n47;9,x\n", "line 4, 47;9,x, holds no position"),
-        ("a.csv", "lat,lon\n47,8\n47\n", "line 3, 47, holds no position"),
-        ("a.csv", "lat,lon\n47,8\n47,\n", "point 2, 47, nan, is out of range"),
+        ("a.csv", "lat,lon\n47,8\n\n47;9,x\n", "line 4, 47;9,x: could not convert"),
+        ("a.csv", "lat,lon\n47,8\n47\n", "line 3, 47: could not convert"),
+        ("a.csv", "lat,lon\n47,8\n47,\n", "line 3, 47,: could not convert"),
         ("a.csv", "east_m,north_m\n0,0\n1e308,5\n-1e308,5", "point 2, .*, is out of range"),
     ],
 )
@@ -81,26 +81,26 @@ def test_wrong_file_is_one_sentence(tmp_path: Path, name: str, text: str, words:
 
 
 @pytest.mark.parametrize("name", ["a.gpx", "a.kml"])
-def test_first_line_is_used_and_further_lines_are_counted(tmp_path: Path, name: str) -> None:
+def test_longest_line_is_used_and_further_lines_are_counted(tmp_path: Path, name: str) -> None:
     start, line, rest = re.split("(<rte>.*</rte>|<LineString>.*</LineString>)", _FILES[name])
     (tmp_path / name).write_text(start + line + line.replace("47.4", "48.4") * 2 + rest)
     points = read_route(tmp_path / name)
     assert points.first.tolist() == [place[0] for place in _PLACES]
-    assert points.unused_lines == 2
+    assert "'1', the longest, is used, 2 further lines of the file are not used (2, 3)" in points.note
 
 
 def test_recorded_tracks_of_kml_are_joined(tmp_path: Path) -> None:
     track = "<Track><coord>8.5 {0} 0</coord><coord>8.6 {0} 0</coord></Track>"
-    (tmp_path / "a.kml").write_text(f"<kml>{track.format(47)}{track.format(48)}</kml>")
+    (tmp_path / "a.kml").write_text(f"<kml><MultiTrack>{track.format(47)}{track.format(48)}</MultiTrack></kml>")
     points = read_route(tmp_path / "a.kml")
-    assert (points.first.tolist(), points.unused_lines) == ([47.0, 47.0, 48.0, 48.0], 0)
+    assert (points.first.tolist(), points.note) == ([47.0, 47.0, 48.0, 48.0], "")
 
 
 def test_lines_of_geojson_are_joined(tmp_path: Path) -> None:
     lines = {"type": "MultiLineString", "coordinates": [[[8.5, 47.0], [8.6, 47.0]], [[8.6, 48.0], [8.5, 48.0]]]}
     (tmp_path / "a.geojson").write_text(json.dumps(lines))
     points = read_route(tmp_path / "a.geojson")
-    assert (points.first.tolist(), points.unused_lines) == ([47.0, 47.0, 48.0, 48.0], 0)
+    assert (points.first.tolist(), points.note) == ([47.0, 47.0, 48.0, 48.0], "")
 
 
 def test_route_next_to_a_track_is_in_the_frame_of_the_track(tmp_path: Path) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import random
 import sqlite3
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -25,6 +27,7 @@ from sidelong.app.records.journal import Header, JournalReader, encode
 from sidelong.app.records.log import open_log
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.report.sources import read_summary
+from sidelong.app.route_file import read_route
 from sidelong.app.sharing.beacon import decode
 from sidelong.app.value_cache import stored_table
 from sidelong.app.view.background import background, readable_tile
@@ -44,7 +47,8 @@ from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.value_table import TableConfiguration
-from sidelong.sitl.world.track import TrackError, read_track
+from sidelong.sitl.world.track import read_track
+from sidelong.sitl.world.track_file import TrackError
 from tests.faults.damage import Damage, damaged, resealed
 from tests.logs import dataflash_pieces, ulog_pieces
 
@@ -92,6 +96,25 @@ def _table(path: Path) -> None:
 
 def _beacon(path: Path) -> None:
     decode(path.read_bytes(), datetime(2026, 11, 21, tzinfo=UTC))
+
+
+def _track(path: Path) -> None:
+    with contextlib.suppress(InputError):
+        read_route(path)
+    read_track(path)
+
+
+def _route(path: Path) -> None:
+    with contextlib.suppress(TrackError):
+        read_track(path)
+    read_route(path)
+
+
+def _kmz() -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("doc.kml", _KML)
+    return file.getvalue()
 
 
 def _tiles(path: Path) -> None:
@@ -194,6 +217,39 @@ _SUMMARY = {
     **dict.fromkeys(("moves", "uploads", "upload_failures", "sightings", "rejected"), 3),
     **{"source": "truth", "estimate_rmse_m": None, "outcome": "completed"},
 }
+_GPX = (DATA / "target-bike.gpx").read_bytes()[:_EXCERPT_BYTES].rpartition(b"<trkpt")[0] + b"</trkseg></trk></gpx>"
+_AIS = b"BaseDateTime,MMSI,LAT,LON,SOG\n" + b"".join(
+    b"2025-05-04T09:%02d:%02d,%d,47.%05d,%d.5,3.1\n" % (t // 60, t % 60, 211000000 + t % 3, 10 * t, 8 + t % 3)
+    for t in range(300)
+)
+_PLACES = [(8.5, 47.4 + 1e-4 * k) for k in range(60)]
+_KML = (
+    "<?xml version='1.0' encoding='UTF-8'?><kml xmlns='http://www.opengis.net/kml/2.2'><Document><Placemark>"
+    "<name>line</name><LineString><coordinates>"
+    + " ".join(f"{lon},{lat:.4f},0" for lon, lat in _PLACES)
+    + "</coordinates></LineString></Placemark><Placemark><gx:Track>"
+    + "".join(f"<when>2025-05-04T09:00:{k:02d}Z</when>" for k in range(60))
+    + "".join(f"<gx:coord>{lon} {lat:.4f} 0</gx:coord>" for lon, lat in _PLACES)
+    + "</gx:Track></Placemark></Document></kml>"
+).encode()
+_LINE = {"type": "LineString", "coordinates": [[lon, round(lat, 4)] for lon, lat in _PLACES]}
+_TIMED = {"name": "a", "coordTimes": [f"2025-05-04T09:00:{k:02d}Z" for k in range(60)]}
+_POINTS = [
+    {"type": "Feature", "properties": {"id": k % 2, "time": k}, "geometry": {"type": "Point", "coordinates": place}}
+    for k, place in enumerate(_LINE["coordinates"])
+]
+_FEATURES = [{"type": "Feature", "properties": _TIMED, "geometry": _LINE}, *_POINTS]
+_GEOJSON = json.dumps({"type": "FeatureCollection", "features": _FEATURES}).encode()
+_ITEMS = [{"type": "SimpleItem", "command": 16, "params": [0, 0, 0, None, lat, lon, 50]} for lon, lat in _PLACES]
+_PLAN = json.dumps({"fileType": "Plan", "mission": {"items": _ITEMS}}).encode()
+_WAYPOINTS = b"QGC WPL 110\n" + b"".join(
+    b"%d\t0\t3\t16\t0\t0\t0\t0\t%.5f\t%.2f\t50\t1\n" % (k, lat, lon) for k, (lon, lat) in enumerate(_PLACES)
+)
+_COT_LINE = (
+    "<event version='2.0' uid='r' type='b-m-r' time='2026-11-21T10:00:00Z'><point lat='47.4' lon='8.5'/><detail>"
+    + "".join(f"<link uid='{k}' point='{lat:.4f},{lon},500'/>" for k, (lon, lat) in enumerate(_PLACES))
+    + "</detail></event>"
+).encode()
 _CSV_TRACK = b"time_s,east_m,north_m\n" + b"".join(b"%d,%d.5,%d.25\n" % (t, 2 * t, t) for t in range(300))
 
 
@@ -211,8 +267,15 @@ def readers(table: bytes) -> dict[str, Reader]:
         Reader("journal, sealed", ".jsonl", _journal_bytes(), _journal, resealed),
         Reader("truth", ".csv", _excerpt("arduplane-follow-bike.truth.csv"), read_truth),
         Reader("summary", ".json", json.dumps(_SUMMARY, indent=2).encode(), _summary),
-        Reader("gpx", ".gpx", _excerpt("target-bike.gpx"), read_track),
-        Reader("csv track", ".csv", _CSV_TRACK, read_track),
+        Reader("gpx", ".gpx", _GPX, _track),
+        Reader("csv track", ".csv", _CSV_TRACK, _track),
+        Reader("ais table", ".csv", _AIS, _track),
+        Reader("kml", ".kml", _KML, _track),
+        Reader("kmz", ".kmz", _kmz(), _track),
+        Reader("geojson", ".geojson", _GEOJSON, _track),
+        Reader("plan", ".plan", _PLAN, _route),
+        Reader("waypoints", ".waypoints", _WAYPOINTS, _route),
+        Reader("drawn line, CoT", ".xml", _COT_LINE, _route),
         Reader("config", ".toml", _CONFIG, load_config),
         Reader("fleet", ".toml", _FLEET, load_fleet),
         Reader("beacon, CoT", ".xml", _COT, _beacon),

@@ -18,7 +18,8 @@ from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.report.sources import read_summary
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Announce
-from sidelong.sitl.world.track import TrackError, read_track
+from sidelong.sitl.world.track import read_track
+from sidelong.sitl.world.track_file import TrackError
 
 
 def ulog(*definitions: str, topic: str = "wind", data: bytes = b"") -> bytes:
@@ -155,9 +156,20 @@ def test_a_summary_may_have_more_than_this_program_knows(tmp_path):
         ("track.gpx", b"<a>" * 100_000),
         ("track.gpx", b"<gpx>" + 2 * b"<trkpt lat='x' lon='8'><time>2020-01-01T00:00:00Z</time></trkpt>" + b"</gpx>"),
         ("track.gpx", b"<gpx>" + 2 * b"<trkpt lat='1' lon='8'><time>0001-01-01</time></trkpt>" + b"</gpx>"),
-        ("track.gpx", b"<gpx>" + b" " * (9 << 20) + b"</gpx>"),
+        ("track.gpx", b"<gpx>" + b" " * (17 << 20) + b"</gpx>"),
     ],
-    ids=["short row", "long number", "long field", "no text", "encoding", "utf-7", "deep", "place", "year 1", "9 MB"],
+    ids=[
+        "short row",
+        "long number",
+        "long field",
+        "no text",
+        "encoding",
+        "utf-7",
+        "deep",
+        "place",
+        "year 1",
+        "17 MB",
+    ],
 )
 def test_a_track_that_is_none_is_one_sentence(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
@@ -168,7 +180,7 @@ def test_a_track_that_is_none_is_one_sentence(tmp_path, name, content):
 
 def test_a_track_that_is_too_long_is_not_read(tmp_path):
     path = tmp_path / "track.gpx"
-    path.write_bytes(b"<gpx>" + b" " * (9 << 20) + b"</gpx>")
+    path.write_bytes(b"<gpx>" + b" " * (17 << 20) + b"</gpx>")
     with pytest.raises(TrackError, match="is longer than"):
         read_track(path)
 

@@ -8,7 +8,8 @@ from tests.faults.campaign import Count, run
 
 INPUTS = 100
 NAMES = (
-    *("tlog", "ulog", "dataflash", "journal", "journal, sealed", "truth", "summary", "gpx", "csv track", "config"),
+    *("tlog", "ulog", "dataflash", "journal", "journal, sealed", "truth", "summary", "config"),
+    *("gpx", "csv track", "ais table", "kml", "kmz", "geojson", "plan", "waypoints", "drawn line, CoT"),
     *("fleet", "beacon, CoT", "beacon, FOLLOW_TARGET", "mbtiles", "pmtiles", "value table"),
 )
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sidelong.sitl.world.motion import MOTIONS, built_in_motion
-from sidelong.sitl.world.track import Track, TrackError, TrackMotion, read_track
+from sidelong.sitl.world.track import Track, TrackMotion, read_track
+from sidelong.sitl.world.track_file import TrackError
 
 START_M = (250.0, 300.0)
 
@@ -146,8 +147,16 @@ def test_a_csv_track_is_read(tmp_path, text):
         ("a.csv", "time_s,east_m,north_m\n0,one,2\n", "readable"),
         ("a.gpx", "<gpx><trk>", "readable"),
         ("a.gpx", "<gpx></gpx>", "two"),
-        ("d.csv", "t_s,east_m,north_m\n0,0,0\nhello,1,1\n", "line 3: 'hello' is neither seconds nor a time"),
-        ("d.csv", "t_s;east_m;north_m\n0;0;0\n1;1;one\n", "line 3: could not convert string to float: 'one'"),
+        (
+            "d.csv",
+            "t_s,east_m,north_m\n0,0,0\nhello,1,1\n",
+            "line 3, hello,1,1: 'hello' is neither seconds nor a time",
+        ),
+        (
+            "d.csv",
+            "t_s;east_m;north_m\n0;0;0\n1;1;one\n",
+            "line 3, 1,1,one: could not convert string to float: 'one'",
+        ),
     ],
 )
 def test_what_is_no_track_is_reported_by_name(tmp_path, name, text, word):
