@@ -369,9 +369,9 @@ class SharingSection(Section):
     nmea: Annotated[str, _address("udp")] | None = None
     """The target as a GPS receiver's NMEA sentences (RMC, GGA), to udp://HOST:PORT; none: not sent."""
     beacon: Annotated[str, AfterValidator(_beacon)] | None = None
-    """A beacon: udp://ADDRESS:PORT (FOLLOW_TARGET, CoT), or a contact, adsb:ICAO or ais:MMSI; none: no beacon."""
+    """A beacon: udp://ADDRESS:PORT (MAVLink, CoT, NMEA), or a contact, adsb:ICAO or ais:MMSI; none: no beacon."""
     beacon_name: str | None = None
-    """Its system id, uid or call sign; none: the only one received."""
+    """Its system id, uid, call sign or, for NMEA, address; none: the only one received."""
     beacon_sigma_m: float = Field(5.0, gt=0, le=200)
     """Standard deviation of its position, each axis, if it does not report it, m."""
 

@@ -1,34 +1,48 @@
-"""Beacon input: a cooperative target sends its own position as FOLLOW_TARGET or cursor on target (CoT) by UDP.
+"""Beacon input: a cooperative target sends its own position by UDP.
 
+Forms: FOLLOW_TARGET and GLOBAL_POSITION_INT of MAVLink, cursor on target (CoT) as XML or TAK protobuf, NMEA 0183.
 A beacon position is one more measurement of the target. It passes the same plausibility check as laser and camera.
 Its time of measurement is the time of reception, minus the age of a CoT event. sidelong uses one beacon: the
-configured one (by system id, uid or call sign), or the only one received. If it receives several beacons and none is
-configured, it rejects all of them.
+configured one (by system id, uid, call sign or address), or the only one received in the last 15 s. If it receives
+several beacons and none is configured, it rejects all of them.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
+from typing import Any
 from xml.etree import ElementTree
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import InputError, missing_package
 from sidelong.app.sharing.address import Address
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source, TargetFixReading
 
 _FOLLOW_TARGET, _COT = BEACON_MESSAGES[:2]
+_GLOBAL_POSITION, _NMEA = BEACON_MESSAGES[-2:]
 _UNKNOWN_ERROR_M = 9_999_999.0
 _AGE_MAX_S = 2.0
 _AGE_USED_S = 0.9  # the plausibility check treats stamps that are always older as a clock offset
-_DATAGRAM_MAX = 8192
+_SILENT_S = 15.0  # after which another beacon is no longer received
 _POSITION_VALID = 1
+_TAK_XML, _TAK_PROTOBUF = b"\xbf\x00\xbf", b"\xbf\x01\xbf"  # TAK protocol, mesh form
+# What is decoded, at most: of a datagram, of one sender and of all. A datagram costs time even if it is short.
+_DATAGRAM_MAX_BYTES, _DATAGRAM_COST_BYTES = 8192, 200
+_SENDER_BYTES_S, _ALL_BYTES_S = 32 << 10, 64 << 10
+_SENDERS_MAX = 256
+_UNREAD_MAX = 10  # datagrams without a position before this is announced
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +50,7 @@ class BeaconReport:
     """One beacon's message.
 
     Attributes:
-        names: system id, or uid and call sign; the configured name may match any of them.
+        names: system id, uid and call sign, or address; the configured name may match any of them.
         sigma_m: position error, 1 sigma, m; 0 where the message has none.
     """
 
@@ -44,49 +58,122 @@ class BeaconReport:
     names: tuple[str, ...]
     latitude_deg: float
     longitude_deg: float
-    sigma_m: float
+    sigma_m: float = 0.0
     age_s: float = 0.0
 
 
-def decode(data: bytes, now: datetime) -> list[BeaconReport]:
-    """Return the positions in a datagram; an empty list if it is damaged or of another kind."""
-    if data.lstrip()[:1] == b"<":
-        received = _cot(data, now)
-        return [received] if received is not None else []
-    parser = mavlink.MAVLink(None)
-    parser.robust_parsing = True
-    return [
-        BeaconReport(
-            _FOLLOW_TARGET,
-            (str(message.get_srcSystem()),),
-            message.lat * 1e-7,
-            message.lon * 1e-7,
-            message.position_cov[0] if math.isfinite(message.position_cov[0]) else 0.0,
-        )
-        for message in parser.parse_buffer(data) or ()
-        if message.get_type() == _FOLLOW_TARGET and message.est_capabilities & _POSITION_VALID
-    ]
+def decode(data: bytes, now: datetime, sender: str = "") -> list[BeaconReport]:
+    """Return the positions in a datagram; an empty list if it is damaged or of another kind.
+
+    Raises:
+        InputError: takproto, which reads TAK protobuf, is not installed.
+    """
+    if data.startswith(_TAK_PROTOBUF):
+        return list(_tak_protobuf(data, now))
+    data = data.removeprefix(_TAK_XML).lstrip()
+    with suppress(ElementTree.ParseError, ValueError, KeyError, LookupError):
+        if data[:1] == b"<":
+            return list(_cot(data.decode(), now))
+        if data[:1] == b"$":
+            return list(_nmea(data.decode("ascii"), sender))[:1]  # RMC and GGA have the same position
+        parser = mavlink.MAVLink(None)
+        parser.robust_parsing = True
+        return list(filter(None, map(_of_mavlink, parser.parse_buffer(data) or ())))
+    return []
 
 
-def _cot(data: bytes, now: datetime) -> BeaconReport | None:
-    if b"<!" in data:  # no valid event needs entities
+def _of_mavlink(message: Any) -> BeaconReport | None:
+    kind = message.get_type()
+    if kind not in (_FOLLOW_TARGET, _GLOBAL_POSITION) or not (message.lat or message.lon):
         return None
-    with suppress(ElementTree.ParseError, ValueError, KeyError, UnicodeError, LookupError):
-        event = ElementTree.fromstring(data)
-        point, contact = event.find("point"), event.find("detail/contact")
-        if event.tag != "event" or point is None:
-            return None
-        stamp = datetime.fromisoformat(event.attrib["time"])
-        error_m = float(point.attrib.get("ce", "nan"))
-        return BeaconReport(
-            _COT,
-            (event.attrib["uid"], contact.attrib.get("callsign", "") if contact is not None else ""),
-            float(point.attrib["lat"]),
-            float(point.attrib["lon"]),
-            error_m if 0.0 < error_m < _UNKNOWN_ERROR_M else 0.0,
-            (now - stamp.astimezone(UTC)).total_seconds(),
-        )
-    return None
+    if kind == _FOLLOW_TARGET and not message.est_capabilities & _POSITION_VALID:
+        return None
+    sigma_m = message.position_cov[0] if kind == _FOLLOW_TARGET and math.isfinite(message.position_cov[0]) else 0.0
+    return BeaconReport(kind, (str(message.get_srcSystem()),), message.lat * 1e-7, message.lon * 1e-7, sigma_m)
+
+
+def _cot(text: str, now: datetime) -> Iterator[BeaconReport]:
+    """Yield the position of an event in XML; entities, which no valid event needs, are not expanded."""
+    event = ElementTree.fromstring(text) if "<!" not in text else None
+    point = None if event is None or event.tag != "event" else event.find("point")
+    if event is None or point is None:
+        return
+    contact, about = event.find("detail/contact"), point.attrib
+    callsign = contact.attrib.get("callsign", "") if contact is not None else ""
+    age_s = (now - datetime.fromisoformat(event.attrib["time"]).astimezone(UTC)).total_seconds()
+    kind, names = (event.attrib["type"], event.attrib.get("how", "")), (event.attrib["uid"], callsign)
+    yield from _event(kind, names, float(about["lat"]), float(about["lon"]), float(about.get("ce", "nan")), age_s)
+
+
+def _tak_protobuf(data: bytes, now: datetime) -> Iterator[BeaconReport]:
+    try:
+        from takproto import parse_proto  # noqa: PLC0415  # an extra
+    except ImportError as error:
+        raise missing_package("a beacon that sends TAK protobuf", "takproto", "let it send XML") from error
+    try:
+        event = parse_proto(bytearray(data)).cotEvent
+    except Exception:  # protobuf's DecodeError, which is no ValueError in all versions
+        return
+    names, age_s = (event.uid, event.detail.contact.callsign), now.timestamp() - 1e-3 * event.sendTime
+    yield from _event((event.type, event.how), names, event.lat, event.lon, event.ce, age_s)
+
+
+def _event(
+    kind: tuple[str, str], names: tuple[str, str], lat: float, lon: float, error_m: float, age_s: float
+) -> Iterator[BeaconReport]:
+    """Yield an event's position, unless its type and how are those of a chat, ping, drawing or mark by hand."""
+    if kind[0].startswith("a-") and not kind[1].startswith("h-"):
+        yield BeaconReport(_COT, names, lat, lon, error_m if 0.0 < error_m < _UNKNOWN_ERROR_M else 0.0, age_s)
+
+
+def _nmea(text: str, sender: str) -> Iterator[BeaconReport]:
+    """Yield the positions of RMC and GGA sentences with a fix; their only name is the sender's address."""
+    for line in text.split():
+        body, _, checksum = line[1:].partition("*")
+        words = body.split(",")
+        first, state, no_fix = {"RMC": (3, 2, "V"), "GGA": (2, 6, "0")}.get(words[0][2:], (0, 0, ""))
+        valid = first and words[state] not in ("", no_fix)
+        if valid and int(checksum, 16) == reduce(xor, body.encode("ascii")):
+            latitude, north, longitude, east = words[first : first + 4]
+            latitude_deg = (int(latitude[:2]) + float(latitude[2:]) / 60.0) * (-1.0 if north == "S" else 1.0)
+            longitude_deg = (int(longitude[:3]) + float(longitude[3:]) / 60.0) * (-1.0 if east == "W" else 1.0)
+            yield BeaconReport(_NMEA, (sender,), latitude_deg, longitude_deg)
+
+
+class _RateLimit:
+    """Bounds the bytes per second of each sender and of all, before anything is decoded."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, tuple[float, float]] = {}  # bytes that are not yet forgotten, and when
+        self._all = (0.0, -math.inf)
+
+    def allows(self, sender: str, size: int, now_s: float) -> bool:
+        if len(self._of) > _SENDERS_MAX:
+            self._of.clear()
+        own = self._of[sender] = _leaked(self._of.get(sender, (0.0, now_s)), _SENDER_BYTES_S, now_s)
+        self._all = _leaked(self._all, _ALL_BYTES_S, now_s)
+        if own[0] + size > _SENDER_BYTES_S or self._all[0] + size > _ALL_BYTES_S:
+            return False
+        self._of[sender], self._all = (own[0] + size, now_s), (self._all[0] + size, now_s)
+        return True
+
+
+def _leaked(level: tuple[float, float], bytes_s: float, now_s: float) -> tuple[float, float]:
+    return max(level[0] - bytes_s * (now_s - level[1]), 0.0), now_s
+
+
+def _join(own: socket.socket, group: str) -> None:
+    """Join a multicast group on each network interface. Raises OSError if none can be."""
+    refused, joined = OSError("there is no network interface"), 0
+    for index, _ in socket.if_nameindex():
+        request = struct.pack("4s4si", socket.inet_aton(group), socket.inet_aton("0.0.0.0"), index)  # ip_mreqn
+        try:
+            own.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)
+            joined += 1
+        except OSError as error:
+            refused = error
+    if not joined:
+        raise refused
 
 
 class BeaconInput(asyncio.DatagramProtocol):
@@ -100,6 +187,7 @@ class BeaconInput(asyncio.DatagramProtocol):
         put: Called with each reading.
         announce: Called with each message for the operator.
         now: Returns the time of day in UTC.
+        clock_s: Returns a time that no clock setting changes, s.
     """
 
     def __init__(
@@ -111,21 +199,36 @@ class BeaconInput(asyncio.DatagramProtocol):
         put: Callable[[TargetFixReading], object],
         announce: Callable[[str], object],
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
+        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._plane, self._name, self._sigma_m = plane, name, sigma_m
         self._now_s, self._put, self._announce, self._now = now_s, put, announce, now
-        self._first: str | None = None
+        self._clock_s, self._limit = clock_s, _RateLimit()
+        self._received_s: dict[str, float] = {}
         self._several = False
+        self._unread: int | None = 0  # datagrams so far; None once a position was among them
         self._announced: set[str] = set()
         self._transport: asyncio.BaseTransport | None = None
 
     async def listen(self, address: Address) -> None:
-        """Begin to listen. Raises InputError when the address is not free or not here."""
+        """Begin to listen; a multicast group is joined on each network interface.
+
+        Raises:
+            InputError: The address is not free, not here, or a group that cannot be joined.
+        """
+        own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        own.setblocking(False)
         try:
-            self._transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: self, local_addr=(address.host, address.port)
-            )
+            host = socket.gethostbyname(address.host)
+            multicast = 224 <= int(host.partition(".")[0]) < 240
+            if multicast:
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # other programs listen to it, too
+            own.bind((host, address.port))
+            if multicast:
+                _join(own, host)
+            self._transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(lambda: self, sock=own)
         except OSError as error:
+            own.close()
             reason = error.strerror or "it is not known"
             raise InputError(
                 f"sharing.beacon: {address.host}:{address.port} cannot be listened to ({reason})."
@@ -136,9 +239,30 @@ class BeaconInput(asyncio.DatagramProtocol):
             self._transport.close()
 
     def datagram_received(self, data: bytes, addr: object) -> None:
-        if len(data) <= _DATAGRAM_MAX:
-            for report in decode(data, self._now()):
-                self._take(report)
+        sender = str(addr[0]) if isinstance(addr, tuple) else ""
+        cost = len(data) + _DATAGRAM_COST_BYTES
+        if len(data) > _DATAGRAM_MAX_BYTES or not self._limit.allows(sender, cost, self._clock_s()):
+            self._announce_once(
+                f"more than {_SENDER_BYTES_S >> 10} KiB/s of one sender, or datagrams of more than "
+                f"{_DATAGRAM_MAX_BYTES >> 10} KiB, arrive at the beacon's port: they are dropped"
+            )
+            return
+        try:
+            reports = decode(data, self._now(), sender)
+        except InputError as error:
+            self._announce_once(str(error))
+            return
+        if reports:
+            self._unread = None
+        elif self._unread is not None:
+            self._unread += 1
+            if self._unread == _UNREAD_MAX:
+                self._announce_once(
+                    f"datagrams arrive at the beacon's port from {sender}, none with a position that is read: let it "
+                    "send FOLLOW_TARGET, GLOBAL_POSITION_INT, cursor on target (XML, TAK protobuf) or NMEA (RMC, GGA)"
+                )
+        for report in reports:
+            self._take(report)
 
     def _take(self, report: BeaconReport) -> None:
         if not self._is_ours(report) or self._now_s() == -math.inf:
@@ -165,12 +289,19 @@ class BeaconInput(asyncio.DatagramProtocol):
     def _is_ours(self, received: BeaconReport) -> bool:
         if self._name is not None:
             return self._name in received.names
-        if self._first is None:
-            self._first = received.names[0]
-        if received.names[0] != self._first:
-            self._several = True
-            self._announce_once("several beacons are received: none is used; select one with sharing.beacon_name")
-        return not self._several
+        name, now_s = received.names[0], self._clock_s()
+        self._received_s = {k: at_s for k, at_s in self._received_s.items() if now_s - at_s <= _SILENT_S}
+        if name in self._received_s or len(self._received_s) < _SENDERS_MAX:
+            self._received_s[name] = now_s
+        several = len(self._received_s) > 1
+        if several != self._several:
+            self._several = several
+            self._announce(
+                "several beacons are received: none is used; select one with sharing.beacon_name"
+                if several
+                else f"only the beacon {received.names[-1] or name} is still received: it is used"
+            )
+        return not several
 
     def _announce_once(self, text: str) -> None:
         if text not in self._announced:

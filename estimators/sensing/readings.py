@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 IMAGE_TRACKER = "CAMERA_TRACKING_IMAGE_STATUS"  # of a camera that tracks the target off its gimbal's axis
-BEACON_MESSAGES = ("FOLLOW_TARGET", "COT", "TARGET_ABSOLUTE", "ADSB_VEHICLE", "AIS_VESSEL")
+BEACON_MESSAGES = (
+    *("FOLLOW_TARGET", "COT", "TARGET_ABSOLUTE", "ADSB_VEHICLE", "AIS_VESSEL"),
+    *("GLOBAL_POSITION_INT", "NMEA"),
+)
 
 
 @dataclass(frozen=True, slots=True)

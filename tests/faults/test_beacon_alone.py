@@ -32,6 +32,7 @@ class BeaconLoop(FaultedFlight):
             lambda: self.telemetry.now_s,
             self._reported.append,
             lambda text: announced.append((0.0, text)),
+            clock_s=lambda: self.telemetry.now_s,
         )
         self._error_m = SIGMA_M * np.random.default_rng((scenario.seed, 5)).standard_normal(2)
 
