@@ -24,7 +24,7 @@ from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_addr
 
 if TYPE_CHECKING:
     from sidelong.app.flight.display import FlightDisplay
-    from sidelong.app.serve.display import ServiceDisplay
+    from sidelong.app.serve.resident import ServiceDisplay
 
 
 def serve(
@@ -59,8 +59,7 @@ def serve(
     # The flight modules take a second to load; report a wrong option first.
     from sidelong.app.event_loop import run  # noqa: PLC0415
     from sidelong.app.flight.flight import Sharing  # noqa: PLC0415
-    from sidelong.app.serve.memory import share_one_heap  # noqa: PLC0415
-    from sidelong.app.serve.resident import Resident, undecorated  # noqa: PLC0415
+    from sidelong.app.serve.resident import Resident, share_one_heap, undecorated  # noqa: PLC0415
 
     share_one_heap()
 

@@ -26,7 +26,7 @@ _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
-_FAILSAFE_STATES = (5, 6, 8)  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY, MAV_STATE_FLIGHT_TERMINATION
+FAILSAFE_STATES = (5, 6, 8)  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY, MAV_STATE_FLIGHT_TERMINATION
 _NAMED = (Purpose.GROUND_STATION, Purpose.MISSION_ITEMS)
 _SENSORS = {
     0x1: "gyroscope",
@@ -71,7 +71,7 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
         return
     mode, state = mode_of(vehicle), int(vehicle.latest["HEARTBEAT"].fields["system_status"])
     reasons = [mode] if mode in RECOVERY_MODES else []
-    if state in _FAILSAFE_STATES:
+    if state in FAILSAFE_STATES:
         reasons.append(FAILSAFE)
     refused = [reason for reason in reasons if reason.upper() not in {one.upper() for one in allowed}]
     if refused:

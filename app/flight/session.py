@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import defaultdict, deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,23 @@ class Session:
     senders: SenderCheck
     background: set[asyncio.Task[None]]  # tasks that end with the connection
     note: Callable[[str], object]  # displays what has gone wrong in them
+
+    @contextlib.contextmanager
+    def for_a_flight(self) -> Iterator[None]:
+        """Let one of several flights over this connection begin with nothing known of the one before."""
+        vehicle = self.vehicle
+        self.telemetry = Telemetry(vehicle.system_id)
+        self.senders.forget()
+        vehicle.latest.pop("HOME_POSITION", None)  # requested again
+        lists: tuple[list[Any], ...] = (vehicle.listeners, vehicle.bystanders, vehicle.texts.listeners)
+        before = [[*listeners] for listeners in lists]
+        if self.senders.message not in vehicle.listeners:
+            vehicle.listeners.append(self.senders.message)
+        try:
+            yield
+        finally:
+            for listeners, kept in zip(lists, before, strict=True):
+                listeners[:] = kept
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
         """Run some work in the background, until the connection ends at the latest."""
@@ -132,6 +149,10 @@ class SenderCheck:
 
     def __init__(self) -> None:
         self.system_id: int | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again."""
         self._last: dict[int, int] = {}  # by system: which one is meant is known later
         self._back: defaultdict[int, deque[bool]] = defaultdict(lambda: deque(maxlen=_FRAMES))
         self._kinds: list[tuple[int, int]] = []

@@ -56,7 +56,7 @@ async def fly_single(
     life: Life,
     note: Callable[[str], None],
     prepare: Callable[[], Prepared],
-    joined: Callable[[Session], object] = lambda _session: None,
+    session: Session | None = None,
 ) -> FlightEnded:
     """Fly to the end and return how it ended. Raises what happens before the aircraft was armed.
 
@@ -70,7 +70,7 @@ async def fly_single(
         life: What ends the flight early.
         note: Receives messages, from any thread.
         prepare: Returns what the control step is made of; it may compute for seconds.
-        joined: Called with the session once the vehicle is connected.
+        session: The connection to the vehicle, where there is one already; ``recording`` has its frames then.
     """
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():
@@ -81,19 +81,21 @@ async def fly_single(
             simulated = SimulatedVehicles([config], [folder.truth], life.fail)
             await stack.enter_async_context(simulated)
             urls, truth = simulated.urls, folder.truth
-        display.note(f"connecting to {' and '.join(urls)}")
-        link = config.link
-        session = await stack.enter_async_context(
-            connected(
-                urls,
-                link.heartbeat_timeout_s,
-                recording.frame,
-                link.signing_key_file,
-                note,
-                system_id=link.system_id if link.connections else None,
-                settling_s=SETTLING_S if link.connections else 0.0,
+        if session is None:
+            display.note(f"connecting to {' and '.join(urls)}")
+            link = config.link
+            session = await stack.enter_async_context(
+                connected(
+                    urls,
+                    link.heartbeat_timeout_s,
+                    recording.frame,
+                    link.signing_key_file,
+                    note,
+                    system_id=link.system_id if link.connections else None,
+                    settling_s=SETTLING_S if link.connections else 0.0,
+                )
             )
-        )
+        stack.enter_context(session.for_a_flight())
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         recording.follow(session.vehicle.system_id)
         simulated_url = None if simulated is None else simulated.payload_url
@@ -101,12 +103,12 @@ async def fly_single(
             payload_input(config, session.vehicle, display.note, recording.frame, simulated_url)
         )
         life.watch(session.vehicle)
-        joined(session)
         flight = Flight(session, config, prepared, recording, display, duration_s, sharing, payload)
         if simulated is not None:
             pace = asyncio.create_task(simulated.keep_pace(lambda: flight.come_to_s))
             stack.callback(pace.cancel)
-        clock_rate = ClockRate(lambda: session.telemetry.now_s)
+        telemetry = session.telemetry
+        clock_rate = ClockRate(lambda: telemetry.now_s)
         try:
             async with link_log(session.vehicle.link, folder.links, clock_rate, note):
                 outcome, error = await flight.fly(life.stopped), None

@@ -29,18 +29,21 @@ from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
+from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.errors import InputError
+from sidelong.app.link.frames import Frame
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.message import Message, plain_fields
 from sidelong.app.link.quality import LinkReport
-from sidelong.app.link.raw_links import RawLinks, opened_links
+from sidelong.app.link.raw_links import DO_AUX_FUNCTION, RawLinks, opened_links
 from sidelong.app.link.transport import Transport
 from sidelong.app.link.vehicle import LinkError
 
 _LOOK_FOR_OTHERS_S = 2.0
-# What other systems on the links are received for: their traffic, requests of a station, and an ally's mission.
-_OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
+# What other systems on the links are received for: their traffic, and an ally's mission.
+_OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
+_COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
 _SEND_S, _PARAMETER_S = 2.0, 4.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
@@ -78,16 +81,17 @@ class MavsdkLink:
         self._param = ParamAsync(system)
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
-        self._queue: asyncio.Queue[MavlinkMessage | None] = asyncio.Queue()
+        self._queue: asyncio.Queue[MavlinkMessage | Frame | None] = asyncio.Queue()
+        self._decoder = dialect.MAVLink(None)
         self._alongside: asyncio.Task[None] | None = None
         self._others: dict[int, MavlinkDirectAsync] = {}  # of other systems: kept, as they hold their subscriptions
         loop = asyncio.get_running_loop()
 
-        def received(raw: MavlinkMessage, _nothing: object) -> None:
+        def received(raw: MavlinkMessage | Frame, _nothing: object = None) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended: there is no receiver
                 loop.call_soon_threadsafe(self._queue.put_nowait, raw)
 
-        self._received = received
+        self._received = links.on_request = received
         self._direct._plugin.subscribe_message("", received)
 
     @classmethod
@@ -171,8 +175,9 @@ class MavsdkLink:
 
     async def messages(self) -> AsyncIterator[Message]:
         while (raw := await self._queue.get()) is not None:
-            fields = plain_fields(msgspec.json.decode(raw.fields_json))
-            yield Message(raw.message_name, raw.system_id, raw.component_id, fields, time.time())
+            message = _tapped(raw, self._decoder) if isinstance(raw, Frame) else _message(raw)
+            if message is not None:
+                yield message
             if not self._queue.empty():
                 # A full queue never waits: messages that come faster than they are handled would shut out all else,
                 # an interrupt too.
@@ -250,6 +255,22 @@ class MavsdkLink:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:
             await _ended(self._instance, self._ours)
+
+
+def _message(raw: MavlinkMessage) -> Message | None:
+    fields = plain_fields(msgspec.json.decode(raw.fields_json))
+    if raw.message_name in _COMMANDS and fields["command"] == DO_AUX_FUNCTION:
+        return None  # it was tapped before MAVSDK
+    return Message(raw.message_name, raw.system_id, raw.component_id, fields, time.time())
+
+
+def _tapped(frame: Frame, decoder: dialect.MAVLink) -> Message | None:
+    try:
+        decoded = decoder.decode(bytearray(frame.data))
+    except dialect.MAVError:  # whole, and too short for what it claims to be
+        return None
+    fields = {name: getattr(decoded, name) for name in decoded.fieldnames}
+    return Message(decoded.get_type(), frame.system_id, frame.component_id, fields, time.time())
 
 
 def _not_received(what: str, timeout_s: float, reports: Sequence[LinkReport]) -> str:

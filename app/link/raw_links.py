@@ -33,6 +33,9 @@ _WATCH_S = 0.1
 _BACK_AFTER_S = 3.0  # after this silence, message rates are requested again on a link that returns
 _SPLITTERS_MAX = 64
 _COMMAND_LONG, _TIMESYNC = dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_TIMESYNC
+_COMMANDS = message_ids("COMMAND_LONG COMMAND_INT")
+_COMMAND_AT, _TARGET_SYSTEM_AT = 28, 30  # in the payloads of both
+DO_AUX_FUNCTION = int(dialect.MAV_CMD_DO_AUX_FUNCTION)
 _ON_EVERY_LINK = message_ids("HEARTBEAT TIMESYNC")
 _SET_MESSAGE_INTERVAL = (511).to_bytes(2, "little")
 _MAY_WAIT = message_ids(
@@ -66,7 +69,8 @@ class RawLinks:
     """Passes accepted frames to ``deliver``, and outgoing frames to the link in use.
 
     on_frame: receives every frame that is accepted or sent, before it is signed. on_trouble: receives a sentence
-    when frames are refused or the link in use changes. All are called from several threads.
+    when frames are refused or the link in use changes. on_request (an attribute): receives each DO_AUX_FUNCTION of
+    any station to any address. All are called from several threads.
     """
 
     def __init__(
@@ -99,6 +103,7 @@ class RawLinks:
         self._delivering = threading.Lock()
         self._closing = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="links", daemon=True)
+        self.on_request: Callable[[Frame], object] = lambda _frame: None
         self.measures_delay = False  # by questions to the vehicle, whose answers give the delay of each link
         self._is_signing_noted = False
 
@@ -188,9 +193,22 @@ class RawLinks:
                 self._on_trouble(trouble)
             if passed:
                 self._on_frame(frame.data)
-                if frame.message_id not in UNREAD:
+                if frame.message_id not in UNREAD and not self._is_taken(frame):
                     self._pass_on(frame)
         return peers
+
+    def _is_taken(self, frame: Frame) -> bool:
+        """Hand out a DO_AUX_FUNCTION; return whether it is addressed to us: MAVSDK would refuse it.
+
+        MAVSDK passes on no command that is addressed to another system, or from one without heartbeats.
+        """
+        if frame.message_id not in _COMMANDS:
+            return False
+        payload = frame.payload.ljust(_TARGET_SYSTEM_AT + 1, b"\0")
+        if int.from_bytes(payload[_COMMAND_AT:_TARGET_SYSTEM_AT], "little") != DO_AUX_FUNCTION:
+            return False
+        self.on_request(frame)
+        return payload[_TARGET_SYSTEM_AT] == self._own[0]
 
     def _pass_on(self, frame: Frame) -> None:
         with self._delivering:

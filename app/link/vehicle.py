@@ -227,6 +227,13 @@ class Vehicle:
             fields = {"severity": severity, "text": text[:_TEXT_MAX], "id": 0, "chunk_seq": 0}
             await self.link.send("STATUSTEXT", fields)
 
+    async def acknowledge(self, command: Message, result: int) -> None:
+        """Answer a command that was addressed to us, as far as there is a link."""
+        fields = {"command": command.fields["command"], "result": result, "progress": 0, "result_param2": 0}
+        address = {"target_system": command.system_id, "target_component": command.component_id}
+        with contextlib.suppress(LinkError):
+            await self.link.send("COMMAND_ACK", fields | address)
+
     async def command_int(
         self, command: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float
     ) -> int | None:

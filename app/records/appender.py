@@ -6,6 +6,7 @@ one ends the recording. Both are reported once through ``on_trouble``.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -21,13 +22,13 @@ class Appender:
 
     ``opening`` reaches the kernel immediately, appended data after 0.25 s: a killed process loses at most that.
     on_trouble gets one sentence when the recording has ended early, from the thread that found out. Raises OSError
-    when the file exists or cannot be made; after that nothing raises.
+    when the file, which is its owner's alone, exists or cannot be made; after that nothing raises.
     """
 
     def __init__(self, path: Path, on_trouble: Callable[[str], None], opening: bytes = b"") -> None:
         self._path, self._on_trouble = path, on_trouble
         self.failure = ""  # why the recording has ended early
-        self._file = path.open("xb", buffering=0)
+        self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb", buffering=0)
         while opening:  # a disk that is almost full takes a part, and the error comes with the next
             opening = opening[self._file.write(opening) or 0 :]
         self._lock = threading.Lock()

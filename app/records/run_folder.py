@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
-import re
+import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from sidelong.app.errors import InputError
 from sidelong.app.text_file import read_text, write_text
@@ -19,8 +20,10 @@ from sidelong.app.text_file import read_text, write_text
 _SUMMARY_MAX_BYTES = 1 << 20
 _LEAST_FREE_BYTES = 20_000_000
 _RECORDED_BYTES_S = 17_000.0  # journal, tlog, links and truth of one aircraft: 60 MB an hour
-_RUN = re.compile(r"(\d{8}T\d{6}Z)")  # how a run folder's name begins; nothing else is touched
-_STAMP = "%Y%m%dT%H%M%SZ"  # in full
+_STAMP, _STAMP_LENGTH = "%Y%m%dT%H%M%SZ", 16
+_MADE, _MADE_MAX_BYTES = ".sidelong", 200
+_UNUSED_MAX = timedelta(days=366)  # a clock that is further beyond the latest run is not confirmed
+_TIME_ERROR = 5  # of adjtimex: the clock is not synchronised
 
 
 def recording(path: Path) -> Path:
@@ -72,20 +75,26 @@ class _Folder:
 
     path: Path
     summary = _File("summary.json")
+    made = _File(_MADE)  # that sidelong has made the folder: its number, and whether the clock was confirmed
 
     @classmethod
     def create(cls, parent: Path, now: datetime) -> Self:
         """Make a new folder in ``parent`` (made if missing), named by the time in UTC and never one that exists.
 
-        Raises InputError when it cannot be made.
+        Only its owner can read it: it tells where people are. Raises InputError when it cannot be made.
         """
         stamp = now.astimezone(UTC).strftime(_STAMP)
         with _making(parent):
-            parent.mkdir(parents=True, exist_ok=True)
+            parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            runs = _runs(parent)
+            number = 1 + max((run.number for run in runs), default=0)
+            made = {"number": number, "clock_confirmed": _is_confirmed(now, runs, clock_is_synchronised())}
             for attempt in count(1):
                 folder = cls(parent / (stamp if attempt == 1 else f"{stamp}-{attempt}"))
                 with contextlib.suppress(FileExistsError):
-                    folder.path.mkdir()
+                    folder.path.mkdir(mode=0o700)
+                    with contextlib.suppress(OSError):  # a full disk: this run is then never deleted
+                        folder.made.write_text(json.dumps(made), encoding="ascii")
                     return folder
         raise AssertionError("unreachable: counting does not end")
 
@@ -104,6 +113,7 @@ class _Folder:
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write the summary whole or not at all."""
         write_text(self.summary, json.dumps(summary, indent=2) + "\n")
+        self.summary.chmod(0o600)
 
 
 class RunFolder(_Folder):
@@ -161,31 +171,80 @@ def _making(parent: Path) -> Iterator[None]:
         ) from error
 
 
-def rotate(parent: Path, budget_bytes: float, keep: timedelta, now: datetime, present: Path | None = None) -> int:
-    """Delete run folders, but ``present``, that are older than ``keep`` or, the oldest first, beyond the budget.
+def rotate(
+    parent: Path,
+    budget_bytes: float,
+    keep: timedelta,
+    now: datetime,
+    log: Callable[[str], object],
+    present: Path | None = None,
+    synchronised: bool | None = None,
+) -> int:
+    """Delete run folders that sidelong has made beyond a budget, those made first, and those that are too old.
 
-    Returns the bytes that the others take.
+    None is deleted by a clock that is not confirmed now, or was not when the folder was made.
+
+    Args:
+        parent: Where the run folders are.
+        budget_bytes: What all of them may take.
+        keep: How old they may be.
+        now: This computer's time.
+        log: Receives a sentence for each folder that is deleted.
+        present: The folder of the present run, which stays.
+        synchronised: Whether the time is synchronised; None: as the system reports.
+
+    Returns:
+        The bytes that the folders take.
     """
     total = 0
-    for begun, run in sorted(_runs(parent), reverse=True):  # newest first
-        size = _size(run)
-        too_old = now - begun > keep
-        if run != present and (too_old or total + size > budget_bytes):
-            shutil.rmtree(run, ignore_errors=True)
-            size = _size(run)  # what could not be deleted
+    runs = sorted(_runs(parent), reverse=True)  # the last one first, whatever the clocks were
+    is_confirmed = _is_confirmed(now, runs, clock_is_synchronised() if synchronised is None else synchronised)
+    for run in runs:
+        size = _size(run.path)
+        too_old = is_confirmed and run.begun is not None and now - run.begun > keep
+        if run.path != present and (too_old or total + size > budget_bytes):
+            shutil.rmtree(run.path, ignore_errors=True)
+            if not run.path.exists():
+                why = f"older than {keep / timedelta(days=1):g} days" if too_old else "beyond the disk budget"
+                log(f"{run.path} was deleted: {why}")
+            size = _size(run.path)  # what could not be deleted
         total += size
     return total
 
 
-def _runs(parent: Path) -> list[tuple[datetime, Path]]:
+class _Run(NamedTuple):
+    """A run folder that sidelong has made; begun: None where the clock was not confirmed then."""
+
+    number: int
+    path: Path
+    begun: datetime | None
+
+
+def _runs(parent: Path) -> list[_Run]:
     found = []
     with contextlib.suppress(OSError):
         for path in parent.iterdir():
-            match = _RUN.match(path.name)
-            if match and path.is_dir() and not path.is_symlink():
-                with contextlib.suppress(ValueError):
-                    found.append((datetime.strptime(match[1], _STAMP).replace(tzinfo=UTC), path))
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                if path.is_symlink() or path.stat().st_uid != os.getuid():
+                    continue
+                with (path / _MADE).open("rb") as file:
+                    made = json.loads(file.read(_MADE_MAX_BYTES))
+                begun = datetime.strptime(path.name[:_STAMP_LENGTH], _STAMP).replace(tzinfo=UTC)
+                found.append(_Run(int(made["number"]), path, begun if made["clock_confirmed"] is True else None))
     return found
+
+
+def _is_confirmed(now: datetime, runs: list[_Run], synchronised: bool) -> bool:
+    """Return whether to accept this computer's clock: it is synchronised, and goes on from the latest run."""
+    latest = max((run.begun for run in runs if run.begun is not None), default=now)
+    return synchronised and -timedelta(days=1) <= now - latest <= _UNUSED_MAX
+
+
+def clock_is_synchronised() -> bool:
+    """Return whether the system reports its clock as synchronised, by NTP or GPS; adjtimex(2)."""
+    with contextlib.suppress(OSError, AttributeError):  # another system
+        return bool(0 <= ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512)) < _TIME_ERROR)
+    return False
 
 
 def _size(run: Path) -> int:

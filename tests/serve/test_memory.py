@@ -5,7 +5,7 @@ _PROGRAM = """
 import re
 import numpy as np
 from pathlib import Path
-from sidelong.app.serve.memory import release_unused
+from sidelong.app.serve.resident import release_unused
 import sidelong.estimators.compiled
 
 def resident_mb():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import socket
 import subprocess
+import tempfile
 import threading
 from configparser import ConfigParser
 from contextlib import closing
@@ -24,13 +26,11 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.link.queries import VehicleStatus
+from sidelong.app.records import run_folder
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve import control_socket
-from sidelong.app.serve.display import ServiceDisplay
-from sidelong.app.serve.resident import Resident, State
-from sidelong.app.serve.service_manager import feed_watchdog, notify
-from sidelong.app.serve.standby import Standby
-from sidelong.app.serve.triggers import Triggers
+from sidelong.app.serve.resident import Resident, ServiceDisplay, State, feed_watchdog, notify
+from sidelong.app.serve.standby import Standby, Triggers
 from sidelong.app.view.address import Address
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm
@@ -42,12 +42,17 @@ NOW = datetime(2026, 11, 23, tzinfo=UTC)
 VEHICLE = 7
 
 
-def rc(pulse_us):
-    return message("RC_CHANNELS", system=VEHICLE, chan9_raw=pulse_us)
+def rc(pulse_us, time_ms=0, rssi=255, **others):
+    return message("RC_CHANNELS", system=VEHICLE, time_boot_ms=time_ms, chan9_raw=pulse_us, rssi=rssi, **others)
 
 
-def beat(custom_mode, component=1, system=VEHICLE):
-    return heartbeat(3, custom_mode, 1, component=component, system=system)
+def receiver(healthy):
+    bits = {"onboard_control_sensors_present": 0x10000, "onboard_control_sensors_enabled": 0x10000}
+    return message("SYS_STATUS", system=VEHICLE, **bits, onboard_control_sensors_health=0x10000 * healthy)
+
+
+def beat(custom_mode, component=1, system=VEHICLE, **fields):
+    return heartbeat(3, custom_mode, 1, component=component, system=system, **fields)
 
 
 def aux(level, received_s=0.0, function=300, target=VEHICLE):
@@ -59,26 +64,78 @@ def requests(triggers, messages):
     return [one for one in map(triggers.take, messages) if one is not None]
 
 
+def switched(*parts, start_ms=0):
+    """Yield reports at 2 Hz, with the receiver's health each second; a part: pulse, seconds and other fields."""
+    time_ms = start_ms
+    for pulse_us, lasts_s, *others in parts:
+        fields = dict(*others)
+        healthy = fields.pop("healthy", True)
+        for step in range(round(2 * lasts_s)):
+            yield rc(pulse_us, time_ms, **fields)
+            if step % 2 == 0 and healthy is not None:
+                yield receiver(healthy)
+            time_ms += 500
+
+
+UP, DOWN, MIDDLE = 2000, 1000, 1500
+
+
 @pytest.mark.parametrize(
-    ("pulses_us", "found"),
+    ("parts", "found"),
     [
-        ((2000, 2000, 2000), []),  # up already when it is first received
-        ((1000, 2000, 2000, 1000, 2000), ["watch", "release", "watch"]),
-        ((1000, 1500, 1500, 2000, 1500, 1690, 1310, 1000), ["watch", "release"]),  # the middle changes nothing
-        ((1000, 0, 2000, 2000), []),  # the transmitter came back with the switch up
-        ((1000, 65535, 2000, 1000, 2000), ["release", "watch"]),
+        ([(UP, 9)], []),  # up already when it is first received
+        ([(DOWN, 4), (UP, 8), (DOWN, 4), (UP, 4)], ["watch", "release", "watch"]),
+        ([(DOWN, 4), (MIDDLE, 4), (UP, 4), (MIDDLE, 2), (1690, 2), (1310, 2), (DOWN, 3)], ["watch", "release"]),
+        ([(DOWN, 4), (UP, 1), (DOWN, 4)], []),  # touched
+        ([(DOWN, 4), (0, 1), (UP, 9)], []),  # the transmitter came back with the switch up
+        ([(DOWN, 4), (65535, 1), (UP, 4), (DOWN, 4), (UP, 4)], ["release", "watch"]),
     ],
 )
-def test_a_switch_requests_by_its_movement(pulses_us, found):
-    assert requests(Triggers(ControlSection(rc_channel=9), VEHICLE), map(rc, pulses_us)) == found
+def test_a_switch_requests_by_a_movement_that_lasts(parts, found):
+    assert requests(Triggers(ControlSection(rc_channel=9), VEHICLE), switched(*parts)) == found
+
+
+ILL, STICKS = {"healthy": False}, {"chan1_raw": 1500, "chan3_raw": 1400}
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        [(DOWN, 4), (UP, 60, ILL)],  # what a receiver presets when it has lost its transmitter
+        [(DOWN, 4), (UP, 1), (UP, 60, ILL)],  # reported a second later
+        [(DOWN, 4), (UP, 60, {"rssi": 0})],
+        [(DOWN, 4), (UP, 60, {"healthy": None})],  # nothing reported since
+        [(DOWN, 60, {"healthy": None}), (UP, 60, {"healthy": None})],
+        [(DOWN, 4), (UP, 2, ILL), (UP, 60)],  # the transmitter comes back with the switch up
+        [(DOWN, 4, ILL), (UP, 60)],
+        [(DOWN, 4, STICKS), (UP, 60, {"chan1_raw": 1100, "chan3_raw": 900})],  # several channels jump at once
+    ],
+)
+def test_a_channel_that_a_receiver_presets_requests_nothing(parts):
+    triggers = Triggers(ControlSection(rc_channel=9), VEHICLE)
+    assert requests(triggers, switched(*parts)) == []
+    after = switched((DOWN, 4), (UP, 4), start_ms=200_000)
+    assert requests(triggers, after) in (["watch"], ["release", "watch"])  # once it was low again
+
+
+def test_after_a_restart_of_the_autopilot_the_switch_has_to_be_low_again():
+    triggers = Triggers(ControlSection(rc_channel=9), VEHICLE)
+    assert requests(triggers, switched((DOWN, 4), start_ms=90_000)) == []
+    assert requests(triggers, switched((UP, 20))) == []
 
 
 def test_a_mode_requests_when_a_person_selects_it():
     triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE, ("AUTO", "GUIDED"))
-    assert requests(triggers, map(beat, (12, 12, 5, 12, 12, 10, 5))) == ["watch"]
-    assert requests(triggers, [beat(12, component=191), beat(12, system=8)]) == []
+    assert requests(triggers, map(beat, (12, 12, 12, 5, 12, 5, 12, 12, 12, 12, 10, 5))) == ["watch"]
+    assert requests(triggers, [beat(12, component=191), beat(12, system=8)] * 4) == []
     own = Triggers(ControlSection(flight_mode="AUTO"), VEHICLE, ("AUTO", "GUIDED"))
-    assert requests(own, map(beat, (5, 10))) == []  # sidelong selects it itself
+    assert requests(own, map(beat, (5, 10, 10, 10))) == []  # sidelong selects it itself
+
+
+def test_a_mode_that_a_failsafe_selects_requests_nothing():
+    triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE)
+    assert requests(triggers, [beat(5), *(beat(12, system_status=5) for _ in range(9))]) == []
+    assert requests(triggers, [beat(5), beat(12), receiver(healthy=False), *(beat(12) for _ in range(9))]) == []
 
 
 def test_a_ground_stations_command_requests_once():
@@ -86,27 +143,81 @@ def test_a_ground_stations_command_requests_once():
     announced = [aux(2.0), aux(2.0, 1.0), aux(1.0, 1.5), aux(0.0, 2.0), aux(2.0, 9.0), aux(2.0, 20.0)]
     assert requests(triggers, announced) == ["watch", "release", "watch", "watch"]
     assert requests(triggers, [aux(2.0, 40.0, function=301), aux(2.0, 41.0, target=8)]) == []
-    assert requests(Triggers(ControlSection(), VEHICLE), [aux(2.0), rc(1000), rc(2000), beat(5)]) == []
+    assert requests(Triggers(ControlSection(), VEHICLE), [aux(2.0), *switched((DOWN, 4), (UP, 4)), beat(5)]) == []
 
 
-def made(parent, name, size):
-    (parent / name).mkdir(parents=True)
-    (parent / name / "journal.jsonl").write_bytes(b"x" * size)
-    return parent / name
+def recorded(parent, begun, size):
+    folder = RunFolder.create(parent, begun)
+    folder.journal.write_bytes(b"x" * size)
+    return folder.path
 
 
-def test_the_oldest_runs_make_room_and_nothing_else_is_touched(tmp_path):
-    kb = 1024
-    runs = [made(tmp_path, f"202611{day:02d}T120000Z", 100 * kb) for day in range(10, 20)]
-    notes, other = made(tmp_path, "notes", 500 * kb), made(tmp_path, "20261332T996000Z", 500 * kb)
+def test_the_runs_made_first_make_room_and_nothing_else_is_touched(tmp_path, synchronised):
+    kb, log = 1024, []
+    runs = [recorded(tmp_path, datetime(2026, 11, day, 12, tzinfo=UTC), 100 * kb) for day in range(10, 20)]
+    others = [
+        tmp_path / name for name in ("notes", "20261332T996000Z", "20261101T120000Z", "20261101T120000Z photos")
+    ]
+    for other in others:
+        other.mkdir()
+        (other / "journal.jsonl").write_bytes(b"x" * 500 * kb)
     month = timedelta(days=30)
-    assert rotate(tmp_path, 350 * kb, month, NOW, present=runs[0]) <= 350 * kb + 130 * kb
+    assert rotate(tmp_path, 350 * kb, month, NOW, log.append, present=runs[0]) <= 350 * kb + 130 * kb
     assert [run.exists() for run in runs] == [True, *[False] * 6, *[True] * 3]
-    assert notes.exists()
-    assert other.exists()
-    rotate(tmp_path, 1e12, timedelta(days=3.6), NOW)
+    assert [line for line in log if line.endswith("was deleted: beyond the disk budget")] == log
+    assert len(log) == 6
+    rotate(tmp_path, 1e12, timedelta(days=3.6), NOW, log.append)
     assert [run.name for run in runs if run.exists()] == ["20261119T120000Z"]
-    assert rotate(tmp_path / "missing", 1.0, month, NOW) == 0
+    assert log[-1].endswith("was deleted: older than 3.6 days")
+    assert all(other.exists() for other in others)
+    assert rotate(tmp_path / "missing", 1.0, month, NOW, log.append) == 0
+
+
+@pytest.fixture
+def synchronised(monkeypatch):
+    monkeypatch.setattr(run_folder, "clock_is_synchronised", lambda: True)
+
+
+def test_a_clock_that_is_not_confirmed_deletes_nothing(tmp_path, monkeypatch, synchronised):
+    def rotated(now, clock=True):
+        return rotate(tmp_path, 1e12, timedelta(days=90), now, log.append, synchronised=clock)
+
+    log = []
+    runs = [recorded(tmp_path, NOW - timedelta(days=day), 1024) for day in (200, 2)]
+    rotated(NOW, clock=False)
+    rotated(NOW + timedelta(weeks=1024))  # a GPS week that has rolled over, and is served as the time
+    rotated(datetime(1980, 1, 6, tzinfo=UTC))
+    assert (log, all(run.exists() for run in runs)) == ([], True)
+    monkeypatch.setattr(run_folder, "clock_is_synchronised", lambda: False)
+    without = recorded(tmp_path, datetime(1970, 1, 1, tzinfo=UTC), 1024)  # no clock battery: it is the latest
+    rotated(NOW)
+    assert [run.exists() for run in (*runs, without)] == [False, True, True]
+    rotate(tmp_path, 12 * 1024, timedelta(days=90), NOW, log.append)
+    assert [run.exists() for run in (*runs, without)] == [False, False, True]
+
+
+def test_records_are_their_owners_alone(tmp_path):
+    before = os.umask(0)
+    try:
+        folder = RunFolder.create(tmp_path / "runs", NOW)
+        with closing(Recording(folder, Config(), print)) as recording:
+            recording.begin(LocalPlane(47.4, 8.5), (47.4, 8.5))
+        folder.write_summary({})
+    finally:
+        os.umask(before)
+    assert {path.stat().st_mode & 0o777 for path in (folder.path, folder.path.parent)} == {0o700}
+    assert {path.stat().st_mode & 0o777 for path in (folder.journal, folder.tlog, folder.summary)} == {0o600}
+
+
+def test_records_that_have_no_place_go_into_a_new_folder_of_our_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    shared = tmp_path / "sidelong-runs"
+    shared.mkdir()
+    resident = Resident(Config(), Path("/proc/none"), lambda _text: None)
+    parents = [resident._run_folder().path.parent for _ in range(2)]
+    assert shared not in parents
+    assert [parent.stat().st_mode & 0o777 for parent in parents] == [0o700] * 2
+    assert len(set(parents)) == 2
 
 
 def test_records_that_cannot_be_opened_stop_no_watch(tmp_path):
@@ -248,11 +359,13 @@ class Watched(Resident):
     async def _prepare(self):
         pass
 
-    async def _stand_by(self):
-        self._become(State.READY, "")
-        await self._stands_by(self)
+    async def _attend(self, stopped):
+        while not stopped.is_set():
+            self._stands("")
+            await self._stands_by(self)
+            await self._watch_once(None)
 
-    async def _flown(self, display):
+    async def _flown(self, session, display):
         self.begun += 1
         self._life = Life(lambda: True, lambda _text: None)
         await self._life.stopped.wait()
@@ -276,7 +389,7 @@ def test_a_watch_that_is_released_before_it_begins_does_not_begin(serving):
     async def stands_by(resident):
         if not resident.released:
             resident.released = [resident.request(one, "a command")[0] for one in ("watch", "release")]
-            return  # the link is being closed in the meantime
+            return
         resident.again.set()
         await asyncio.Event().wait()
 
@@ -318,10 +431,11 @@ def test_a_vehicle_with_another_system_id_is_obeyed(tmp_path, monkeypatch):
     resident = Watched(tmp_path, None)
     resident._config = config_from({"link": {"url": "udpin://127.0.0.1:1"}, "control": {"aux_function": 300}}, "test")
     asked: list[str] = []
-    monkeypatch.setattr(resident, "request", lambda request, _who: asked.append(request))
+    monkeypatch.setattr(resident, "request", lambda request, _who: (True, asked.append(request)))
     autopilot = SimpleNamespace(name="ArduPlane", mission_mode="AUTO", circle_mode="GUIDED")
     for number, system_id in enumerate((VEHICLE, 3)):
-        vehicle = SimpleNamespace(system_id=system_id, bystanders=[])
+        link = SimpleNamespace(own_id=(245, 190))
+        vehicle = SimpleNamespace(system_id=system_id, bystanders=[], link=link)
         resident._join(SimpleNamespace(vehicle=vehicle, autopilot=autopilot))
         vehicle.bystanders[0](aux(2.0, 10.0 * number, target=system_id))
     assert asked == ["watch", "watch"]
@@ -338,8 +452,8 @@ def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, m
     shown: list[str] = []
     monkeypatch.setattr("sidelong.app.serve.resident.fly_single", flown)
     resident = Resident(Config(), tmp_path, lambda _text: None)
-    resident._wanted.set()
-    asyncio.run(resident._watch_once())
+    resident._wanted = True
+    asyncio.run(resident._watch_once(None))
     assert shown[0] == ""
     assert "takes no records" in shown[1]
     assert resident.status.records == shown[1]
@@ -387,9 +501,9 @@ def test_a_run_that_is_deleted_while_it_is_measured_stops_no_rotation(tmp_path, 
     def vanished(_path, _pattern):
         raise FileNotFoundError
 
-    made(tmp_path, "20261110T120000Z", 1024)
+    recorded(tmp_path, NOW, 1024)
     monkeypatch.setattr(Path, "rglob", vanished)
-    assert rotate(tmp_path, 1e9, timedelta(days=30), NOW) == 0
+    assert rotate(tmp_path, 1e9, timedelta(days=30), NOW, print) == 0
 
 
 def test_a_refused_resumption_is_in_the_status_and_sent_to_the_ground_station(tmp_path, monkeypatch):

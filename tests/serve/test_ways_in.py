@@ -1,0 +1,170 @@
+"""What a ground station sends to the service, over a real socket and MAVSDK, next to a live simulated vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import asynccontextmanager
+from itertools import product
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.app.config import config_from
+from sidelong.app.errors import FlightError
+from sidelong.app.serve import resident as service
+from sidelong.app.serve.resident import Resident, State
+from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
+
+pytestmark = pytest.mark.udp
+
+PATIENCE_S = 120.0
+HIGH, LOW = 2.0, 0.0
+FUNCTION = 300
+
+
+class Station:
+    """A ground station whose frames come to the service's own port, as from a router."""
+
+    def __init__(self, port):
+        self._address = ("127.0.0.1", port)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def press(self, level, target=(1, 1), sender=(255, 190), as_int=False):
+        packer = mavlink.MAVLink(None, *sender)
+        kind, head, rest = mavlink.MAVLink_command_long_message, (mavlink.MAV_CMD_DO_AUX_FUNCTION, 0), (0.0,) * 5
+        if as_int:
+            kind, head = mavlink.MAVLink_command_int_message, (0, mavlink.MAV_CMD_DO_AUX_FUNCTION, 0, 0)
+            rest = (0.0, 0.0, 0, 0, 0.0)
+        message = kind(*target, *head, float(FUNCTION), level, *rest)
+        self.socket.sendto(message.pack(packer), self._address)
+
+
+class Watching:
+    """What stands for a flight: it lasts until the service ends it.
+
+    Attributes:
+        begun: How many have begun.
+        lasting: How many last.
+    """
+
+    def __init__(self):
+        self.begun = self.lasting = 0
+
+    async def __call__(self, _config, _duration_s, _folder, _recording, _display, _sharing, life, *_rest):
+        self.begun, self.lasting = self.begun + 1, self.lasting + 1
+        await life.stopped.wait()
+        self.lasting -= 1
+        raise FlightError("released")
+
+
+async def come(condition):
+    """Wait until a condition holds."""
+    async with asyncio.timeout(PATIENCE_S):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def serving(vehicle, out, monkeypatch, **control):
+    """Serve a live vehicle; yield the service, what it watches with, and a station."""
+
+    async def prepared(_resident):
+        pass
+
+    watching = Watching()
+    monkeypatch.setattr(Resident, "_prepare", prepared)
+    monkeypatch.setattr(service, "fly_single", watching)
+    config = config_from({"link": {"url": vehicle.url}, "control": control}, "test")
+    resident, stopped = Resident(config, out / "runs", lambda _text: None), asyncio.Event()
+    running = asyncio.create_task(resident.run(stopped, out / "serve.sock"))
+    station = Station(vehicle.ports[0])
+    try:
+        await come(lambda: resident.status.state is State.READY)
+        yield resident, watching, station
+    finally:
+        stopped.set()
+        await asyncio.wait_for(running, PATIENCE_S)
+        station.socket.close()
+
+
+TARGETS = ((1, 1), (1, 0), (0, 0), (245, 190), (245, 0))
+SENDERS = ((255, 190), (255, 0), (250, 190), (42, 1))
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_an_auxiliary_function_arrives_in_each_form(vehicle_of, tmp_path, monkeypatch, flavour):  # noqa: F811
+    async def pressed():
+        requested = []
+        async with serving(vehicle_of(flavour, speed=2.0), tmp_path, monkeypatch, aux_function=FUNCTION) as (
+            resident,
+            _,
+            station,
+        ):
+            monkeypatch.setattr(resident, "request", lambda one, _who: requested.append(one) or (True, ""))
+            for target, sender, as_int in product(TARGETS, SENDERS, (False, True)):
+                for level, request in ((HIGH, "watch"), (LOW, "release")):
+                    requested.clear()
+                    station.press(level, target, sender, as_int)
+                    await come(lambda: requested)
+                    assert requested == [request], (target, sender)
+            requested.clear()
+            for target in ((7, 1), (245, 191), (1, 154)):
+                station.press(HIGH, target)
+            station.press(HIGH)
+            await come(lambda: requested)
+            assert requested == ["watch"]
+
+    asyncio.run(pressed())
+
+
+def test_a_command_to_us_is_answered_once_as_accepted(vehicle_of, tmp_path, monkeypatch):  # noqa: F811
+    async def pressed():
+        vehicle = vehicle_of("arduplane", speed=2.0)
+        async with serving(vehicle, tmp_path, monkeypatch, aux_function=FUNCTION) as (_, watching, station):
+            station.socket.setblocking(False)
+            parser, answers = mavlink.MAVLink(None), []
+            beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 255, 190))
+            station.socket.sendto(beat, station._address)
+            station.press(HIGH, (245, 190))
+            await come(lambda: watching.lasting)
+
+            def answered():
+                try:
+                    while True:
+                        for one in parser.parse_buffer(station.socket.recv(4096)) or ():
+                            if one.get_type() == "COMMAND_ACK" and one.command == mavlink.MAV_CMD_DO_AUX_FUNCTION:
+                                answers.append((one.target_system, one.result))
+                except BlockingIOError:
+                    return bool(answers)
+
+            await come(answered)
+            station.press(LOW, (245, 190))
+            await come(lambda: answered() and len(answers) >= 2)
+            assert answers == [(255, mavlink.MAV_RESULT_ACCEPTED)] * 2
+
+    asyncio.run(pressed())
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_what_is_requested_at_any_time_is_what_is_done(vehicle_of, tmp_path, monkeypatch, flavour):  # noqa: F811
+    async def pressed():
+        vehicle = vehicle_of(flavour, speed=2.0)
+        async with serving(vehicle, tmp_path, monkeypatch, aux_function=FUNCTION) as (resident, watching, station):
+            for steps in range(6):
+                for apart_s in (0.0, 0.1 * steps, 0.9 * steps):
+                    await come(lambda: resident.status.state in (State.READY, State.FAULT))
+                    station.press(HIGH)
+                    await asyncio.sleep(apart_s)
+                    station.press(LOW)
+                    await come(lambda: resident._display is None and not resident._wanted)
+                    assert watching.lasting == 0
+            begun = watching.begun
+            station.press(HIGH)
+            await come(lambda: watching.begun == begun + 1)
+            station.press(LOW)
+            station.press(HIGH)  # while the watch before is ended
+            await come(lambda: watching.begun == begun + 2)
+            assert watching.lasting == 1
+
+    asyncio.run(pressed())
