@@ -20,6 +20,7 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import all as dialect
 
+from sidelong.app.allowances import Allowances
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame, FrameSplitter, message_ids
 from sidelong.app.link.key_file import KeyInUse, key_in_use
@@ -63,6 +64,8 @@ class _Link:
     authentic: bool = False  # a fresh signed frame was accepted: from now on only such frames identify a peer
     sequence: int = 0
     asked: dict[int, float] = field(default_factory=dict)
+    traffic: Allowances = field(default_factory=lambda: Allowances(4e6, 1e6))  # bytes of each sender
+    damage: Allowances = field(default_factory=lambda: Allowances(2e3, 500.0))  # what seems to be a frame and is none
 
 
 class RawLinks:
@@ -180,13 +183,18 @@ class RawLinks:
     # -- in ------------------------------------------------------------------------------------------------
 
     def _received(self, index: int, data: bytes, peer: Peer) -> bool:
-        link = self._links[index]
+        link, now_s = self._links[index], time.monotonic()
+        if link.damage.left(peer, now_s) < 1.0 or not link.traffic.used(peer, now_s, len(data)):
+            return False
         splitter = link.splitters.setdefault(peer, FrameSplitter())
         link.splitters.move_to_end(peer)
         while len(link.splitters) > _SPLITTERS_MAX:
             link.splitters.popitem(last=False)
-        peers = False
-        for frame in splitter.split(data):
+        peers, damaged = False, splitter.damaged
+        frames = splitter.split(data)
+        if splitter.damaged > damaged:
+            link.damage.used(peer, now_s, splitter.damaged - damaged)
+        for frame in frames:
             passed, is_peer, troubles = self._judged(index, frame)
             peers |= is_peer
             for trouble in troubles:

@@ -14,7 +14,9 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -58,9 +60,7 @@ def opened(url: str) -> Transport:
     if scheme.startswith("udp"):
         return UdpTransport(address, listening=scheme == "udpin")
     if scheme == "tcpin":
-        server = socket.create_server(address)
-        server.settimeout(_WAKE_S)
-        return _StreamTransport(partial(_accepted, server), None, server.close)
+        return TcpServerTransport(address)
     connect: Callable[[], _Stream] = partial(_tcp_connected, address)
     if scheme.startswith("serial"):
         connect = partial(_serial_opened, *address, scheme == "serial_flowcontrol")
@@ -138,22 +138,118 @@ class UdpTransport(_Threaded):
         self._peers = peers
 
 
+@dataclass(slots=True)
+class _Client:
+    """A connection to a ``TcpServerTransport``; received_s: when it last sent what confirms it as a peer, or came."""
+
+    connection: socket.socket
+    peer: tuple[str, int]
+    received_s: float
+    confirmed: bool = False
+    unsent: bytes = b""
+
+
+class TcpServerTransport(_Threaded):
+    """A TCP port. It goes on listening while clients are connected, and sends to confirmed peers only.
+
+    A client that is not confirmed makes room for the next one, first of the host that has the most.
+    """
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._server = socket.create_server(address)
+        self._server.setblocking(False)
+        self._clients: dict[int, _Client] = {}
+
+    def send(self, data: bytes) -> None:
+        with self._lock:
+            for client in self._clients.values():
+                if client.confirmed and len(client.unsent) + len(data) <= _UNSENT_MAX_BYTES:
+                    client.unsent += data
+                    _flush(client)
+
+    def close(self) -> None:
+        super().close()
+        with self._lock:
+            for client in self._clients.values():
+                client.connection.close()
+            self._clients.clear()
+        self._server.close()
+
+    def _run(self, receive: Receive) -> None:
+        while not self._closing.is_set():
+            with self._lock:
+                unsent = [number for number, client in self._clients.items() if client.unsent]
+            readable, writable, _ = select.select([self._server.fileno(), *self._clients], unsent, [], _WAKE_S)
+            if self._server.fileno() in readable:
+                self._accept(time.monotonic())
+            for number in readable:
+                if number in self._clients:
+                    self._read(number, receive)
+            with self._lock:
+                for number in writable:
+                    if number in self._clients:
+                        _flush(self._clients[number])
+            now_s = time.monotonic()
+            for number, client in list(self._clients.items()):
+                if not client.confirmed and now_s - client.received_s > _SILENT_S:
+                    self._drop(number)
+
+    def _read(self, number: int, receive: Receive) -> None:
+        client = self._clients[number]
+        try:
+            data = client.connection.recv(_READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(number)
+        elif receive(data, client.peer):
+            client.confirmed, client.received_s = True, time.monotonic()
+
+    def _accept(self, now_s: float) -> None:
+        try:
+            connection, peer = self._server.accept()
+        except OSError:  # it has gone again, or this process has no descriptor left
+            return
+        connection.setblocking(False)
+        if len(self._clients) >= _PEERS_MAX:
+            hosts = Counter(client.peer[0] for client in self._clients.values())
+            idle = [
+                (-hosts[client.peer[0]], client.received_s, number)
+                for number, client in self._clients.items()
+                if not client.confirmed or now_s - client.received_s > _SILENT_S
+            ]
+            if not idle:
+                connection.close()
+                return
+            self._drop(min(idle)[2])
+        with self._lock:
+            self._clients[connection.fileno()] = _Client(connection, peer, now_s)
+
+    def _drop(self, number: int) -> None:
+        with self._lock:
+            self._clients.pop(number).connection.close()
+
+
+def _flush(client: _Client) -> None:
+    with contextlib.suppress(OSError):  # a broken connection is found by reading
+        client.unsent = client.unsent[client.connection.send(client.unsent) :]
+
+
 class _StreamTransport(_Threaded):
     """A stream of bytes on a file descriptor that may go and come again.
 
-    connect: returns the next connection, not blocking, or None where there is none now; may raise OSError. stream:
-    the first one. closed: called at the end.
+    connect: returns the next connection, not blocking; may raise OSError. stream: the first one.
     """
 
-    def __init__(
-        self,
-        connect: Callable[[], _Stream | None],
-        stream: _Stream | None,
-        closed: Callable[[], object] = lambda: None,
-    ) -> None:
+    def __init__(self, connect: Callable[[], _Stream], stream: _Stream) -> None:
         super().__init__()
         self._lock = threading.Lock()
-        self._connect, self._stream, self._closed = connect, stream, closed
+        self._connect: Callable[[], _Stream] = connect
+        self._stream: _Stream | None = stream
         self._unsent = b""
 
     def send(self, data: bytes) -> None:
@@ -165,7 +261,6 @@ class _StreamTransport(_Threaded):
     def close(self) -> None:
         super().close()
         self._drop()
-        self._closed()
 
     def _flush(self) -> None:
         if self._stream is not None and self._unsent:
@@ -209,16 +304,6 @@ class _StreamTransport(_Threaded):
 def _tcp_connected(address: tuple[str, int]) -> socket.socket:
     connection = socket.create_connection(address, timeout=2.0)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    connection.setblocking(False)
-    return connection
-
-
-def _accepted(server: socket.socket) -> socket.socket | None:
-    """Return the next client: one is served at a time."""
-    try:
-        connection, _ = server.accept()
-    except TimeoutError:
-        return None
     connection.setblocking(False)
     return connection
 

@@ -80,9 +80,7 @@ async def serving(path: Path, answer: Answer) -> AsyncIterator[None]:
     try:
         path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
         if not _is_of(path.parent, {0, os.getuid()}):
-            raise InputError(
-                f"{path.parent} belongs to another account, or all may write there; set SIDELONG_SOCKET."
-            )
+            raise InputError(f"{path.parent}: others can write there; set SIDELONG_SOCKET to a folder of your own.")
         if path.is_socket():
             if _is_served(path):
                 raise InputError(f"{path}: another sidelong serve runs; end it first, or set SIDELONG_SOCKET.")

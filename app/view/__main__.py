@@ -16,7 +16,7 @@ import uvicorn
 
 from sidelong.app.view.access import Access
 from sidelong.app.view.background import Background
-from sidelong.app.view.guard import GuardedProtocol, Listener
+from sidelong.app.view.guard import Listener
 from sidelong.app.view.server import Json, Server
 
 _LINE_MAX_BYTES = 1 << 22
@@ -47,7 +47,7 @@ async def _serve() -> None:
     server = Server(access, press, under, options["replay"], options["fleet"])
     configured = uvicorn.Config(
         server.app,
-        http=GuardedProtocol,
+        http="h11",
         ws="none",
         lifespan="off",
         log_level="error",

@@ -15,23 +15,6 @@ from sidelong.app.view.address import LOOPBACK
 _SESSIONS_MAX = 100
 
 
-class Allowances:
-    """A bucket for each client address, filled by ``rate_s`` a second up to ``burst``; the oldest is dropped."""
-
-    def __init__(self, burst: float, rate_s: float, clients_max: int = 500) -> None:
-        self._burst, self._rate_s, self._clients_max = burst, rate_s, clients_max
-        self._left: dict[str, tuple[float, float]] = {}  # what is left, and since when
-
-    def used(self, client: str, now_s: float) -> bool:
-        """Take one of a client's, if there is one."""
-        left, at_s = self._left.pop(client, (self._burst, now_s))
-        left = min(self._burst, left + (now_s - at_s) * self._rate_s)
-        self._left[client] = (left - 1.0 if left >= 1.0 else left, now_s)
-        if len(self._left) > self._clients_max:
-            del self._left[next(iter(self._left))]
-        return left >= 1.0
-
-
 class Access:
     """The sessions. host: the address that is served at; tokens: what was printed, '' on loopback."""
 

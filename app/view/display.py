@@ -6,10 +6,13 @@ import asyncio
 import contextlib
 import json
 import math
+import os
+import tempfile
 import time
 import webbrowser
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 from sidelong.app.config import Config
@@ -266,18 +269,34 @@ class ViewDisplay(ShownAircraft):
         self._request(OperatorRequest(time_s, press["action"], side, who))
 
 
+@contextlib.contextmanager
+def _shown_address(view: ViewDisplay, announce: Callable[[str], object]) -> Iterator[None]:
+    """Announce the page's address; what is announced may be logged, so tokens go into a file of its owner alone."""
+    page, _, token = view.url.partition("?")
+    if not token:
+        announce(f"live map: {page}")
+        yield
+        return
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or os.environ.get("XDG_RUNTIME_DIR")
+    descriptor, name = tempfile.mkstemp(".txt", "sidelong-map-", folder if folder and Path(folder).is_dir() else None)
+    try:
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(f"operator: {view.url}\nto watch only: {view.viewer_url}\n")
+        announce(f"live map: {page}, by the addresses in {name}, which you alone can read")
+        if view.address.cert is None:
+            announce("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
+        yield
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
 @contextlib.asynccontextmanager
 async def served(view: View, announce: Callable[[str], object]) -> AsyncIterator[View]:
     """Serve a page inside the context; the callback receives its address."""
-    with view:
-        announce(f"live map: {view.url}")
+    with view, _shown_address(view, announce):
         opening = (
             asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.address.opens_browser else None
         )
-        if view.viewer_url != view.url:
-            announce(f"to watch only: {view.viewer_url}")
-            if view.address.cert is None:
-                announce("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
         fresh = asyncio.create_task(view.keep_fresh())
         try:
             yield view

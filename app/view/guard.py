@@ -10,7 +10,7 @@ import socket
 from collections import Counter
 from typing import Any, ClassVar, Self
 
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 _CONNECTIONS_MAX, _OF_ONE_CLIENT_MAX = 100, 24
 _REQUEST_WITHIN_S = 10.0
@@ -72,22 +72,17 @@ class Listener(socket.socket):
             accepted.close()
 
 
-class GuardedProtocol(H11Protocol):
-    """uvicorn's protocol for connections of a ``Listener``: reports when a request has arrived and was answered."""
+def timed(app: ASGIApp) -> ASGIApp:
+    """Return an application that reports to its ``Listener`` when a request has arrived and was answered."""
 
-    _connection: _Connection | None = None
+    async def reporting(scope: Scope, receive: Receive, send: Send) -> None:
+        connection = _Connection.by_peer.get(tuple(scope.get("client") or ()))
+        if connection is not None:
+            connection.request_came()
+        try:
+            await app(scope, receive, send)
+        finally:
+            if connection is not None and _Connection.by_peer.get(connection.peer) is connection:
+                connection.await_request()  # the next one
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        super().connection_made(transport)
-        self._connection = _Connection.by_peer.get(transport.get_extra_info("peername"))
-
-    def handle_events(self) -> None:
-        before = self.cycle
-        super().handle_events()
-        if self.cycle is not before and self._connection is not None:
-            self._connection.request_came()
-
-    def on_response_complete(self) -> None:
-        if self._connection is not None:
-            self._connection.await_request()
-        super().on_response_complete()
+    return reporting

@@ -27,8 +27,10 @@ from starlette.responses import JSONResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sidelong.app.view.access import Access, Allowances
+from sidelong.app.allowances import Allowances
+from sidelong.app.view.access import Access
 from sidelong.app.view.background import Background, is_tile, media_type, readable_tile
+from sidelong.app.view.guard import timed
 
 Json = dict[str, Any]
 
@@ -140,7 +142,7 @@ class Server:
             Route("/shade", self._shading),
             Route("/{name}", self._file),
         ]
-        self.app = self._guarded(Starlette(routes=routes))
+        self.app = timed(self._guarded(Starlette(routes=routes)))
 
     def publish(self, update: Json) -> None:
         """Pass a message on to every page."""
@@ -260,12 +262,12 @@ class Server:
         body = await _body(request)
         if body is None:
             return PlainTextResponse("that is no button: too long, or too slow", 413)
+        if not self._presses.used(_client(request), time.monotonic()):
+            return PlainTextResponse("too many buttons at once; wait", 429)
         try:
             button = self._known(json.loads(body))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return PlainTextResponse("no such button", 400)
-        if not self._presses.used(_client(request), time.monotonic()):
-            return PlainTextResponse("too many buttons at once; wait", 429)
         self._press({**button, "who": self._access.who(_client(request))})
         return JSONResponse({"passed on": button["action"]}, 202)
 

@@ -295,3 +295,29 @@ def test_what_comes_often_is_passed_on_with_others(monkeypatch):
         assert passed == []
     finally:
         links.close()
+
+
+def test_a_sender_that_floods_a_link_is_not_decoded_and_keeps_no_other_out(monkeypatch):
+    wire, delivered, now_s, split = Wire(), [], [100.0], []
+    monkeypatch.setattr("sidelong.app.link.raw_links.time.monotonic", lambda: now_s[0])
+    real = FrameSplitter.split
+    monkeypatch.setattr(FrameSplitter, "split", lambda self, data: split.append(len(data)) or real(self, data))
+    links = RawLinks([("link", wire)], OURS, None)
+    links.start(delivered.append)
+    try:
+        for data in (b"\xfd\x00" * 2000, bytes(100_000)):
+            stranger = lambda data=data: wire._receive(data, ("stranger", len(data)))  # noqa: E731
+            split.clear()
+            for _ in range(1000):
+                stranger()
+            assert sum(split) < 4_200_000, "more was decoded than one sender may send"
+            now_s[0] += 10.0
+            split.clear()
+            stranger()
+            assert split == [len(data)]  # later it is received again
+        beat = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 0, 3).pack(mavlink.MAVLink(None, 1, 1))
+        assert wire.bring(bytes(beat))
+        links.flush()
+        assert b"".join(delivered) == bytes(beat)
+    finally:
+        links.close()

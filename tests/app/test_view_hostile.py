@@ -19,9 +19,10 @@ from urllib.request import HTTPCookieProcessor, HTTPSHandler, Request, build_ope
 import pytest
 from rich.console import Console
 
+from sidelong.app.allowances import Allowances
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.view.access import Access, Allowances
+from sidelong.app.view.access import Access
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.guard import Listener
@@ -287,7 +288,7 @@ def test_only_names_it_is_served_at_are_known(served, name, known):
 
 
 def test_an_allowance_is_each_client_s_own_and_fills_again():
-    allowances = Allowances(3.0, 1.0, clients_max=2)
+    allowances = Allowances(3.0, 1.0, senders_max=2)
     assert [allowances.used("one", 0.0) for _ in range(5)] == [True, True, True, False, False]
     assert allowances.used("two", 0.0)
     assert allowances.used("one", 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import socket
@@ -16,7 +17,7 @@ from rich.console import Console
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.view.address import Address
-from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.display import ViewDisplay, served
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.app.view.server import button_of
 from sidelong.estimators.frames import LocalPlane
@@ -187,6 +188,24 @@ def test_off_loopback_everything_asks_for_the_token(guarded):
     assert status(f"{base}?token=guess") == 403
     headers = {"Origin": base.rstrip("/"), "Content-Type": "application/json"}
     assert status(f"{base}press", data=b'{"action":"end"}', headers=headers) == 403
+
+
+def test_what_is_announced_has_no_token(tmp_path, monkeypatch):
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+
+    async def serve():
+        async with served(display_at(OTHER_LOOPBACK), announced.append) as page:
+            (file,) = tmp_path.iterdir()
+            assert file.stat().st_mode & 0o777 == 0o600
+            assert file.read_text() == f"operator: {page.url}\nto watch only: {page.viewer_url}\n"
+            assert str(file) in announced[0]
+            return [url.rpartition("=")[2] for url in (page.url, page.viewer_url)]
+
+    announced: list[str] = []
+    tokens = asyncio.run(serve())
+    assert all(tokens)
+    assert not [text for text in announced if any(token in text for token in tokens)]
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_printed_address_carries_the_token_and_the_page_keeps_it_out_of_sight(guarded):

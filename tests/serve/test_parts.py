@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import socket
 import subprocess
+import sys
 import tempfile
 import threading
 from configparser import ConfigParser
@@ -285,6 +287,104 @@ def test_the_socket_of_a_killed_service_is_taken_over(path):
             return await asyncio.to_thread(control_socket.ask, "watch")
 
     assert asyncio.run(talk())["text"] == "watch"
+
+
+FOREIGN = """
+import os, socket, sys
+os.setgid(65534), os.setuid(65534)
+os.makedirs(os.path.dirname(sys.argv[1]), exist_ok=True)
+server = socket.socket(socket.AF_UNIX)
+server.bind(sys.argv[1])
+os.chmod(sys.argv[1], 0o777)
+server.listen()
+print("ready", flush=True)
+while True:
+    client = server.accept()[0]
+    client.sendall(b'{"accepted": true, "text": "watching", "status": {}}\\n')
+    client.close()
+"""
+
+
+@pytest.fixture
+def foreign():
+    """Let another account answer at a path in the folder that all accounts share."""
+    if os.getuid() != 0:
+        pytest.skip("only root can act as another account")
+    begun = []
+    with tempfile.TemporaryDirectory() as shared:
+        Path(shared).chmod(0o1777)
+        path = Path(shared) / f"sidelong-{os.getuid()}" / "sidelong" / "serve.sock"
+        begun.append(subprocess.Popen([sys.executable, "-c", FOREIGN, str(path)], stdout=subprocess.PIPE))
+        assert begun[0].stdout.readline() == b"ready\n"
+        yield path
+        begun[0].kill()
+        begun[0].wait()
+
+
+@pytest.mark.parametrize("request_", control_socket.REQUESTS)
+def test_the_answer_of_another_account_is_no_answer(foreign, monkeypatch, request_):
+    monkeypatch.setenv("SIDELONG_SOCKET", str(foreign))
+    with pytest.raises(InputError, match="the account with the number 65534 listens at"):
+        control_socket.ask(request_)
+
+
+def test_a_service_begins_although_another_account_listens_in_a_shared_folder(foreign, monkeypatch, tmp_path):
+    monkeypatch.delenv("SIDELONG_SOCKET", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", str(foreign.parents[2]))
+    for runtime in (foreign.parents[1], tmp_path / "missing"):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
+        path = control_socket.own_path()
+        assert path == tmp_path / ".local/state/sidelong/serve.sock"
+
+        async def talk(path=path):
+            async with control_socket.serving(path, lambda request: {"text": request}):
+                return await asyncio.to_thread(control_socket.ask, "watch")
+
+        assert asyncio.run(talk())["text"] == "watch"
+
+
+def test_a_socket_is_not_made_where_others_can_write(foreign):
+    async def serve():
+        async with control_socket.serving(foreign, dict):
+            pass
+
+    with pytest.raises(InputError, match="others can write there"):
+        asyncio.run(serve())
+
+
+def test_an_account_outside_the_group_is_not_answered(path, monkeypatch):
+    async def talk():
+        async with control_socket.serving(path, lambda request: {"text": request}):
+            monkeypatch.setattr(control_socket, "_peer", lambda _connection: (12345, 12345))
+            reader, writer = await asyncio.open_unix_connection(path)
+            with contextlib.suppress(ConnectionResetError):
+                writer.write(b'{"request": "watch"}\n')
+                return await reader.read()
+            return b""
+
+    assert asyncio.run(talk()) == b""
+
+
+def test_one_account_holds_so_many_conversations_and_no_more(path):
+    async def talk():
+        async with control_socket.serving(path, lambda request: {"text": request}):
+            idle = [await asyncio.open_unix_connection(path) for _ in range(8)]
+            await asyncio.sleep(0)
+            reader, writer = await asyncio.open_unix_connection(path)
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+            for _, one in (*idle, (reader, writer)):
+                one.close()
+                await one.wait_closed()
+            while True:
+                reader, writer = await asyncio.open_unix_connection(path)
+                writer.write(b'{"request": "watch"}\n')
+                if await reader.read() == b'{"text": "watch"}\n':
+                    return writer.close()
+                writer.close()
+
+    asyncio.run(asyncio.wait_for(talk(), 20.0))
 
 
 def test_an_answer_that_is_no_json_is_an_error(path):
