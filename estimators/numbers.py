@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cache
+from operator import attrgetter
 from typing import SupportsFloat
+
+_FLOAT = {float}
+
+
+@cache
+def _getter(names: tuple[str, ...]) -> attrgetter[tuple[object, ...]]:
+    return attrgetter(*names, names[0])  # two at least: of one alone it returns no tuple
 
 
 def convert_to_floats(instance: object, *names: str) -> None:
@@ -11,6 +20,8 @@ def convert_to_floats(instance: object, *names: str) -> None:
     Raises:
         TypeError: A field holds something else; the message names it.
     """
+    if {*map(type, _getter(names)(instance))} == _FLOAT:  # as nearly always
+        return
     for name in names:
         value = getattr(instance, name)
         if isinstance(value, float):

@@ -58,6 +58,7 @@ class VehicleClock:
     """The vehicle's clock: ``now_s`` is its latest accepted stamp, -inf before the first.
 
     Attributes:
+        in_question: Whether another line speaks while the clock's own is silent.
         shift_s: How far the latest change of sequences moved the clock.
         restarted: Whether that change was an autopilot reboot.
         returned: Whether that change was back to the previous sequence.
@@ -69,7 +70,7 @@ class VehicleClock:
         self._own: _Line | None = None
         self._other: _Line | None = None
         self.now_s = -math.inf
-        self._in_question = False
+        self.in_question = False
         self._misses = 0  # stamps in a row that fit neither line
         self._ticks_s: deque[float] = deque(maxlen=_TICKS)
         self.shift_s = 0.0
@@ -85,14 +86,14 @@ class VehicleClock:
     @property
     def in_question_s(self) -> float | None:
         """How far ahead (behind: negative) another line is that speaks while the clock's own is silent, else None."""
-        if not self._in_question or self._own is None or self._other is None:
+        if not self.in_question or self._own is None or self._other is None:
             return None
         return self._other.last_s - self._own.last_s
 
     @property
     def questioned_for_s(self) -> float:
         """How long that other line has gone on."""
-        return self._other.last_s - self._other.first_s if self._in_question and self._other is not None else 0.0
+        return self._other.last_s - self._other.first_s if self.in_question and self._other is not None else 0.0
 
     def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
         """Process a stamp of the vehicle.
@@ -125,7 +126,7 @@ class VehicleClock:
                 self._ticks_s.append(stamp_s - own.last_s)
                 own.last_s = self.now_s = stamp_s
             own.count += 1
-            self._in_question = False
+            self.in_question = False
             return True
         return False
 
@@ -140,20 +141,20 @@ class VehicleClock:
         gone_s = max(0.0, own.last_s - other.other_s) if other is not None else 0.0
         if other is None or not other.last_s - LATE_S <= stamp_s <= other.last_s + gone_s + AHEAD_S:
             self._misses += 1
-            if self._in_question and other is not None and other.count >= _STAMPS_MIN > self._misses:
+            if self.in_question and other is not None and other.count >= _STAMPS_MIN > self._misses:
                 return Stamp.REFUSED  # it fits neither line
             other = self._other = _Line(stamp_s, stamp_s, other_s=own.last_s)
             self._misses = 0
         else:
             self._misses = 0
-            if not self._in_question:  # a stamp of the followed sequence has arrived since
+            if not self.in_question:  # a stamp of the followed sequence has arrived since
                 other.turns = other.turns + 1 if gone_s < _TURN_MAX_S else 0
                 other.slow_turns = other.slow_turns + 1 if gone_s < _SLOW_TURN_MAX_S else 0
                 other.first_s, other.count = stamp_s, 0
             other.last_s = max(other.last_s, stamp_s)
             other.count += 1
             other.other_s = own.last_s
-        self._in_question = True
+        self.in_question = True
         if other.slow_turns >= _TURNS_MAX:
             self.slow_lines_s = abs(other.last_s - own.last_s)
         if other.turns >= _TURNS_MAX:
@@ -169,7 +170,7 @@ class VehicleClock:
         self.returned = other.was_followed
         own.was_followed, own.other_s, own.turns = True, other.last_s, 0
         self._own, self._other, self.now_s = other, own, other.last_s
-        self._in_question = False
+        self.in_question = False
         self._ticks_s.clear()
         return Stamp.NEW_LINE
 
@@ -192,6 +193,7 @@ class SourceClock:
         self.ahead_s = 0.0
         self._samples: deque[float] = deque(maxlen=_SAMPLES)
         self._sampled_s = -math.inf
+        self._usual = 0  # samples in a row that agree with the vehicle's clock
         self._row, self._row_s, self._row_since_s = 0, math.nan, -math.inf
 
     def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
@@ -208,7 +210,10 @@ class SourceClock:
         if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement
             self._sampled_s = clock.now_s
             self._samples.append(ahead_s)
-            self._estimate(clock.tick_s, self._lasts(ahead_s))
+            self._usual = self._usual + 1 if -_DELAY_MAX_S <= ahead_s <= _EARLY_MAX_S else 0
+            lasts = self._lasts(ahead_s)
+            if self.ahead_s or self._usual < _SAMPLES:  # else all samples agree with the vehicle's clock
+                self._estimate(clock.tick_s, lasts)
         if not self.ahead_s and -LATE_S <= ahead_s <= AHEAD_S:  # as nearly all are
             return stamp_s
         early_s = AHEAD_S + clock.tick_s  # the vehicle's own last words may be lost

@@ -101,7 +101,7 @@ _SILENT_S = 2.0
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: it is no mere gap of the laser
-_SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
+_SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
 _LOW_BATTERY_REPORTS = 2  # in a row
 
 
@@ -180,11 +180,13 @@ class StandoffController:
         announced: tuple[StepOutput, ...]
         admitted, announced = self.door.admit(event)
         self.admitted = admitted
-        due = self.health.received(event, self.door.clock.now_s)
-        if due:
+        if self.health.received(event, self.door.clock.now_s):
             announced += self._health_changes()
             self.door.vehicle_silent = self.health.silent_s >= _SILENT_S
         if admitted is None:
+            return announced
+        if type(admitted) in _SENSED:  # most of all events
+            self._read(admitted)  # type: ignore[arg-type]
             return announced
         commands = self._admitted(admitted)
         return announced + commands if announced else commands
@@ -212,9 +214,6 @@ class StandoffController:
         return changes
 
     def _admitted(self, event: Event) -> tuple[StepOutput, ...]:
-        if isinstance(event, _SENSED):  # most of all events
-            self._read(event)
-            return ()
         match event:
             case PositionReading():
                 return self._position(event)

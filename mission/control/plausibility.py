@@ -94,6 +94,7 @@ class Plausibility:
         self._good_s: dict[str, float] = {}
         self._awaited_s: dict[str, float] = {}  # by source without a report since a telemetry gap: since when
         self._sources: dict[tuple[type, Source], SourceClock] = {}
+        self._latest: dict[type, tuple[Source | None, SourceClock]] = dict.fromkeys(_NAMES, (None, SourceClock()))
         self._beacon: Source | None = None  # the one in use, and when it was received last
         self._beacon_s = self._repeated_s = -math.inf
         self._repeated = math.nan, math.nan  # its position, since the time above
@@ -162,7 +163,7 @@ class Plausibility:
         self.velocity.take(reading)
         was_rejecting = self.position.rejected_since_s is not None
         self._await_after_silence(reading.time_s)
-        sound = self._fault(reading.time_s) is None
+        sound = not self._faults or self._fault(reading.time_s) is None
         taken = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
         if self.position.two_places_m is not None:
             self._yield_to_two(f"its positions take turns, {length(self.position.two_places_m)} apart")
@@ -176,7 +177,8 @@ class Plausibility:
             self._announce("jump", "position", f"{self.position.jump}: dead reckoning")
         elif self.position.accepted is reading:
             self._overtaken = self._refused = False
-        self._judge(reading.time_s)
+        if self._faults or self.doubt is not None or self.position.rejected_since_s is not None:
+            self._judge(reading.time_s)
         return taken
 
     def _await_after_silence(self, now_s: float) -> None:
@@ -290,9 +292,9 @@ class Plausibility:
     # -- the payload ---------------------------------------------------------------------------------------
 
     def _payload(self, reading: Payload) -> Event | None:
-        if self.clock.now_s == -math.inf or self.clock.in_question_s is not None or not self._credible(reading):
-            return None
-        if self.vehicle_silent:  # its clock stands still: nothing to compare a payload's clock with
+        clock = self.clock
+        # While the vehicle's clock stands still there is nothing to compare a payload's clock with.
+        if clock.now_s == -math.inf or clock.in_question or self.vehicle_silent or not self._credible(reading):
             return None
         if isinstance(reading, TargetFixReading) and reading.source.message in BEACON_MESSAGES:
             if not self._is_of_first_beacon(reading.source):
@@ -300,14 +302,18 @@ class Plausibility:
             self._note_repeated(reading)
         if reading.time_s == 0.0:
             return replace(reading, time_s=self.clock.now_s)
-        key = type(reading), reading.source
-        source = self._sources.get(key)
-        if source is None:
-            if len(self._sources) >= _SOURCES_MAX:
-                return None
-            source = self._sources[key] = SourceClock()
+        kind = type(reading)
+        latest, source = self._latest[kind]
+        if reading.source is not latest:
+            found = self._sources.get((kind, reading.source))
+            if found is None:
+                if len(self._sources) >= _SOURCES_MAX:
+                    return None
+                found = self._sources[kind, reading.source] = SourceClock()
+            source = found
+            self._latest[kind] = reading.source, source
         before_s = source.ahead_s
-        time_s = source.corrected_s(reading.time_s, self.clock)
+        time_s = source.corrected_s(reading.time_s, clock)
         if source.ahead_s != before_s:
             name = _clock_of(reading)
             self._announced_s.pop(name, None)

@@ -53,7 +53,7 @@ from sidelong.mission.exchange.takeover import Takeover, TakeoverSettings
 from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
-_SENSED = (AttitudeReading, GimbalReading, RangeReading, TargetFixReading)
+_SENSED = frozenset((AttitudeReading, GimbalReading, RangeReading, TargetFixReading))
 
 InboundEvent = Event | ExchangeEvent
 PlanBackend = MissionItemBackend | OrbitCommandBackend
@@ -115,19 +115,26 @@ class MissionController:
 
     def step(self, event: InboundEvent) -> tuple[Output, ...]:
         """Process one event; return the resulting outputs, in order."""
-        self._outputs = []
-        if isinstance(event, ExchangeInput):
+        kind = type(event)
+        if kind in _SENSED and not self._closing:
+            outputs = self.controller.step(event)  # type: ignore[arg-type]
+            if not outputs:
+                return ()  # the exchange does not depend on it
+        elif isinstance(event, ExchangeInput):
+            self._outputs = []
             self._outbox.begin(event.time_s, event.link_s)
             self._exchange(event)
+            self._settle()
+            return tuple(self._outputs)
         else:
             outputs = () if self._closing else self.controller.step(event)
-            if not outputs and isinstance(event, _SENSED):
-                return ()  # the exchange does not depend on it
-            self._outbox.time_s = max(self._outbox.time_s, self.controller.time_s)
-            if outputs:
-                self._route(outputs)
-            self._observe(event)
-        self._settle()
+        self._outputs, outbox = [], self._outbox
+        outbox.time_s = max(outbox.time_s, self.controller.time_s)
+        if outputs:
+            self._route(outputs)
+        self._observe(event)  # type: ignore[arg-type]
+        if outbox.sent or outbox.derived:
+            self._settle()
         return tuple(self._outputs)
 
     def _exchange(self, event: ExchangeEvent) -> None:
@@ -167,17 +174,15 @@ class MissionController:
         self._takeover.begin(request)
 
     def _observe(self, event: Event) -> None:
-        if isinstance(event, ModeReported):
-            self._mode = event.mode
-        if self._silent:
-            return
-        if isinstance(event, ModeReported):
-            self._takeover.mode_reported(event.mode)
-        elif isinstance(event, PositionReading):
+        if isinstance(event, PositionReading):
             aircraft = self.controller.aircraft
-            if aircraft is not None:
+            if aircraft is not None and not self._silent:
                 self._backend.observe(aircraft, self._mode)
                 self._takeover.observe(aircraft, event.height_m)
+        elif isinstance(event, ModeReported):
+            self._mode = event.mode
+            if not self._silent:
+                self._takeover.mode_reported(event.mode)
 
     def _settle(self) -> None:
         """Dispatch queued events until none remain."""
