@@ -15,7 +15,6 @@ from sidelong.app.config import Config, config_from, load_config, with_values
 from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.display import Wish
-from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
@@ -164,7 +163,7 @@ async def watch(
         try:
             with contextlib.closing(recording):
                 flown = await fly_single(
-                    settings, duration_s, folder, recording, watched, Sharing(), life, note_safely, lambda: done
+                    settings, duration_s, folder, recording, watched, life, note_safely, lambda: done
                 )
             folder.write_summary(flown.summary.as_json())
         except asyncio.CancelledError:

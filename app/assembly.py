@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,7 +53,9 @@ _PARTS = "rest", "search and filter"  # of the first compilation, each in a proc
 
 def tracker_of(config: Config) -> Tracker:
     """Return the target tracker for the configured sensors."""
-    return Tracker(tracker_settings(config.sensors, config.planner.lost_after_s))
+    settings = tracker_settings(config.sensors, config.planner.lost_after_s)
+    # A gimbal that follows the estimate shows where that is, whenever it was made.
+    return Tracker(replace(settings, latency_sigma_s=0.0) if config.payload.point_gimbal else settings)
 
 
 def _track_of(config: Config) -> Track:

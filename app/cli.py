@@ -94,6 +94,31 @@ def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
     return groups
 
 
+# Options of earlier versions that only repeated a key of the configuration.
+_NOW_KEYS = {
+    "--beacon": "sharing.beacon",
+    "--cot": "sharing.cot",
+    "--dmax": "requirement.range_max_m",
+    "--dmin": "requirement.range_min_m",
+    "--follow-target": "sharing.follow_target",
+    "--guidance": "planner.guidance",
+    "--home": "simulation.home",
+    "--map": "display.map_file",
+    "--map-bounds": "display.map_bounds",
+    "--nmea": "sharing.nmea",
+    "--point-gimbal": "payload.point_gimbal",
+    "--set-parameters": "link.set_parameters",
+    "--signing-key": "link.signing_key_file",
+    "--system-id": "link.system_id",
+    "--take-over-from": "link.take_over_from",
+    "--threshold": "requirement.threshold",
+    "--view-cert": "display.certificate_file",
+    "--view-host": "display.host",
+    "--view-key": "display.key_file",
+    "--view-port": "display.port",
+}
+
+
 class _Command(TyperCommand):
     """One command: options in groups; invalid values are reported with sidelong's own messages only."""
 
@@ -105,8 +130,12 @@ class _Command(TyperCommand):
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         try:
             return super().make_context(*arguments, **options)
-        except typer.BadParameter as error:
-            error.message = error.message.removeprefix("Value error, ")
+        except typer.TyperException as error:
+            option = getattr(error, "option_name", "")
+            if option in _NOW_KEYS:
+                raise InputError(f"{option} is now --set {_NOW_KEYS[option]}=VALUE.") from error
+            if isinstance(error, typer.BadParameter):
+                error.message = error.message.removeprefix("Value error, ")
             raise
 
     def invoke(self, ctx: Any) -> Any:

@@ -229,6 +229,8 @@ class PayloadSection(Section):
     """Age of the angles when the payload sends them, s."""
     angles_relative_to: Literal["vehicle", "body", "earth"] | None = None
     """Frame of its angles: heading and horizon (vehicle), airframe (body), north (earth); none: as it reports."""
+    point_gimbal: bool = False
+    """Whether sidelong points the gimbal at the target: by the vehicle, or by the payload's own protocol."""
 
 
 class LinkSection(Section):
@@ -392,7 +394,20 @@ class ControlSection(Section):
 
 
 class DisplaySection(Section):
-    """How the live map shows values; each page can choose others."""
+    """The live map: where it is served, what lies under it, and how it shows values; a page can choose others."""
+
+    host: str = "127.0.0.1"
+    """Address that it is served at; any other than loopback asks for a token."""
+    port: int = Field(8420, ge=0, le=65535)
+    """Its port; 0: any free one."""
+    certificate_file: Path | None = None
+    """Certificate (PEM) to serve it over TLS; none: without."""
+    key_file: Path | None = None
+    """Key of that certificate (PEM)."""
+    map_file: Path | None = None
+    """Map below the tracks: raster tiles (.mbtiles, .pmtiles), or a picture with map_bounds."""
+    map_bounds: tuple[float, float, float, float] | None = None
+    """Bounds of that picture: south, west, north, east, degrees."""
 
     units: Literal["metric", "nautical", "imperial"] = "metric"
     """metric: m, m/s; nautical: feet, nautical miles, knots; imperial: feet, miles, miles per hour."""
@@ -437,7 +452,7 @@ class Config(Section):
     route: RouteSection = RouteSection()  # type: ignore[call-arg]
     sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
     control: ControlSection = ControlSection()  # type: ignore[call-arg]
-    display: DisplaySection = DisplaySection()
+    display: DisplaySection = DisplaySection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
     _radius_fits: bool = PrivateAttr(False)
@@ -548,6 +563,7 @@ def setting_notes(config: Config) -> tuple[str, ...]:
         *(
             (payload.kind == MAVLINK, f'payload.{key} has no effect while payload.kind is "mavlink"')
             for key in _changed_keys(payload)
+            if key != "point_gimbal"
         ),
         *(
             (not route.is_known, f"route.{key} has no effect without route.file or route.system_id")

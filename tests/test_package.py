@@ -74,9 +74,9 @@ def test_a_flight_with_a_live_map_starts_with_files_of_our_names_in_its_folder_a
     (workspace / "mission.toml").write_text("[planner]\nname = 'paper'\n[sensors]\nfilter = 'ekf'\n")
     # As the installed script does it.
     script = "from sidelong.app.__main__ import main; main()"
-    options = ["launch", "mission.toml", "--duration", "5", "--speed", "20", "--view", "--view-port"]
+    options = ["launch", "mission.toml", "--duration", "5", "--speed", "20", "--view", "--set"]
     done = subprocess.run(
-        [installed, "-P", "-c", script, *options, str(free_port())],
+        [installed, "-P", "-c", script, *options, f"display.port={free_port()}"],
         cwd=workspace,
         env=os.environ | {"PYTHONPATH": str(workspace)},
         capture_output=True,

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.options import AIRCRAFT, panel
+from sidelong.app.commands.options import AIRCRAFT, Overrides, SetOption, changed_keys, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.commands.radius import RadiusOption, warn_of_band, warn_of_settings
@@ -28,6 +28,7 @@ from sidelong.mission.paper.scope import scope
 _PUBLISHED = panel("Published method (planner paper)")
 
 _PAPER = "paper"
+_AIRSPEEDS_M_S = 8.0, 30.0  # among which --optimise searches
 _LABELS = {
     "x_tr_m": ("advance of one turn of the transition (x_tr)", "m"),
     "shortest_time_s": ("shortest time between moves (t_y,min)", "s"),
@@ -43,23 +44,13 @@ def check(
     airspeed: Annotated[float | None, AIRCRAFT(help="Airspeed, m/s.")] = None,
     radius: RadiusOption = None,
     target_speed: Annotated[float | None, AIRCRAFT(help="Highest speed of the target, m/s.")] = None,
-    dmin: Annotated[float | None, AIRCRAFT(help="Least allowed range, m.")] = None,
-    dmax: Annotated[float | None, AIRCRAFT(help="Greatest allowed range, m.")] = None,
     planner: Annotated[
         str | None, AIRCRAFT(help=f"{' or '.join(PLANNER_NAMES)}; the configured one by default.")
     ] = None,
-    threshold: Annotated[
-        float | None, _PUBLISHED(help="Paper: factor C on dmax at which the circle is moved.")
-    ] = None,
     optimise: Annotated[
-        bool, _PUBLISHED("--optimise", help="Paper: also find the best threshold and airspeed.")
+        bool, _PUBLISHED("--optimise", help="Paper: also find the best threshold and airspeed, 8 to 30 m/s.")
     ] = False,
-    slowest: Annotated[
-        float, _PUBLISHED(min=3.0, max=80.0, help="Slowest airspeed --optimise may choose, m/s.")
-    ] = 8.0,
-    fastest: Annotated[
-        float, _PUBLISHED(min=3.0, max=80.0, help="Fastest airspeed --optimise may choose, m/s.")
-    ] = 30.0,
+    set_: SetOption = None,
     json: JsonOption = None,
 ) -> None:
     """Check whether the configured planner can keep the requirement, and name the number to change if it cannot.
@@ -72,22 +63,16 @@ def check(
       sidelong check
       sidelong check mission.toml
       sidelong check mission.toml --planner paper --optimise
-      sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500
+      sidelong check --airspeed 10 --radius 50 --target-speed 3 --set requirement.range_max_m=400
     """
     checked_output(json)
-    overrides = {
+    overrides: Overrides = {
         "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
-        "requirement": {
-            "target_speed_max_m_s": target_speed,
-            "range_min_m": dmin,
-            "range_max_m": dmax,
-            "threshold": threshold,
-        },
+        "requirement": {"target_speed_max_m_s": target_speed},
         "planner": {"name": planner},
     }
-    if slowest >= fastest:
-        raise InputError(f"--slowest {slowest:g} is not below --fastest {fastest:g}; change one.")
-    airspeeds_m_s = (slowest, fastest) if optimise else None
+    overrides = changed_keys(set_, overrides)
+    airspeeds_m_s = _AIRSPEEDS_M_S if optimise else None
     if not names_a_fleet(config):
         settings = load_config(config, overrides)
         check_alone(settings)

@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption, panel
+from sidelong.app.commands.options import MAP, OUTPUT, Overrides, SetOption, changed_keys, panel
 from sidelong.app.commands.output import (
     JsonOption,
     checked_output,
     console,
-    latitude_longitude_deg,
     say,
     shielded_output,
     standard,
     warn,
     write_json,
 )
-from sidelong.app.commands.radius import warn_of_band, warn_of_settings
+from sidelong.app.commands.radius import RadiusOption, warn_of_band, warn_of_settings
 from sidelong.app.commands.report import write_report
 from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, load_config, with_values
 from sidelong.app.config_files import check_files, check_single
@@ -36,7 +35,7 @@ from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
 from sidelong.app.shutdown import heed_interrupts
-from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, free_port, is_desktop, page_address
+from sidelong.app.view.address import Address, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.fleet.flight import FleetEnded
@@ -46,7 +45,6 @@ _MISSION = panel("Mission")
 _VEHICLE = panel("Vehicle and link")
 _PAYLOAD = panel("Payload")
 _SIMULATION = panel("Simulation")
-_PROGRAMS = panel("Other programs")
 
 _DURATION_S = 1200.0
 _DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive: faster, this computer's load shows
@@ -58,12 +56,6 @@ def launch(
     connect: Annotated[
         list[str] | None,
         _VEHICLE(help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated."),
-    ] = None,
-    system_id: Annotated[
-        int | None, _VEHICLE(min=1, max=255, help="MAVLink system id of the vehicle, if several share the link.")
-    ] = None,
-    signing_key: Annotated[
-        Path | None, _VEHICLE(metavar="FILE", help="Sign the link with this key, see: sidelong sign.")
     ] = None,
     payload: Annotated[
         str | None,
@@ -88,6 +80,8 @@ def launch(
         str | None, _SIMULATION(metavar="NAME", help="Which of several tracks in the file of --target to use.")
     ] = None,
     target_speed: Annotated[float | None, _MISSION(help="Highest speed to expect of the target, m/s.")] = None,
+    airspeed: Annotated[float | None, _MISSION(help="Airspeed while circling, m/s.")] = None,
+    radius: RadiusOption = None,
     duration: Annotated[
         float, _MISSION(min=1.0, max=1e6, help="Watch this long, s of the vehicle's time.")
     ] = _DURATION_S,
@@ -103,63 +97,14 @@ def launch(
     view: Annotated[
         bool | None, MAP("--view/--no-view", help="Show a live map in the browser; by default in a desktop session.")
     ] = None,
-    view_port: PortOption = DEFAULT_PORT,
-    view_host: Annotated[
-        str, MAP(help="Address the live map is served at; anything but loopback asks for a token.")
-    ] = LOOPBACK[0],
-    view_cert: Annotated[Path | None, MAP(metavar="PEM", help="Serve the live map by TLS.")] = None,
-    view_key: Annotated[Path | None, MAP(metavar="PEM", help="Key of that certificate.")] = None,
-    map_file: MapOption = None,
-    map_bounds: BoundsOption = None,
-    cot: Annotated[
-        str | None,
-        _PROGRAMS(
-            metavar="ADDRESS", help="Send target and aircraft as cursor on target: udp://, tcp:// or tls://HOST:PORT."
-        ),
-    ] = None,
-    follow_target: Annotated[
-        str | None,
-        _PROGRAMS(
-            metavar="ADDRESS", help="Send the target as FOLLOW_TARGET, for another autopilot: udp://HOST:PORT."
-        ),
-    ] = None,
-    nmea: Annotated[
-        str | None, _PROGRAMS(metavar="ADDRESS", help="Send the target as NMEA sentences: udp://HOST:PORT.")
-    ] = None,
-    beacon: Annotated[
-        str | None,
-        _PAYLOAD(
-            metavar="ADDRESS",
-            help="The target's beacon: udp://0.0.0.0:PORT (FOLLOW_TARGET, cursor on target), adsb:ICAO, ais:MMSI.",
-        ),
-    ] = None,
-    point_gimbal: Annotated[
-        bool, _PAYLOAD("--point-gimbal", help="Point the gimbal at the target, by the vehicle or by --payload.")
-    ] = False,
     report: Annotated[bool, OUTPUT("--report", help="Write report.html into the run folder.")] = False,
-    guidance: Annotated[
-        str | None, _MISSION(help="Plans as mission items, or one command a circle: mission or command.")
-    ] = None,
     mcap: Annotated[
         bool, OUTPUT("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
     ] = False,
     terrain: Annotated[
         Path | None, _MISSION(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.")
     ] = None,
-    home: Annotated[
-        str | None, _SIMULATION(metavar="LAT,LON", help="Home position of the simulated vehicle.")
-    ] = None,
-    set_parameters: Annotated[
-        bool,
-        _VEHICLE("--set-parameters", help="Change conflicting parameters for the flight; restore them at the end."),
-    ] = False,
-    take_over_from: Annotated[
-        list[str] | None,
-        _VEHICLE(
-            metavar="MODE",
-            help="Take a flying aircraft over out of RTL, LAND or failsafe (repeatable); else that is refused.",
-        ),
-    ] = None,
+    set_: SetOption = None,
     out: Annotated[Path, OUTPUT(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, OUTPUT("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
@@ -176,6 +121,7 @@ def launch(
       sidelong launch --connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
       sidelong launch --connect udpin://0.0.0.0:14540 --route ferry.gpx
       sidelong launch --fleet 2 --autopilot arduplane,px4
+      sidelong launch mission.toml --set link.system_id=2 --set sharing.cot=udp://127.0.0.1:6969
     """
     checked_output(json)
     if track is not None:
@@ -183,34 +129,25 @@ def launch(
             raise InputError("--track: names a track in the file of --target; give --target FILE, too.")
         target = f"{target}#{track}"
     payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
-    overrides: dict[str, dict[str, Any]] = {
+    overrides: Overrides = {
         "payload": {"kind": payload_kind, "url": payload_url},
-        "link": {
-            "urls": connect or None,
-            "set_parameters": set_parameters or None,
-            "take_over_from": take_over_from or None,
-            "signing_key_file": signing_key,
-            "system_id": system_id,
-        },
-        # A gimbal that follows the estimate shows where that is, whenever it was made.
-        "sensors": {"latency_sigma_s": 0.0 if point_gimbal else None},
+        "link": {"urls": connect or None},
+        "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
         "simulation": {
             "target": target if target or config or connect else DEMONSTRATION,
             "speed": speed,
             "seed": seed,
             "autopilot": autopilot,
-            "home": latitude_longitude_deg("--home", home),
         },
         "requirement": {"side": side, "target_speed_max_m_s": target_speed},
         "terrain": {"folder": None if terrain is None else str(terrain)},
-        "planner": {"name": planner, "guidance": guidance},
+        "planner": {"name": planner},
         "route": _route_keys(route),
-        "sharing": {"cot": cot, "follow_target": follow_target, "nmea": nmea, "beacon": beacon},
     }
+    overrides = changed_keys(set_, overrides)
     if mcap:
         mcap_writer_class()
     silent = quiet or str(json) == "-"
-    address = map_address(view, silent, view_host, view_port, view_cert, view_key, map_file, map_bounds)
     settings = None
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
@@ -219,26 +156,24 @@ def launch(
             flown = settings = several.members[0].config
     else:
         flown = settings = load_config(config, overrides)
-    _check_simulated(
-        flown,
-        {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot, "--home": home},
-    )
+    address = _map_address(view, silent, flown)
+    _check_simulated(flown, {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot})
     # The flight modules take a second to load; report a wrong option first.
-    fly: Callable[[float, Path, bool, bool, Address | None], FlightEnded | FleetEnded]
+    fly: Callable[[float, Path, bool, Address | None], FlightEnded | FleetEnded]
     if settings is None:
-        _check_fleet(several, point_gimbal, system_id)
+        _check_fleet(several)
         check_space(out, duration, len(several.aircraft), warn)
         from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
 
         fly = partial(fly_fleet, several)
     else:
-        settings = _checked(settings, speed, payload_url, point_gimbal)
+        settings = _checked(settings, speed, payload_url)
         check_space(out, duration, 1, warn)
         from sidelong.app.commands.launch_one import fly_one  # noqa: PLC0415
 
         fly = partial(fly_one, settings)
     with shielded_output():
-        ended = fly(duration, out, quiet, point_gimbal, address)
+        ended = fly(duration, out, quiet, address)
         _announce(ended, json)
         if ended.reason is not None:
             raise ended.reason
@@ -249,21 +184,22 @@ def launch(
             write_report(ended.folder.path, ended.folder.path / "report.html")
 
 
-def _checked(settings: Config, speed: float | None, payload_url: str | None, point_gimbal: bool) -> Config:
+def _checked(settings: Config, speed: float | None, payload_url: str | None) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
     settings = _with_simulated_payload(settings, speed, payload_url)
     for note in check_single(settings):
         say(f"note: {note}")
-    _check_input(settings, point_gimbal)
+    _check_input(settings)
     warn_of_band(settings)
     warn_of_settings(settings)
     return settings
 
 
-def map_address(view: bool | None, silent: bool, host: str, port: int, *files: Any) -> Address | None:
+def _map_address(view: bool | None, silent: bool, settings: Config) -> Address | None:
     """Return the address of the map; view None: in a desktop session, on another port if that one is in use."""
     unasked = view is None and is_desktop() and not silent
-    address = page_address(unasked or bool(view), host, free_port(port) if unasked else port, *files)
+    port = free_port(settings.display.port) if unasked else None
+    address = page_address(unasked or bool(view), settings.display, port)
     return address and replace(address, opens_browser=unasked and address.is_local)
 
 
@@ -290,15 +226,15 @@ def _route_keys(route: str | None) -> dict[str, Any]:
     return {"system_id": system_id} if kind == "mavlink" else {"file": route}
 
 
-def _check_input(settings: Config, point_gimbal: bool) -> None:
+def _check_input(settings: Config) -> None:
     """Raise InputError for unknown addresses and impossible options, before any connection or computation."""
     check_hosts(settings.sharing)
     for url in settings.link.connections:
         checked_url(url)
-    if point_gimbal and settings.terrain.is_known and settings.sensors.angles_alone:
+    if settings.payload.point_gimbal and settings.terrain.is_known and settings.sensors.angles_alone:
         raise InputError(
-            "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
-            "set sensors.angles_alone = false with it."
+            "payload.point_gimbal points the gimbal at the estimate, which would confirm itself while the laser is "
+            "silent; set sensors.angles_alone = false with it."
         )
 
 
@@ -312,13 +248,13 @@ def _check_simulated(settings: Config, options: dict[str, object]) -> None:
         )
 
 
-def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) -> None:
+def _check_fleet(fleet: FleetFile) -> None:
     for note in check_files(fleet, fleet.target):
         say(f"note: {note}")
     for member in fleet.members:
-        _check_input(member.config, point_gimbal)
-    if system_id is not None:
-        raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
+        _check_input(member.config)
+    if fleet.link.system_id is not None:
+        raise InputError("link.system_id names one vehicle; give each aircraft of the fleet file its system_id.")
     warn_of_settings(fleet)
 
 

@@ -14,27 +14,22 @@ from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.flight import FleetEnded, FleetFlight
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
-from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.records.run_folder import FleetFolder
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import served
 
 
-def fly_fleet(
-    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, point_gimbal: bool, address: Address | None
-) -> FleetEnded:
+def fly_fleet(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, address: Address | None) -> FleetEnded:
     """Fly a fleet to its end; address: of the live map. Raises as ``launch`` does."""
-    return run_flight(_fly(fleet, duration_s, out, quiet, Sharing(point_gimbal), address))
+    return run_flight(_fly(fleet, duration_s, out, quiet, address))
 
 
-async def _fly(
-    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
-) -> FleetEnded:
+async def _fly(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, address: Address | None) -> FleetEnded:
     folder = FleetFolder.create(out, datetime.now(UTC))
     with kept_if_armed(folder.path) as begun:
         async with _displayed(fleet, quiet, address) as (panel, view):
-            flight = FleetFlight(fleet, folder, (view or panel).of, panel.note, duration_s, sharing)
+            flight = FleetFlight(fleet, folder, (view or panel).of, panel.note, duration_s)
             if view is not None:
                 view.requests = flight
             life = begun(Life(lambda: flight.begun, panel.note))

@@ -16,7 +16,6 @@ from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import DEMONSTRATION, Config
 from sidelong.app.errors import FlightError
 from sidelong.app.flight.display import FlightDisplay
-from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
@@ -27,15 +26,13 @@ from sidelong.app.view.panel import PanelDisplay
 from sidelong.app.view.prompt import keyboard_descriptor
 
 
-def fly_one(
-    config: Config, duration_s: float, out: Path, quiet: bool, point_gimbal: bool, address: Address | None
-) -> FlightEnded:
+def fly_one(config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None) -> FlightEnded:
     """Fly one aircraft to its end; address: of the live map. Raises as ``launch`` does."""
-    return run_flight(_recorded(config, duration_s, out, quiet, Sharing(point_gimbal), address))
+    return run_flight(_recorded(config, duration_s, out, quiet, address))
 
 
 async def _recorded(
-    config: Config, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+    config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None
 ) -> FlightEnded:
     loop = asyncio.get_running_loop()
     folder = RunFolder.create(out, datetime.now(UTC))
@@ -54,9 +51,7 @@ async def _recorded(
             life = begun(Life(lambda: recording.begun, display.note))
             with life.heeding_signals():
                 with contextlib.closing(recording):
-                    ended = await fly_single(
-                        config, duration_s, folder, recording, display, sharing, life, note, prepare
-                    )
+                    ended = await fly_single(config, duration_s, folder, recording, display, life, note, prepare)
                 if ended.is_internal:
                     warn(f"this is a fault of the program; {ended.aircraft}.")
                 return _with_records_lost(ended, recording.lost)

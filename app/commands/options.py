@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from sidelong.app.errors import InputError
+
+Overrides = dict[str, dict[str, Any]]
+"""Values of the configuration by section and key; None: not given."""
 
 
 def panel(name: str) -> Callable[..., Any]:
@@ -19,13 +24,30 @@ AIRCRAFT = panel("Aircraft and requirement")
 MAP = panel("Live map")
 OUTPUT = panel("Output")
 
-PortOption = Annotated[int, MAP(min=0, max=65535, help="Port of the live map.")]
-MapOption = Annotated[
-    Path | None,
-    MAP(
-        "--map",
-        metavar="FILE",
-        help="Map below the tracks: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="SECTION.KEY=VALUE",
+        help="Any key of the configuration, such as link.system_id=2; sidelong init lists them (repeatable).",
     ),
 ]
-BoundsOption = Annotated[str | None, MAP(metavar="S,W,N,E", help="Bounds of that picture, degrees.")]
+
+
+def changed_keys(given: Sequence[str] | None, overrides: Overrides | None = None) -> Overrides:
+    """Return values by section and key: those of ``overrides``, and on top those of ``--set``.
+
+    A value is read as TOML where it is valid TOML (a list, a number, true or false), else as text. Raises InputError.
+    """
+    changes = {section: dict(keys) for section, keys in (overrides or {}).items()}
+    for one in given or ():
+        key, equals, text = one.partition("=")
+        section, dot, name = key.partition(".")
+        if not (equals and dot and name):
+            raise InputError(f"--set {one}: write it as SECTION.KEY=VALUE, for example requirement.side=right.")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text
+        changes.setdefault(section, {})[name] = value
+    return changes

@@ -8,12 +8,15 @@ from typing import Annotated
 
 import typer
 
+from sidelong.app.commands.options import SetOption, changed_keys
 from sidelong.app.commands.output import say
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import check_alone, check_flyable, load_config
 
 
-def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None) -> None:
+def prepare(
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None, set_: SetOption = None
+) -> None:
     """Compile the inner loops and compute the planner's value tables, so that the next start takes seconds.
 
     Run it after each installation, as the user who flies. Machine code and tables are kept in the user's cache; set
@@ -23,7 +26,7 @@ def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (T
       sidelong prepare
       XDG_CACHE_HOME=/var/cache/sidelong sidelong prepare mission.toml
     """
-    settings = load_config(config, {})
+    settings = load_config(config, changed_keys(set_))
     check_alone(settings)
     check_flyable(settings)
     begun_s = time.monotonic()

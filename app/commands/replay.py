@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.progress import Progress
@@ -25,7 +25,7 @@ from sidelong.app.analysis.summary import Summary, SummaryCollector, describe_ca
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.assembly import Prepared, mission_controller_of, prepared
 from sidelong.app.autopilots.registry import autopilot_by_name
-from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption
+from sidelong.app.commands.options import MAP, OUTPUT, Overrides, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, warn_of_log, write_json
 from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.config import Config, check_flyable, load_config, with_values
@@ -34,7 +34,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
-from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
+from sidelong.app.view.address import Address, page_address
 from sidelong.app.view.frames import SPEED_MAX, Frames
 from sidelong.app.view.panel import clock
 from sidelong.app.view.state import StateEncoder
@@ -44,8 +44,6 @@ from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 
-_Changes = dict[str, dict[str, Any]]
-
 
 def replay(
     log: Annotated[Path, typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.")],
@@ -54,19 +52,14 @@ def replay(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
     planner: Annotated[str | None, typer.Option(help=f"Another planner: {' or '.join(PLANNER_NAMES)}.")] = None,
-    change: Annotated[
-        list[str] | None, typer.Option("--set", help="Replay with another value: SECTION.KEY=VALUE (repeatable).")
-    ] = None,
+    set_: SetOption = None,
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
     ] = False,
     view: Annotated[bool, MAP("--view", help="Show the replay on a live map in the browser.")] = False,
-    view_port: PortOption = DEFAULT_PORT,
     view_speed: Annotated[
         float, MAP(min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.")
     ] = 10.0,
-    map_file: MapOption = None,
-    map_bounds: BoundsOption = None,
     quiet: Annotated[bool, OUTPUT("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
@@ -80,12 +73,14 @@ def replay(
       sidelong replay flight.tlog --truth flight.truth.csv
     """
     checked_output(json)
-    changes = _changes(change or [], planner)
+    changes = changed_keys(set_, {"planner": {"name": planner}})
+    with_values(Config(), {"planner": {"name": planner}}, "--planner")  # a wrong name is reported as of this option
     log = recording(log)
     if view and verify:
         raise InputError("--verify compares, --view shows; give one of them.")
     judged_by = None if truth is None else read_truth(truth)  # a wrong file is reported before any computation
-    address = page_address(view, LOOPBACK[0], view_port, None, None, map_file, map_bounds)
+    shown = with_values(Config(), {"display": changes.pop("display", {})}, "--set").display
+    address = page_address(view, shown)
     fleet = FleetFolder(log)
     if fleet.journal.is_file():
         if view or config is not None:
@@ -123,7 +118,7 @@ def _show(
     run: RunFolder | None,
     frames: Frames,
     config: Path | None,
-    changes: _Changes,
+    changes: Overrides,
     address: Address,
     speed: float,
 ) -> None:
@@ -146,19 +141,7 @@ def _show(
     serve_replay(frames, what_if, flown, address, name, speed, say)
 
 
-def _changes(given: list[str], planner: str | None) -> _Changes:
-    changes: _Changes = {"planner": {"name": planner}}
-    with_values(Config(), changes, "--planner")  # a wrong name is reported as of this option
-    for one in given:
-        key, equals, value = one.partition("=")
-        section, dot, name = key.partition(".")
-        if not (equals and dot and name):
-            raise InputError(f"--set {one}: write it as SECTION.KEY=VALUE, for example requirement.side=right.")
-        changes.setdefault(section, {})[name] = value
-    return changes
-
-
-def _changed(flown: Config, config: Path | None, changes: _Changes) -> Config:
+def _changed(flown: Config, config: Path | None, changes: Overrides) -> Config:
     """Return the configuration with other values.
 
     Raises:
@@ -204,7 +187,7 @@ def _replay_run(
     folder: RunFolder,
     truth: Truth | None,
     config: Path | None,
-    changes: _Changes,
+    changes: Overrides,
     verify: bool,
     quiet: bool,
     frames: Frames | None = None,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sidelong.app.commands.options import MAP
+from sidelong.app.commands.options import MAP, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, say, shielded_output, write_json
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_single
@@ -20,7 +20,7 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.message import plain
 from sidelong.app.link.transport import checked_url
 from sidelong.app.serve.control_socket import ask, own_path
-from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
+from sidelong.app.view.address import Address, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.flight.display import FlightDisplay
@@ -31,11 +31,7 @@ def serve(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
     connect: Annotated[list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.")] = None,
     view: Annotated[bool, MAP("--view", help="Serve a live map while a watch lasts.")] = False,
-    view_host: Annotated[str, MAP(help="Address of the map; anything but loopback asks for a token.")] = (
-        LOOPBACK[0]
-    ),
-    view_port: Annotated[int, MAP(min=0, max=65535, help="Port of the map.")] = DEFAULT_PORT,
-    point_gimbal: Annotated[bool, typer.Option("--point-gimbal", help="Point the gimbal at the target.")] = False,
+    set_: SetOption = None,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
 ) -> None:
     """Wait for the vehicle and watch on request; made to run on board without a terminal, as a system service.
@@ -49,16 +45,15 @@ def serve(
       sidelong status
       sidelong watch
     """
-    settings = load_config(config, {"link": {"urls": connect or None}})
+    settings = load_config(config, changed_keys(set_, {"link": {"urls": connect or None}}))
     if not settings.link.connections:
         raise InputError("sidelong serve needs a vehicle; give --connect URL, or link.url in the configuration.")
     for url in settings.link.connections:
         checked_url(url)
     check_single(settings)
-    address = page_address(view, view_host, view_port, None, None, None, None)
+    address = page_address(view, settings.display)
     # The flight modules take a second to load; report a wrong option first.
     from sidelong.app.event_loop import run  # noqa: PLC0415
-    from sidelong.app.flight.flight import Sharing  # noqa: PLC0415
     from sidelong.app.serve.resident import Resident, share_one_heap, undecorated  # noqa: PLC0415
 
     share_one_heap()
@@ -76,7 +71,7 @@ def serve(
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, stopped.set)
         shown = undecorated if address is None else partial(_on_map, settings, address, log)
-        resident = Resident(settings, out, partial(_from_any_thread, loop, log), Sharing(point_gimbal), shown)
+        resident = Resident(settings, out, partial(_from_any_thread, loop, log), shown)
         await resident.run(stopped, own_path())
         log("sidelong serve has ended; an aircraft in flight goes on with what it flies")
 

@@ -23,7 +23,8 @@ def sign(
 ) -> None:
     """Make a key for MAVLink signing and set it up on a vehicle. The vehicle then accepts only signed messages.
 
-    Disarm the vehicle and connect it by cable: the key is sent unencrypted. Then fly with --signing-key FILE.
+    Disarm the vehicle and connect it by cable: the key is sent unencrypted. Then fly with
+    --set link.signing_key_file=FILE.
 
     For example:
       sidelong sign plane.key

@@ -17,7 +17,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import combinations
 
@@ -32,7 +32,7 @@ from sidelong.app.fleet.foreign import ForeignAircraft
 from sidelong.app.fleet.planner import planner_in_fleet
 from sidelong.app.fleet.summary import FleetSummary, FlownAircraft, summarise_fleet
 from sidelong.app.flight.display import FlightDisplay
-from sidelong.app.flight.flight import Flight, Sharing
+from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.link_log import link_log
 from sidelong.app.flight.recording import beginning
@@ -80,11 +80,9 @@ class FleetFlight:
         display: Callable[[str], FlightDisplay],
         note: Callable[[str], None],
         duration_s: float,
-        sharing: Sharing,
     ) -> None:
         self._fleet, self._folder, self._note = fleet, folder, note
         self._duration_s = duration_s
-        self._sharing = replace(sharing, turn_payload=len(fleet.target) > 1)
         self._displays = {member.name: display(member.name) for member in fleet.members}
         self._aircraft = [
             FleetAircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
@@ -221,7 +219,13 @@ class FleetFlight:
         )
         one.display.note(f"connected to {one.session.autopilot.name}, system {one.session.vehicle.system_id}")
         one.flight = Flight(
-            one.session, one.config, one.prepared, one.recording, one.display, self._duration_s, self._sharing
+            one.session,
+            one.config,
+            one.prepared,
+            one.recording,
+            one.display,
+            self._duration_s,
+            len(self._fleet.target) > 1,
         )
         one.joined = True
 

@@ -80,17 +80,6 @@ _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question
 
 
 @dataclass(frozen=True, slots=True)
-class Sharing:
-    """Outputs of the estimate in addition to the configured ones: to the vehicle, for its gimbal.
-
-    point_gimbal: always; turn_payload: while a fleet of several targets requires the payload on another target.
-    """
-
-    point_gimbal: bool = False
-    turn_payload: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class _Ready:
     """A vehicle that was checked: its plane, its home, and what is borrowed of its parameters for the flight."""
 
@@ -131,14 +120,14 @@ class Flight:
         recording: Recording,
         display: FlightDisplay,
         duration_s: float | None,
-        sharing: Sharing = Sharing(),
+        turn_payload: bool = False,
         payload: PayloadRunner | None = None,
     ) -> None:
         self._payload = payload
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
         self._session, self._release = session, session.release
         self._config, self._recording, self._display = config, recording, display
-        self._duration_s, self._sharing = duration_s, sharing
+        self._duration_s, self._turn_payload = duration_s, turn_payload
         self._prepared, self._senders = prepared, session.senders
         self._core: StandoffController | None = None  # known once the vehicle is checked
         self._begin = session.begin
@@ -436,13 +425,13 @@ class Flight:
 
     def _pointers(self, plane: LocalPlane, altitude_m: AltitudeAt, shared: contextlib.ExitStack) -> list[Observer]:
         """Return what points the gimbal, by the payload's own protocol or by the vehicle."""
-        if self._payload is not None and self._sharing.point_gimbal:
+        always = self._config.payload.point_gimbal
+        if self._payload is not None and always:
             tracker = self.controller.tracker
             return [PayloadPointer(self._payload.point, self._heading_rad, tracker, self._target_height_m)]
-        if not (self._sharing.point_gimbal or self._sharing.turn_payload):
+        if not (always or self._turn_payload):
             return []
-        always, note = self._sharing.point_gimbal, self._display.note
-        pointer = GimbalPointer(self._vehicle, plane, altitude_m, note, always)
+        pointer = GimbalPointer(self._vehicle, plane, altitude_m, self._display.note, always)
         shared.callback(pointer.stop)
         return [pointer]
 

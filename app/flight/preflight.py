@@ -75,10 +75,10 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
         reasons.append(FAILSAFE)
     refused = [reason for reason in reasons if reason.upper() not in {one.upper() for one in allowed}]
     if refused:
-        options = " ".join(f"--take-over-from {reason}" for reason in refused)
+        named = ", ".join(f'"{reason}"' for reason in refused)
         raise InputError(
             f"the aircraft flies in {' and '.join(refused)}, which the pilot or the autopilot has chosen; "
-            f"change the flight mode, or take it over by {options}."
+            f"change the flight mode, or take it over by --set 'link.take_over_from=[{named}]'."
         )
 
 
@@ -143,7 +143,7 @@ def checks(
                 need.name,
                 False,
                 f"{need.present:g}: {need.why}",
-                f"set {need.value:g}, or give --set-parameters",
+                f"set {need.value:g}, or give --set link.set_parameters=true",
                 lasts=True,
             )
             for need in required_parameters

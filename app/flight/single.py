@@ -13,7 +13,7 @@ from sidelong.app.assembly import Prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.flight.display import FlightDisplay
-from sidelong.app.flight.flight import Flight, Sharing
+from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.life import Life, describe_aircraft
 from sidelong.app.flight.link_log import ClockRate, link_log
 from sidelong.app.flight.payload_input import payload_input
@@ -52,7 +52,6 @@ async def fly_single(
     folder: RunFolder,
     recording: Recording,
     display: FlightDisplay,
-    sharing: Sharing,
     life: Life,
     note: Callable[[str], None],
     prepare: Callable[[], Prepared],
@@ -66,7 +65,6 @@ async def fly_single(
         folder: The run folder.
         recording: Its records.
         display: Shows the flight, and passes the operator's requests.
-        sharing: Outputs to the vehicle.
         life: What ends the flight early.
         note: Receives messages, from any thread.
         prepare: Returns what the control step is made of; it may compute for seconds.
@@ -103,7 +101,7 @@ async def fly_single(
             payload_input(config, session.vehicle, display.note, recording.frame, simulated_url)
         )
         life.watch(session.vehicle)
-        flight = Flight(session, config, prepared, recording, display, duration_s, sharing, payload)
+        flight = Flight(session, config, prepared, recording, display, duration_s, payload=payload)
         if simulated is not None:
             pace = asyncio.create_task(simulated.keep_pace(lambda: flight.come_to_s))
             stack.callback(pace.cancel)

@@ -306,7 +306,7 @@ async def _the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: 
             return vehicles[system_id]
         await asyncio.sleep(_POLL_S)
     found = await _described(await _vehicles(instance))
-    raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another --system-id.")
+    raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another link.system_id.")
 
 
 async def _check_alone(instance: Mavsdk, url: str, until_s: float) -> None:
@@ -315,9 +315,7 @@ async def _check_alone(instance: Mavsdk, url: str, until_s: float) -> None:
     vehicles = await _vehicles(instance)
     if len(vehicles) > 1:
         found = await _described(vehicles)
-        raise InputError(
-            f"{url}: several vehicles share the link: {found}; select one with --system-id or link.system_id."
-        )
+        raise InputError(f"{url}: several vehicles share the link: {found}; select one with --set link.system_id=ID.")
 
 
 async def _vehicles(instance: Mavsdk) -> dict[int, Any]:

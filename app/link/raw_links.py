@@ -281,7 +281,7 @@ class RawLinks:
         if self._is_signing_noted or not frame.signed or frame.component_id != AUTOPILOT_COMPONENT:
             return []
         self._is_signing_noted = True
-        return ["the vehicle signs its messages: without --signing-key it may reject ours"]
+        return ["the vehicle signs its messages: without link.signing_key_file it may reject ours"]
 
     def _is_answer(self, link: _Link, frame: Frame, now_s: float) -> bool:
         asked_s = link.asked.pop(int.from_bytes(frame.payload.ljust(16, b"\0")[8:16], "little"), None)

@@ -33,7 +33,6 @@ from sidelong.app.assembly import Prepared, prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.display import FlightDisplay, Wish
-from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
@@ -173,11 +172,10 @@ class Resident:
         config: Config,
         out: Path,
         log: Callable[[str], None],
-        sharing: Sharing = Sharing(),  # noqa: B008  # frozen
         decorate: Decorate = undecorated,
     ) -> None:
         self._config, self._out, self._log = config, out, log
-        self._sharing, self._decorate = sharing, decorate
+        self._decorate = decorate
         self._state, self._reason = State.WAITING, "not connected yet"
         self._vehicle = self._run = self._unwritten = ""
         self._recording: Recording | None = None  # of the present watch
@@ -440,16 +438,7 @@ class Resident:
             async with self._decorate(display) as shown:
                 self._recording = recording
                 return await fly_single(
-                    self._config,
-                    None,
-                    folder,
-                    recording,
-                    shown,
-                    self._sharing,
-                    life,
-                    self._log,
-                    self._prepared,
-                    session,
+                    self._config, None, folder, recording, shown, life, self._log, self._prepared, session
                 )
         finally:
             self._recording = None  # from now on no frame is recorded

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sidelong.app.config import DisplaySection
 from sidelong.app.errors import InputError
 
 if TYPE_CHECKING:
     from sidelong.app.view.background import Background
 
 LOOPBACK = ("127.0.0.1", "localhost")
-DEFAULT_PORT = 8420
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Address:
     """
 
     host: str = LOOPBACK[0]
-    port: int = DEFAULT_PORT
+    port: int = 8420
     cert: Path | None = None
     key: Path | None = None
     map: Background | None = None
@@ -38,16 +38,18 @@ class Address:
 
     def __post_init__(self) -> None:
         if not self.host.strip():
-            raise InputError("--view-host is empty; give an address of this machine, or leave it out for loopback.")
+            raise InputError("display.host is empty; give an address of this machine, or leave it out for loopback.")
         if set(self.host) <= set("0123456789.") or ":" in self.host:
             try:
                 ipaddress.IPv4Address(self.host)
             except ValueError as error:
                 raise InputError(
-                    f"--view-host: {self.host} is not an IPv4 address; give one of this machine, or 0.0.0.0 for all."
+                    f"display.host: {self.host} is not an IPv4 address; give one of this machine, or 0.0.0.0 for all."
                 ) from error
         if (self.cert is None) != (self.key is None):
-            raise InputError("--view-cert and --view-key belong together; give both, as PEM files.")
+            raise InputError(
+                "display.certificate_file and display.key_file belong together; give both, as PEM files."
+            )
         for path in (self.cert, self.key):
             if path is not None and not path.is_file():
                 raise InputError(f"{path} is no file; give the certificate and its key as PEM files.")
@@ -90,28 +92,22 @@ def free_port(port: int) -> int:
     return port
 
 
-def page_address(
-    view: bool,
-    host: str,
-    port: int,
-    cert: Path | None,
-    key: Path | None,
-    map_file: Path | None,
-    map_bounds: str | None,
-) -> Address | None:
-    """Return where a command serves its page by its options, None where it shows none. Raises InputError."""
+def page_address(view: bool, display: DisplaySection, port: int | None = None) -> Address | None:
+    """Return where a command serves its page, None where it shows none; port: instead of the configured one.
+
+    Raises InputError.
+    """
+    if display.map_file is not None and not display.map_file.is_file():
+        raise InputError(f"display.map_file: there is no file {display.map_file}.")
     if not view:
-        if map_file is not None and not map_file.is_file():
-            raise InputError(f"--map: there is no file {map_file}.")
-        if map_file is not None or map_bounds is not None:
-            raise InputError("--map lies under the live map; give --view with it.")
-        if cert is not None or key is not None:
-            raise InputError("--view-cert and --view-key protect the live map; give --view with them.")
         return None
-    if map_file is None and map_bounds is not None:
-        raise InputError("--map-bounds is the extent of the picture of --map; give both.")
-    if map_file is None:
-        return Address(host, port, cert, key)
+    port = display.port if port is None else port
+    if display.map_file is None:
+        return Address(display.host, port, display.certificate_file, display.key_file)
     from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need
 
-    return Address(host, port, cert, key, background(map_file, map_bounds))
+    try:
+        under = background(display.map_file, display.map_bounds)
+    except InputError as error:
+        raise InputError(f"display.map_file: {error}") from error
+    return Address(display.host, port, display.certificate_file, display.key_file, under)

@@ -5,7 +5,6 @@ A tile is read on request; the file is not cached in memory.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sqlite3
 import time
@@ -112,49 +111,50 @@ def readable_tile(tiles: Tiles, zoom: int, column: int, row: int) -> bytes | Non
         return None
 
 
-def background(path: Path, bounds: str | None) -> Background:
-    """Return a map's file, looked into. bounds: of a picture, as S,W,N,E in degrees.
+def background(path: Path, bounds: tuple[float, float, float, float] | None) -> Background:
+    """Return a map's file, looked into. bounds: of a picture: south, west, north, east, degrees.
 
     Raises InputError when the page could not show it.
     """
     if not path.is_file():
-        raise InputError(f"--map: {path} is no file; give one that ends in {_SUFFIXES}.")
+        raise InputError(f"{path} is no file; give one that ends in {_SUFFIXES}.")
     suffix = path.suffix.lower()
     if suffix not in _OPENERS:
         return _picture(path, bounds)
     if bounds is not None:
-        raise InputError("--map-bounds is of a picture; tiles know where they lie: leave it out.")
+        raise InputError("display.map_bounds are of a picture; tiles know where they lie: leave it out.")
     try:
         tiles = _OPENERS[suffix](path)
         data = tiles.any_tile()
     except ImportError:
-        raise missing_package(f"--map: {path}", "pmtiles", "give an .mbtiles file") from None
+        raise missing_package(f"{path}", "pmtiles", "give an .mbtiles file") from None
     except Exception as error:  # whatever two readers make of another's bytes
         raise InputError(
-            f"--map: {path} is not a {suffix[1:]} file that can be read ({plain(str(error))}); is it whole?"
+            f"{path} is not a {suffix[1:]} file that can be read ({plain(str(error))}); is it whole?"
         ) from error
     if media_type(data) is None:
-        raise InputError(f"--map: {path} holds no pictures; give raster tiles (PNG, JPEG or WebP), not vector ones.")
+        raise InputError(f"{path} holds no pictures; give raster tiles (PNG, JPEG or WebP), not vector ones.")
     least, most = tiles.zooms
     if not 0 <= least <= most <= _ZOOM_MAX:
-        raise InputError(f"--map: {path} has zooms from {least} to {most}; 0 to {_ZOOM_MAX} make sense.")
+        raise InputError(f"{path} has zooms from {least} to {most}; 0 to {_ZOOM_MAX} make sense.")
     return Background(path, zooms=tiles.zooms)
 
 
-def _picture(path: Path, bounds: str | None) -> Background:
+def _picture(path: Path, bounds: tuple[float, float, float, float] | None) -> Background:
     with path.open("rb") as file:
         start = file.read(16)
     if media_type(start) is None:
-        raise InputError(f"--map: {path} is no map that can be shown; give a file that ends in {_SUFFIXES}.")
+        raise InputError(f"{path} is no map that can be shown; give a file that ends in {_SUFFIXES}.")
     if path.stat().st_size > _PICTURE_MAX_BYTES:
-        raise InputError(f"--map: {path} is too large for one picture; cut it into tiles (gdal2tiles, .mbtiles).")
+        raise InputError(f"{path} is too large for one picture; cut it into tiles (gdal2tiles, .mbtiles).")
     if bounds is None:
-        raise InputError(f"--map: {path} does not say where it lies; add --map-bounds S,W,N,E in degrees.")
-    with contextlib.suppress(ValueError):
-        south, west, north, east = map(float, bounds.split(","))
-        if -85.0 <= south < north <= 85.0 and -180.0 <= west < east <= 180.0:
-            return Background(path, (south, west, north, east))
-    raise InputError(f"--map-bounds: {bounds!r} is no S,W,N,E in degrees such as 47.3,8.4,47.5,8.6.")
+        raise InputError(f"{path} does not say where it lies; add display.map_bounds = [S, W, N, E] in degrees.")
+    south, west, north, east = bounds
+    if -85.0 <= south < north <= 85.0 and -180.0 <= west < east <= 180.0:
+        return Background(path, bounds)
+    raise InputError(
+        f"display.map_bounds: {list(bounds)} is no [S, W, N, E] in degrees such as [47.3, 8.4, 47.5, 8.6]."
+    )
 
 
 def media_type(data: bytes) -> str | None:

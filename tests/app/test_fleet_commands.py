@@ -78,7 +78,7 @@ def test_check_names_the_aircraft_that_cannot(run, tmp_path, monkeypatch):
         (("connect", "--config", "fleet.toml"), "no vehicle is named"),
         (("connect", "udpin://127.0.0.1:1", "--config", "fleet.toml"), "leave out the URL"),
         (("connect",), "no vehicle is named"),
-        (("launch", "fleet.toml", "--system-id", 1), "--system-id names one vehicle"),
+        (("launch", "fleet.toml", "--set", "link.system_id=1"), "link.system_id names one vehicle"),
         (("launch", "fleet.toml", "--fleet", 3), "leave out --fleet 3"),
         (("launch", "fleet.toml", "--connect", "udpin://127.0.0.1:1"), "give its system_id"),
         (("launch", "--fleet", 2, "--side", "either"), "share the sides"),

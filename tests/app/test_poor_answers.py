@@ -101,7 +101,7 @@ def test_a_fleet_s_study_takes_no_planner():
 
 
 def test_a_missing_map_is_named_before_the_page_is_asked_for(tmp_path):
-    assert "there is no file" in refused("launch", "--map", tmp_path / "none.mbtiles")
+    assert "there is no file" in refused("launch", "--set", f"display.map_file={tmp_path / 'none.mbtiles'}")
 
 
 def test_an_optional_package_is_installed_where_this_program_runs():

@@ -52,7 +52,7 @@ def test_what_stands_in_the_way_is_named_with_its_remedy(autopilot, name, presen
     found = checks(Config(), Silent(), autopilot, NOTHING_READ, None, (), (need,))
     (check,) = (check for check in found if check.name == name)
     assert not check.ready
-    assert "--set-parameters" in str(check)
+    assert "link.set_parameters" in str(check)
 
 
 def test_an_unhealthy_sensor_is_named():
@@ -118,13 +118,13 @@ class Flying:
     ("vehicle", "allowed", "refused"),
     [
         (Flying(10), (), ""),  # AUTO
-        (Flying(11), (), "--take-over-from RTL"),
+        (Flying(11), (), "--set 'link.take_over_from=[\"RTL\"]'"),
         (Flying(11), ("rtl",), ""),
-        (Flying(11), ("LAND",), "--take-over-from RTL"),
-        (Flying(26), (), "--take-over-from AUTOLAND"),
-        (Flying(14), (), "--take-over-from AVOID_ADSB"),
-        (Flying(10, state=5), (), "--take-over-from failsafe"),
-        (Flying(11, state=6), ("RTL",), "--take-over-from failsafe"),
+        (Flying(11), ("LAND",), "--set 'link.take_over_from=[\"RTL\"]'"),
+        (Flying(26), (), "--set 'link.take_over_from=[\"AUTOLAND\"]'"),
+        (Flying(14), (), "--set 'link.take_over_from=[\"AVOID_ADSB\"]'"),
+        (Flying(10, state=5), (), "--set 'link.take_over_from=[\"failsafe\"]'"),
+        (Flying(11, state=6), ("RTL",), "--set 'link.take_over_from=[\"failsafe\"]'"),
         (Flying(11, state=6), ("RTL", "failsafe"), ""),
         (Flying(11, height_m=0.0), (), ""),  # on the ground
     ],

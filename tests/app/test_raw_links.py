@@ -249,7 +249,7 @@ def test_a_vehicle_that_signs_is_noticed_on_a_link_without_a_key():
         links.start(lambda _data: None)
         for _ in range(2):
             assert wire.bring(bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(signing)))
-    assert troubles == ["the vehicle signs its messages: without --signing-key it may reject ours"]
+    assert troubles == ["the vehicle signs its messages: without link.signing_key_file it may reject ours"]
 
 
 def test_a_listening_link_speaks_to_those_who_have_the_key(linked):

@@ -343,7 +343,7 @@ def test_a_certificate_that_is_none_is_reported(tmp_path):
     ],
 )
 def test_an_address_that_cannot_be_is_reported(options):
-    with pytest.raises(InputError, match=r"--view-host|--view-cert|PEM"):
+    with pytest.raises(InputError, match=r"display.host|display.certificate_file|PEM"):
         Address(**options)
 
 

@@ -83,10 +83,10 @@ def written(path, data):
         (lambda folder: written(folder / "a.pmtiles", b"x" * 2000), None, "is not a pmtiles file that can be read"),
         (lambda folder: with_wrong_zoom(folder / "a.mbtiles"), None, "Could not decode to UTF-8"),
         (lambda folder: mbtiles(folder / "a.mbtiles", b"\x1f\x8bvector"), None, "not vector ones"),
-        (lambda folder: mbtiles(folder / "a.mbtiles", picture()), "1,2,3,4", "tiles know where they lie"),
-        (lambda folder: written(folder / "a.png", picture()), None, "add --map-bounds S,W,N,E"),
-        (lambda folder: written(folder / "a.png", picture()), "47.5,8,47.3,9", "is no S,W,N,E in degrees"),
-        (lambda folder: written(folder / "a.tif", b"II*\0"), "47,8,48,9", "is no map that can be shown"),
+        (lambda folder: mbtiles(folder / "a.mbtiles", picture()), (1, 2, 3, 4), "tiles know where they lie"),
+        (lambda folder: written(folder / "a.png", picture()), None, "add display.map_bounds = [S, W, N, E]"),
+        (lambda folder: written(folder / "a.png", picture()), (47.5, 8, 47.3, 9), "is no [S, W, N, E] in degrees"),
+        (lambda folder: written(folder / "a.tif", b"II*\0"), (47, 8, 48, 9), "is no map that can be shown"),
     ],
 )
 def test_what_cannot_be_shown_is_refused_in_one_sentence(tmp_path, make, bounds, sentence):
@@ -97,12 +97,9 @@ def test_what_cannot_be_shown_is_refused_in_one_sentence(tmp_path, make, bounds,
 
 
 def test_a_wrong_map_ends_launch_before_anything_is_connected(tmp_path):
-    ended = CliRunner().invoke(app, ["launch", "--view", "--map", str(tmp_path / "none.mbtiles")])
+    ended = CliRunner().invoke(app, ["launch", "--view", "--set", f"display.map_file={tmp_path / 'none.mbtiles'}"])
     assert ended.exit_code != 0
-    assert "none.mbtiles is no file" in str(ended.exception)
-    (tmp_path / "a.mbtiles").touch()
-    ended = CliRunner().invoke(app, ["launch", "--map", str(tmp_path / "a.mbtiles")])
-    assert "give --view with it" in str(ended.exception)
+    assert "there is no file" in str(ended.exception)
 
 
 def test_tiles_are_served_and_nothing_else_of_the_file(tmp_path):

@@ -22,8 +22,8 @@ def serving(run_folder, *options):
         "replay",
         str(run_folder),
         "--view",
-        "--view-port",
-        "0",
+        "--set",
+        "display.port=0",
         "--quiet",
         *options,
     )

@@ -16,7 +16,7 @@ def test_launch_refuses_with_the_reason_then_sets_and_restores(vehicle_of, launc
     assert refused.process.wait(90.0) == 2
     assert "NAV_DLL_ACT: 5: losing the link would end the flight" in refused.announced
     assert vehicle.autopilot.parameters["NAV_DLL_ACT"] == 5
-    flying = launch(vehicle.url, "--set-parameters")
+    flying = launch(vehicle.url, "--set", "link.set_parameters=true")
     flying.wait_for("watched from now on")
     assert vehicle.autopilot.parameters["NAV_DLL_ACT"] == 0
     flying.end()

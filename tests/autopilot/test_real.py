@@ -31,7 +31,7 @@ def fly(request, launch, tmp_path, record_property):
 
 @pytest.mark.parametrize("guidance", ["mission", "command"])
 def test_a_flight(fly, guidance, record_property):
-    flight = fly("--guidance", guidance, "--duration", str(DURATION_S), "--quiet")
+    flight = fly("--set", f"planner.guidance={guidance}", "--duration", str(DURATION_S), "--quiet")
     assert flight.process.wait(100.0 + 900.0 / SPEED) == 0, flight.announced
     summary = flight.end()
     assert summary["outcome"] == "completed"

@@ -129,7 +129,14 @@ def test_a_second_vehicle_with_another_id_is_listed_and_refused(flown, launch):
         if message.get_type() in VEHICLE and message.get_srcComponent() == 1:
             yield 0.0, packed(message, system_id=7)
 
-    refused(flown, launch, alongside, "several vehicles share the link", "system 7 (", "select one with --system-id")
+    refused(
+        flown,
+        launch,
+        alongside,
+        "several vehicles share the link",
+        "system 7 (",
+        "select one with --set link.system_id",
+    )
 
 
 def test_a_second_vehicle_with_the_same_id_is_reported_before_anything_is_armed(flown, launch):

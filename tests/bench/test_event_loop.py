@@ -81,7 +81,7 @@ def test_no_callback_blocks_the_loop_in_flight(flown, tmp_path):
     arguments = {
         "arduplane": ["--autopilot", "arduplane"],
         "px4": ["--autopilot", "px4"],
-        "hills": ["--terrain", str(tmp_path), "--home", ",".join(map(str, HOME_DEG))],
+        "hills": ["--terrain", str(tmp_path), "--set", f"simulation.home={list(HOME_DEG)}"],
         "fleet": ["--fleet", "2", "--autopilot", "arduplane,px4"],
         "route": ["--target", str(TRACK), "--route", str(tmp_path / "route.csv")],
     }[flown]

@@ -118,7 +118,7 @@ def test_a_flight_over_a_bad_link_is_repeated_to_the_last_bit(tmp_path, seed):
     )
     try:
         command = [SIDELONG, "launch", "--connect", f"udpin://127.0.0.1:{port}", "--duration", "200", "--quiet"]
-        command += ["--guidance", guidance, "--out", tmp_path / "runs"]
+        command += ["--set", f"planner.guidance={guidance}", "--out", tmp_path / "runs"]
         flown = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     finally:
         vehicle.terminate()

@@ -116,7 +116,7 @@ def test_hostile_frames_reach_nothing(tmp_path, flavour):
         attacks[0].start()
 
     duration_s = 4 * HOSTILE / FRAMES_PER_S + 30.0
-    launch = ("--signing-key", key, "--duration", f"{duration_s:.0f}")
+    launch = ("--set", f"link.signing_key_file={key}", "--duration", f"{duration_s:.0f}")
     summary, journal = flown(tmp_path, flavour, ("--set", f"signing_key_file={key}"), launch, begin)
     attacks[0].join()
     events = list(JournalReader(journal, JOURNAL_TYPES))
@@ -154,7 +154,7 @@ def test_a_signed_flight_watches_as_an_unsigned_one(tmp_path, flavour):
     launch = ("--duration", 1200)
     ways = {
         "unsigned": ((), launch),
-        "signed": (("--set", f"signing_key_file={key}"), (*launch, "--signing-key", key)),
+        "signed": (("--set", f"signing_key_file={key}"), (*launch, "--set", f"link.signing_key_file={key}")),
     }
     mean = sides(tmp_path, flavour, 4, ways)
     assert mean["signed"][0] >= mean["unsigned"][0] - SIGNED_MAX

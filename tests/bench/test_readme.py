@@ -68,7 +68,7 @@ def test_a_command_of_the_readme_runs(command, folder):
         elif name == "sitl":
             text = _for_a_while(words, folder)
         else:
-            with_map = ["--view-port", "0"] if "--view" in words else []
+            with_map = ["--set", "display.port=0"] if "--view" in words else []
             flown = name == "launch" and "--connect" in words
             short = SHORT["launch"][:2] if flown else SHORT.get(name, [])
             text = _done([*words, *with_map, *short], folder)

@@ -198,7 +198,7 @@ def flown(vehicle: RealVehicle, guidance: str, folder: Path, *, known: bool) -> 
             "--connect",
             vehicle.urls[0],
         ]
-        command += ["--guidance", guidance, "--duration", DURATION_S, "--out", folder / "runs"]
+        command += ["--set", f"planner.guidance={guidance}", "--duration", DURATION_S, "--out", folder / "runs"]
         command += ["--route", folder / "route.csv"] if known else []
         done = subprocess.run(list(map(str, command)), stdout=announced, stderr=announced, cwd=ROOT, check=False)
     assert done.returncode == 0, (folder / "reported.txt").read_text()[-2000:]

@@ -54,7 +54,7 @@ def test_signed_as_unsigned(tmp_path, flavour):
                 print(given, taken, again)
                 assert "still takes what is unsigned" in given or flavour == "px4"
                 assert "no longer signs" in taken
-                launch += ["--signing-key", key]
+                launch += ["--set", f"link.signing_key_file={key}"]
             flights[name] = begun(tmp_path / name, flavour, launch, duration_s=1200)
         for name, flight in flights.items():
             assert flight.wait() == 0, name

@@ -73,7 +73,15 @@ def test_the_mission_of_another_vehicle_on_the_link_is_asked_for(free_port, tmp_
     try:
         assert vehicles.stdout.readline().startswith("ready system 1")
         done = sidelong(
-            *("launch", "--connect", f"udpin://127.0.0.1:{port}", "--system-id", 1, "--route", "mavlink:2"),
+            *(
+                "launch",
+                "--connect",
+                f"udpin://127.0.0.1:{port}",
+                "--set",
+                "link.system_id=1",
+                "--route",
+                "mavlink:2",
+            ),
             *("--duration", 20, "--no-view", "--out", tmp_path / "runs"),
         )
     finally:

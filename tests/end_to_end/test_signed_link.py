@@ -67,7 +67,19 @@ def test_a_signed_flight_and_its_records_without_the_key(tmp_path):
     key, summary = tmp_path / "plane.key", tmp_path / "summary.json"
     sign(key)
     announced = sidelong(
-        *("launch", "--signing-key", key, "--duration", 60, "--speed", 30, "--seed", 3, "--planner", "paper"),
+        *(
+            "launch",
+            "--set",
+            f"link.signing_key_file={key}",
+            "--duration",
+            60,
+            "--speed",
+            30,
+            "--seed",
+            3,
+            "--planner",
+            "paper",
+        ),
         *("--out", tmp_path / "runs", "--json", summary),
     )
     values = json.loads(summary.read_text())

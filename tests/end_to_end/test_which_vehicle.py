@@ -42,7 +42,7 @@ def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
         assert unnamed.returncode == 2, unnamed.stdout + unnamed.stderr
         assert "several vehicles share the link: system 1 (" in unnamed.stderr
         assert "system 7 (px4" in unnamed.stderr
-        assert "--system-id" in unnamed.stderr
+        assert "--set link.system_id=ID" in unnamed.stderr
         named = sidelong("connect", url, "--system-id", 7, "--listen", 1, "--json", tmp_path / "found.json")
         assert named.returncode == 0, named.stderr
         assert json.loads((tmp_path / "found.json").read_text())["system_id"] == 7

@@ -144,7 +144,7 @@ def test_a_circle_tighter_than_the_aircraft_flies(tmp_path):
 
 
 def test_an_infeasible_requirement():
-    assert "range_max_m" in refused("check", "--dmax", 150)
+    assert "range_max_m" in refused("check", "--set", "requirement.range_max_m=150")
 
 
 @pytest.mark.parametrize("target", ["nowhere.gpx", "sideways"])

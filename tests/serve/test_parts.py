@@ -591,8 +591,10 @@ def test_a_map_that_cannot_be_served_is_reported_at_the_start(monkeypatch):
         pass
 
     monkeypatch.setattr(Resident, "run", ended)
-    arguments = ["serve", "--connect", "udpin://127.0.0.1:1", "--view", "--view-host"]
-    far, here = (CliRunner().invoke(app, [*arguments, host]).output for host in ("192.0.2.1", "127.0.0.1"))
+    arguments = ["serve", "--connect", "udpin://127.0.0.1:1", "--view", "--set"]
+    far, here = (
+        CliRunner().invoke(app, [*arguments, f"display.host={host}"]).output for host in ("192.0.2.1", "127.0.0.1")
+    )
     assert "the live map cannot be served at 192.0.2.1:8420 now (Cannot assign requested address)" in far
     assert "192.0.2.1" not in here
 
