@@ -23,14 +23,17 @@ def _mavlink_2(monkeypatch):
 
 
 def messages(path: Path, wanted=WANTED) -> list[tuple]:
-    return [(m.name, m.system_id, m.component_id, dict(m.fields), m.received_s) for m in read_tlog(path, wanted)]
+    return [
+        (m.name, m.system_id, m.component_id, dict(sorted(m.fields.items())), m.received_s)
+        for m in read_tlog(path, wanted)
+    ]
 
 
 def pymavlink_messages(path: Path, wanted=WANTED) -> list[tuple]:
     log = mavutil.mavlink_connection(str(path))
     found = []
     while (m := log.recv_match(type=list(wanted))) is not None:
-        fields = {name: getattr(m, name) for name in m.get_fieldnames()}
+        fields = {name: getattr(m, name) for name in sorted(m.get_fieldnames())}
         found.append((m.get_type(), m.get_srcSystem(), m.get_srcComponent(), fields, m._timestamp))
     log.close()
     return found
