@@ -102,18 +102,19 @@ class _Aircraft(NamedTuple):
 
 def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
     with share_progress(f"reading {name or source.name}") as progress:
-        flown = read_flight(source, config=config, progress=progress, target_needed=False)
-    return _Aircraft(name, source, flown, _context(source))
+        flown = read_flight(
+            source,
+            config=config,
+            progress=progress,
+            target_needed=False,
+            warn=lambda words: warn_of_log(source, words),
+        )
+    return _Aircraft(name, source, flown, flown.context or _context(RunFolder.open(source)))
 
 
-def _context(source: Path) -> LogContext:
-    if not source.is_dir():
-        context = LogContext.of(open_log(source))
-        warn_of_log(source, context.warning)
-        return context
-    run = RunFolder.open(source)
+def _context(run: RunFolder) -> LogContext:
     if run.tlog.is_file():  # it has the time of day, which the journal lacks
-        return LogContext.of(open_log(run.tlog))
+        return open_log(run.tlog).context()
     header = JournalReader(run.journal, JOURNAL_TYPES).header
     return LogContext(autopilot_by_name(header.autopilot) or AUTOPILOTS[0], None, header.home_altitude_m)
 

@@ -158,10 +158,8 @@ def _replay_log(
 ) -> Summary:
     from sidelong.app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
     from sidelong.app.records.log import open_log  # noqa: PLC0415
-    from sidelong.app.records.log_context import LogContext  # noqa: PLC0415
 
     log = open_log(path)
-    warn_of_log(path, LogContext.of(log).warning)
     telemetry = Telemetry()
     made = prepared(settings, table_progress(console.print), console.print)
     progress, task = progress_bar(path.name)
@@ -176,6 +174,7 @@ def _replay_log(
         judged = _Judged(settings, controller, progress, quiet)
         replayed = Proposals(controller).follow(itertools.chain(first, events))
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
+    warn_of_log(path, log.context().warning)
     require_sightings(controller.tracker.sightings, log)
     result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))

@@ -60,17 +60,12 @@ def write_report(
             )
         _write_fleet(FleetFolder(run), out)
         return
-    if run.is_file():
-        from sidelong.app.records.log import open_log  # noqa: PLC0415  # a run of ours is read without
-        from sidelong.app.records.log_context import LogContext  # noqa: PLC0415
-
-        warn_of_log(run, LogContext.of(open_log(run)).warning)
     # Only a report needs matplotlib, which takes a second to load.
     from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
     from sidelong.app.report.sources import read_flight  # noqa: PLC0415
 
     with share_progress(f"reading {run.name}") as progress:
-        flown = read_flight(run, truth, config, progress)
+        flown = read_flight(run, truth, config, progress, warn=lambda words: warn_of_log(run, words))
     _write(out, report_page(flown))
     if png is not None:
         with writing(png, "--png", "folder"):

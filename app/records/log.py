@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from sidelong.app.records.ardupilot_entries import ArdupilotMessages
 from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
 from sidelong.app.records.dataflash import dataflash_contents, read_dataflash
 from sidelong.app.records.entry import Entry, Translator
+from sidelong.app.records.log_context import ContextBuilder, LogContext
 from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.px4_entries import Px4Messages
 from sidelong.app.records.tlog import is_tlog, read_tlog, tlog_contents
@@ -25,7 +26,7 @@ _COMPRESSED = (b"\x1f\x8b", b"PK\x03\x04", b"BZh", b"\xfd7zXZ")  # the first byt
 MessageReader = Callable[[Path, Collection[str], Progress], Iterator[Message]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Log:
     """A log of some kind. range_names and gimbal_names: what the kind calls a slant range and a line of sight."""
 
@@ -35,13 +36,27 @@ class Log:
     gimbal_names: tuple[str, ...]
     _messages: MessageReader
     _contents: Callable[[Path], Counter[str]]
+    _context: LogContext | None = None
 
     def messages(self, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Message]:
         """Yield the messages of the ``wanted`` names in order; raises InputError when the file cannot be read."""
+        builder = ContextBuilder()
         try:
-            yield from self._messages(self.path, wanted, progress)
+            for message in self._messages(self.path, {*wanted, *builder.NAMES}, progress):
+                if message.name in builder.NAMES:
+                    builder.take(message)
+                if message.name in wanted:
+                    yield message
         except OSError as error:
             raise _unreadable(self.path, error) from error
+        self._context = builder.context()
+
+    def context(self) -> LogContext:
+        """Return what the log contains besides the flight; it is read for that unless its messages have been."""
+        if self._context is None:
+            deque(self.messages(()), maxlen=0)
+        assert self._context is not None
+        return self._context
 
     def contents(self) -> Counter[str]:
         """Return how often the log has what, in the words of its kind."""

@@ -10,10 +10,9 @@ from statistics import median
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
+from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_INVALID, TYPE_FIXED_WING
-from sidelong.app.records.log import Log
 
-_NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
 _AUTOPILOT_COMPONENT = 1
 _DATED_S = 1e9  # a smaller one was not counted from 1970
 _RESTARTED_MS = 10_000  # a stamp that is earlier by less was overtaken on the way
@@ -49,46 +48,51 @@ class LogContext:
             return f"warning: the results are of the vehicle of system {self.system_id} only; it also has {others}"
         return ""
 
-    @staticmethod
-    def of(log: Log) -> LogContext:
-        """Return the context of the log. Raises InputError when it cannot be read."""
-        autopilot, home_m, reckoned_m, kind = AUTOPILOTS[0], None, None, TYPE_FIXED_WING
-        boots_s: list[float] = []
-        restarts: Counter[int] = Counter()
-        latest_ms: dict[int, float] = {}
-        system_id: int | None = None
-        others: set[int] = set()
-        for message in log.messages(_NAMES):
-            fields = message.fields
-            if message.component_id != _AUTOPILOT_COMPONENT:
-                continue
-            is_vehicle = message.name == "HEARTBEAT" and fields["autopilot"] != AUTOPILOT_INVALID
-            if is_vehicle and system_id is None:
-                system_id = message.system_id
-            if system_id is not None and message.system_id != system_id:
-                if is_vehicle:
-                    others.add(message.system_id)
-            elif message.name == "HEARTBEAT":
-                known = autopilot_by_mav_autopilot(int(fields["autopilot"]))
-                if known is not None:
-                    autopilot, kind = known, int(fields.get("type") or kind)
-            elif message.name == "HOME_POSITION":
-                home_m = fields["altitude"] * 1e-3
-            elif message.name == "GLOBAL_POSITION_INT":
-                system, stamp_ms = message.system_id, fields["time_boot_ms"]
-                restarts[system] += stamp_ms < latest_ms.get(system, -math.inf) - _RESTARTED_MS
-                latest_ms[system] = stamp_ms
-                if reckoned_m is None and fields["lat"]:
-                    reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
-                if len(boots_s) < _STAMPS and message.received_s > _DATED_S:
-                    boots_s.append(message.received_s - fields["time_boot_ms"] * 1e-3)
-        booted = datetime.fromtimestamp(median(boots_s), UTC) if boots_s else None
-        return LogContext(
-            autopilot,
-            booted,
-            reckoned_m if home_m is None else home_m,
-            max(restarts.values(), default=0),
-            kind,
-            system_id,
-            tuple(sorted(others)),
-        )
+
+class ContextBuilder:
+    """Makes a log's context of its messages of ``NAMES``, in their order."""
+
+    NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
+
+    def __init__(self) -> None:
+        self._autopilot, self._kind = AUTOPILOTS[0], TYPE_FIXED_WING
+        self._home_m: float | None = None
+        self._reckoned_m: float | None = None  # home's altitude by a position
+        self._boots_s: list[float] = []
+        self._restarts: Counter[int] = Counter()  # of each system, as is the next one
+        self._latest_ms: dict[int, float] = {}
+        self._system_id: int | None = None
+        self._others: set[int] = set()
+
+    def take(self, message: Message) -> None:
+        """Take the next message."""
+        fields, system_id = message.fields, message.system_id
+        if message.component_id != _AUTOPILOT_COMPONENT:
+            return
+        is_vehicle = message.name == "HEARTBEAT" and fields["autopilot"] != AUTOPILOT_INVALID
+        if is_vehicle and self._system_id is None:
+            self._system_id = system_id
+        if self._system_id not in (None, system_id):
+            if is_vehicle:
+                self._others.add(system_id)
+        elif message.name == "HEARTBEAT":
+            known = autopilot_by_mav_autopilot(int(fields["autopilot"]))
+            if known is not None:
+                self._autopilot, self._kind = known, int(fields.get("type") or self._kind)
+        elif message.name == "HOME_POSITION":
+            self._home_m = fields["altitude"] * 1e-3
+        elif message.name == "GLOBAL_POSITION_INT":
+            stamp_ms = fields["time_boot_ms"]
+            self._restarts[system_id] += stamp_ms < self._latest_ms.get(system_id, -math.inf) - _RESTARTED_MS
+            self._latest_ms[system_id] = stamp_ms
+            if self._reckoned_m is None and fields["lat"]:
+                self._reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
+            if len(self._boots_s) < _STAMPS and message.received_s > _DATED_S:
+                self._boots_s.append(message.received_s - stamp_ms * 1e-3)
+
+    def context(self) -> LogContext:
+        """Return the context by the messages so far."""
+        booted = datetime.fromtimestamp(median(self._boots_s), UTC) if self._boots_s else None
+        home_m = self._reckoned_m if self._home_m is None else self._home_m
+        restarts, others = max(self._restarts.values(), default=0), tuple(sorted(self._others))
+        return LogContext(self._autopilot, booted, home_m, restarts, self._kind, self._system_id, others)

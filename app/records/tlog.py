@@ -11,7 +11,6 @@ import struct
 import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from itertools import islice
 from mmap import mmap
 from pathlib import Path
 from typing import Any
@@ -148,25 +147,23 @@ def _unwanted_end(data: mmap | bytes, at: int, max_bytes: Mapping[int, int]) -> 
 
 
 def _decoder(kind: Any) -> Callable[[bytes], dict[str, Any]]:
-    """Return what turns a message's payload into its fields, faster than pymavlink, which gives the same values."""
-    unpack, size, names = kind.unpacker.unpack, kind.unpacker.size, kind.ordered_fieldnames
-    plain = not any(kind.array_lengths)
+    """Return what turns a message's payload into its fields, faster than pymavlink, with the same values."""
+    unpack, size = kind.unpacker.unpack, kind.unpacker.size
+    lengths = list(zip(kind.ordered_fieldnames, kind.lengths, strict=True))
+    names = [name for name, length in lengths for _ in range(length)]
+    arrays = [(name, names.index(name), length) for name, length in lengths if length > 1]
+    texts = [name for name, value in zip(names, unpack(bytes(size)), strict=True) if isinstance(value, bytes)]
 
     def fields(payload: bytes) -> dict[str, Any]:
         values = unpack(payload[:size].ljust(size, b"\0"))
-        if plain:
-            return dict(zip(names, values, strict=True))
-        several = iter(values)
-        return {
-            name: _text(next(several)) if length == 1 else list(islice(several, length))
-            for name, length in zip(names, kind.lengths, strict=True)
-        }
+        made = dict(zip(names, values, strict=True))  # of an array, the last value
+        for name, begin, length in arrays:
+            made[name] = list(values[begin : begin + length])
+        for name in texts:
+            made[name] = made[name].split(b"\0", 1)[0].decode("ascii", "replace")
+        return made
 
     return fields
-
-
-def _text(value: Any) -> Any:
-    return value.split(b"\0", 1)[0].decode("ascii", "replace") if isinstance(value, bytes) else value
 
 
 def read_tlog(path: Path, wanted: Collection[str] | None = None, progress: Progress = unseen) -> Iterator[Message]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.log import Log, open_log
+from sidelong.app.records.log_context import LogContext
 from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.run_folder import RunFolder, recording
 from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
@@ -41,6 +43,8 @@ class Flown:
     history: History
     summary: Summary
     damaged_lines: int = 0
+    context: LogContext | None = None
+    """What else a log contains; a run folder has its own."""
 
 
 def read_flight(
@@ -50,15 +54,18 @@ def read_flight(
     progress: Progress = unseen,
     *,
     target_needed: bool = True,
+    warn: Callable[[str], object] = lambda _words: None,
 ) -> Flown:
     """Read a run folder or a log; ``truth`` and ``config`` take the place of what a run folder has itself.
+
+    ``warn`` receives what keeps a log from being that of one fixed wing's flight, '' if nothing does.
 
     Raises InputError for what is neither, or holds no flight, or no sighting of a target where one is needed.
     """
     path = recording(path)
     if path.is_dir():
         return _run(RunFolder.open(path), truth, config, progress)
-    return _log(path, truth, config, progress, target_needed)
+    return _log(path, truth, config, progress, target_needed, warn)
 
 
 class Sink(Protocol):
@@ -112,16 +119,26 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
 
 
-def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress, target_needed: bool) -> Flown:
+def _log(
+    path: Path,
+    truth: Path | None,
+    config: Path | None,
+    progress: Progress,
+    target_needed: bool,
+    warn: Callable[[str], object],
+) -> Flown:
     settings = load_config(config)
     telemetry = Telemetry()
     builder = HistoryBuilder(tracker_of(settings))
     log = open_log(path)
     _feed_log(log, telemetry, builder, progress)
+    warn(log.context().warning)
     if target_needed:
         require_sightings(len(builder.sightings), log)
     history = _built(builder, settings, path, telemetry.plane, truth)
-    return Flown(path.name, "an autopilot", settings, history, summary_of(history, "recorded log"))
+    return Flown(
+        path.name, "an autopilot", settings, history, summary_of(history, "recorded log"), context=log.context()
+    )
 
 
 def _built(

@@ -20,7 +20,7 @@ from sidelong.app.commands.export import write_export
 from sidelong.app.commands.report import write_report
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format
-from sidelong.app.records.log_context import LogContext
+from sidelong.app.records.log_context import ContextBuilder, LogContext
 from sidelong.app.report import series
 from sidelong.app.report.history import AircraftTrack, HistoryBuilder
 from sidelong.app.report.page import report_page
@@ -203,6 +203,13 @@ def test_a_log_of_two_flights_is_named_by_each_command(tmp_path):
             assert (f"{flights}.tlog: warning: the vehicle's clock starts again in it (2 flights)" in words) is warned
 
 
+def context_of(messages) -> LogContext:
+    builder = ContextBuilder()
+    for one in messages:
+        builder.take(one)
+    return builder.context()
+
+
 def test_of_a_log_of_two_vehicles_only_the_first_counts_and_the_other_is_named():
     messages = [
         message("HEARTBEAT", type=1, autopilot=3),
@@ -211,7 +218,7 @@ def test_of_a_log_of_two_vehicles_only_the_first_counts_and_the_other_is_named()
         message("HOME_POSITION", system=2, altitude=90_000),
         message("HEARTBEAT", system=255, type=6, autopilot=8),
     ]
-    context = LogContext.of(SimpleNamespace(messages=lambda _names: iter(messages)))
+    context = context_of(messages)
     assert context.warning.endswith("the results are of the vehicle of system 1 only; it also has 2")
     assert (context.home_altitude_m, context.kind, context.autopilot) == (500.0, 1, LogContext().autopilot)
 
@@ -219,7 +226,7 @@ def test_of_a_log_of_two_vehicles_only_the_first_counts_and_the_other_is_named()
 @pytest.mark.parametrize(("kind", "warning"), [(1, ""), (2, "the vehicle is of MAV_TYPE 2, no fixed wing")])
 def test_a_log_of_no_fixed_wing_is_named(kind, warning):
     heartbeats = [message("HEARTBEAT", type=kind, autopilot=3), message("HEARTBEAT", 100, type=30, autopilot=8)]
-    context = LogContext.of(SimpleNamespace(messages=lambda _names: iter(heartbeats)))
+    context = context_of(heartbeats)
     assert warning in context.warning
     assert bool(warning) is bool(context.warning)
 
