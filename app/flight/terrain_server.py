@@ -13,7 +13,7 @@ from sidelong.app.flight.one_task import OneTask
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.tile import Posts
+from sidelong.app.terrain.raster import Posts
 
 _ACROSS, _UP, _POSTS = 8, 7, 4
 # ArduPilot's own conversion, in which both sides have to name the same places.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -12,15 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sidelong.app.errors import InputError
-from sidelong.app.terrain.geotiff import GeoTiff
-from sidelong.app.terrain.srtm import SrtmTile
-from sidelong.app.terrain.tile import Bounds, HeightArray, Posts, Tile
+from sidelong.app.terrain.raster import Bounds, HeightArray, Posts, Raster
 from sidelong.estimators.frames import LocalPlane
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
 
-_READERS: dict[str, type[SrtmTile] | type[GeoTiff]] = {".hgt": SrtmTile, ".tif": GeoTiff, ".tiff": GeoTiff}
+_SUFFIXES = (".hgt", ".tif", ".tiff", ".hgt.gz", ".zip")
 _TILES_MAX = 5_000
 _REACH_M = 25_000.0  # an hour at 7 m/s
 _POSTS_MAX = 6_000_000  # 24 MB
@@ -59,7 +58,10 @@ class ElevationData:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.tiles = sorted(map(_opened, _files(path)), key=lambda tile: tile.posts.step_north_deg)
+        tiles = [tile for file in _files(path) for tile in _opened(file)]
+        if not tiles:
+            raise InputError(f"{path}: holds no elevation data; put .hgt tiles or GeoTIFF files there.")
+        self.tiles = sorted(tiles, key=lambda tile: tile.posts.step_north_deg)
 
     def read(self, wanted: Posts) -> HeightArray:
         """Return heights above sea level (rows, columns) at posts, NaN where void."""
@@ -151,25 +153,30 @@ def _files(path: Path) -> list[Path]:
     if not path.exists():
         raise InputError(f"{path}: there is no such folder of elevation data; give one with .hgt tiles or GeoTIFF.")
     if path.is_file():
-        if path.suffix.lower() not in _READERS:
+        if not path.name.lower().endswith(_SUFFIXES):
             raise InputError(f"{path}: elevation data is .hgt or .tif; give such a file or a folder of them.")
         return [path]
     try:
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in _READERS)
+        files = sorted(file for file in path.iterdir() if file.name.lower().endswith(_SUFFIXES))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a folder that can.") from error
-    if not files:
-        raise InputError(f"{path}: holds no elevation data; put .hgt tiles or GeoTIFF files there.")
     if len(files) > _TILES_MAX:
         raise InputError(f"{path}: holds {len(files):,} tiles; {_TILES_MAX:,} at most serve.")
     return files
 
 
-def _opened(path: Path) -> Tile:
+def _opened(path: Path) -> list[Raster]:
+    """Return the rasters of a file; a zip archive may hold several, or none."""
     if not path.is_file():  # a pipe would be waited for
         raise InputError(f"{path}: is no file that can be read; replace it.")
-    tile: Tile = _READERS[path.suffix.lower()](path)
-    return tile
+    if path.suffix.lower() != ".zip":
+        return [Raster(path)]
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [one for one in archive.infolist() if one.filename.lower().endswith(_SUFFIXES[:3])]
+    except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        raise InputError(f"{path}: is no readable archive ({error}); replace it.") from error
+    return [Raster(path, one.filename, one.file_size) for one in members[:_TILES_MAX]]
 
 
 def _tile_name(latitude_deg: float, longitude_deg: float) -> str:
@@ -217,7 +224,7 @@ def _outlined(strip: Posts, outlines: list[Bounds]) -> int:
     return int(inside.sum())
 
 
-def _tile_coverage(tile: Tile, bounds: Bounds) -> TileCoverage:
+def _tile_coverage(tile: Raster, bounds: Bounds) -> TileCoverage:
     common = tile.posts.bounds.overlap(bounds)
     assert common is not None
     known = total = 0

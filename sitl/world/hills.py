@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -95,12 +97,21 @@ class Hills:
         if (south, west) not in self._tiles:
             assert self._folder is not None
             name = f"{'S' if south < 0 else 'N'}{abs(south):02d}{'W' if west < 0 else 'E'}{abs(west):03d}.hgt"
-            path = self._folder / name
-            tile = None
+            path, tile = self._folder / name, None
             if path.is_file():
-                side = _SIDES.get(path.stat().st_size)
-                if side is None:
-                    raise HillsError(f"{path} is damaged: no SRTM tile has {path.stat().st_size} bytes")
-                tile = np.memmap(path, ">i2", "r", shape=(side, side))
+                tile = np.memmap(path, ">i2", "r", shape=_shape(path, path.stat().st_size))
+            elif (path := path.with_name(f"{name}.zip")).is_file():
+                try:
+                    with zipfile.ZipFile(path) as archive:
+                        shape = _shape(path, archive.getinfo(name).file_size)
+                        tile = np.frombuffer(archive.read(name), ">i2").reshape(shape)
+                except (OSError, zipfile.BadZipFile, zlib.error, LookupError, ValueError) as error:
+                    raise HillsError(f"{path} is damaged: {error}") from error
             self._tiles[south, west] = tile
         return self._tiles[south, west]
+
+
+def _shape(path: Path, size: int) -> tuple[int, int]:
+    if size not in _SIDES:
+        raise HillsError(f"{path} is damaged: no SRTM tile has {size} bytes")
+    return _SIDES[size], _SIDES[size]

@@ -137,12 +137,11 @@ def read_lines(path: Path) -> tuple[list[Line], bool]:
         *(expat.ExpatError, zipfile.BadZipFile, zlib.error, csv.Error, EOFError, NotImplementedError),
         *(LookupError, ArithmeticError, ValueError, TypeError, AttributeError, RuntimeError, AssertionError),
     ) as error:
-        raise TrackError(
-            f"{path}: is not a readable track or route: {str(error) or type(error).__name__:.160}"
-        ) from error
+        reason = _one_line(str(error)) or type(error).__name__
+        raise TrackError(f"{path}: is not a readable track or route: {reason:.160}") from error
     found = [line for line in lines if line.points]
     for number, line in enumerate(found, 1):
-        line.name = line.name.strip() or str(number)
+        line.name = _one_line(line.name) or str(number)
     return found, geodetic
 
 
@@ -173,6 +172,10 @@ def chosen(found: Sequence[tuple[Line, float]], name: str) -> tuple[int, str]:
         f"{names[best]!r:.60}{reason} is used, {len(others)} further {lines} not used ({_listed(others)}); "
         "--track NAME or FILE#NAME selects another"
     )
+
+
+def _one_line(text: str) -> str:
+    return " ".join("".join(c if c.isprintable() else " " for c in text[:1000]).split())
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -360,3 +360,9 @@ def test_nanoseconds_do_not_fill_the_memory_of_a_study(tmp_path: Path) -> None:
     (target,) = recorded_targets([tmp_path], 5.0).flown
     assert target.duration_s == pytest.approx(118.5)
     assert math.isfinite(target.speed_p95_m_s)
+
+
+def test_sentences_stay_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(TrackError, match="is not a readable track or route") as error:
+        track_of(tmp_path, "walk.csv", 't_s,east_m,north_m\n0,1,2\n1,"2\n3\x1b[2J",4\n')
+    assert str(error.value).isprintable()

@@ -13,9 +13,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 from pmtiles.tile import Compression, TileType, zxy_to_tileid
 from pmtiles.writer import Writer
 from pymavlink.dialects.v20 import common as mavlink
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
 
 from sidelong.app.analysis.truth import read_truth
 from sidelong.app.config import Config, load_config
@@ -29,6 +32,8 @@ from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.report.sources import read_summary
 from sidelong.app.route_file import read_route
 from sidelong.app.sharing.beacon import decode
+from sidelong.app.terrain.elevation_data import ElevationData
+from sidelong.app.terrain.raster import Bounds
 from sidelong.app.value_cache import stored_table
 from sidelong.app.view.background import background, readable_tile
 from sidelong.estimators.frames import LocalPlane
@@ -110,11 +115,27 @@ def _route(path: Path) -> None:
     read_route(path)
 
 
-def _kmz() -> bytes:
+def _zipped(name: str, content: bytes) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("doc.kml", _KML)
+        archive.writestr(name, content)
     return file.getvalue()
+
+
+def _terrain(path: Path) -> None:
+    ElevationData(path).coverage(Bounds(47.2, 8.2, 47.25, 8.25))
+
+
+def _tile() -> bytes:
+    return np.add.outer(np.arange(1201), np.arange(1201)).astype(">i2").tobytes()
+
+
+def _geotiff() -> bytes:
+    place = {"crs": "EPSG:4326", "transform": from_origin(8.0, 48.0, 1 / 60, 1 / 60), "nodata": -32768}
+    with MemoryFile() as file:
+        with file.open(driver="GTiff", width=60, height=60, count=1, dtype="int16", **place) as written:
+            written.write(np.add.outer(np.arange(60), np.arange(60)).astype(np.int16), 1)
+        return bytes(file.getbuffer())
 
 
 def _tiles(path: Path) -> None:
@@ -271,7 +292,7 @@ def readers(table: bytes) -> dict[str, Reader]:
         Reader("csv track", ".csv", _CSV_TRACK, _track),
         Reader("ais table", ".csv", _AIS, _track),
         Reader("kml", ".kml", _KML, _track),
-        Reader("kmz", ".kmz", _kmz(), _track),
+        Reader("kmz", ".kmz", _zipped("doc.kml", _KML), _track),
         Reader("geojson", ".geojson", _GEOJSON, _track),
         Reader("plan", ".plan", _PLAN, _route),
         Reader("waypoints", ".waypoints", _WAYPOINTS, _route),
@@ -280,6 +301,8 @@ def readers(table: bytes) -> dict[str, Reader]:
         Reader("fleet", ".toml", _FLEET, load_fleet),
         Reader("beacon, CoT", ".xml", _COT, _beacon),
         Reader("beacon, FOLLOW_TARGET", ".frame", _follow_target(), _beacon),
+        Reader("tile, zipped", ".zip", _zipped("N47E008.hgt", _tile()), _terrain),
+        Reader("geotiff", ".tif", _geotiff(), _terrain),
         Reader("mbtiles", ".mbtiles", _mbtiles(), _tiles),
         Reader("pmtiles", ".pmtiles", _pmtiles(), _tiles),
         Reader("value table", ".table", table, _table),

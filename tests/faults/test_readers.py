@@ -10,6 +10,7 @@ INPUTS = 100
 NAMES = (
     *("tlog", "ulog", "dataflash", "journal", "journal, sealed", "truth", "summary", "config"),
     *("gpx", "csv track", "ais table", "kml", "kmz", "geojson", "plan", "waypoints", "drawn line, CoT"),
+    *("tile, zipped", "geotiff"),
     *("fleet", "beacon, CoT", "beacon, FOLLOW_TARGET", "mbtiles", "pmtiles", "value table"),
 )
 

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import gzip
 import json
 import math
 import os
 import resource
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from typer.testing import CliRunner
 from sidelong.app.cli import app
 from sidelong.app.errors import InputError
 from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.tile import Posts
+from sidelong.app.terrain.raster import Posts
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from tests.terrain.patch import patch_of
@@ -114,6 +116,33 @@ def test_next_to_a_void_nothing_is_known(tmp_path: Path, tile_heights: np.ndarra
 def test_home_without_data_is_one_sentence(hills_folder: Path, home_deg: tuple[float, float], words: str) -> None:
     with pytest.raises(InputError, match=words):
         ElevationData(hills_folder).ground(LocalPlane(*home_deg), home_deg, 4.0)
+
+
+@pytest.mark.parametrize("name", ["N36W085.hgt.zip", "N36W085.SRTMGL3.hgt.zip", "tiles.zip", "N36W085.hgt.gz"])
+def test_a_zipped_tile_is_read_like_the_tile(tmp_path: Path, hills_folder: Path, name: str) -> None:
+    tile, packed = hills_folder / "N36W085.hgt", tmp_path / name
+    if name.endswith(".gz"):
+        packed.write_bytes(gzip.compress(tile.read_bytes(), 1))
+    else:
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.write(tile, "dem/N36W085.hgt")
+    same, own = ElevationData(tmp_path), ElevationData(hills_folder)
+    posts = Posts(36.5, -84.3, STEP_DEG, STEP_DEG, 60, 60)
+    np.testing.assert_array_equal(same.read(posts), own.read(posts))
+
+
+def test_a_damaged_archive_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "N36W085.hgt.zip").write_bytes(b"PK\x03\x04" + bytes(100))
+    with pytest.raises(InputError, match=r"N36W085\.hgt\.zip: is no readable archive"):
+        ElevationData(tmp_path)
+    with zipfile.ZipFile(tmp_path / "N36W085.hgt.zip", "w") as archive:
+        archive.writestr("N36W085.hgt", bytes(1000))
+    with pytest.raises(InputError, match=r"N36W085\.hgt\.zip: has 1,000 bytes where an SRTM tile has"):
+        ElevationData(tmp_path)
+    with zipfile.ZipFile(tmp_path / "N36W085.hgt.zip", "w") as archive:
+        archive.writestr("readme.txt", "no tile")
+    with pytest.raises(InputError, match="holds no elevation data"):
+        ElevationData(tmp_path)
 
 
 def test_folders_without_data_are_one_sentence(tmp_path: Path) -> None:

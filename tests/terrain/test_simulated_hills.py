@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -145,3 +146,15 @@ def test_truth_reports_clearance_and_sight(hills_folder: Path, hills: Hills, tmp
     in_sight, clearance_m = read_truth(tmp_path / "truth.csv").over_ground(10.0)
     assert in_sight == pytest.approx(np.mean([row.in_sight for row in rows if row.time_s >= 10.0]))
     assert clearance_m == pytest.approx(min(row.clearance_m for row in rows if row.time_s >= 10.0), abs=0.01)
+
+
+def test_zipped_tiles_are_the_same_ground(tmp_path: Path, hills_folder: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "N36W085.hgt.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(hills_folder / "N36W085.hgt", "N36W085.hgt")
+    plane = HomePlane(*HOME_DEG)
+    places_m = [(0.0, 0.0), (500.0, -800.0), (-3000.0, 1200.0)]
+    packed, plain = Hills(tmp_path, plane), Hills(hills_folder, plane)
+    assert [packed.height_m(*place) for place in places_m] == [plain.height_m(*place) for place in places_m]
+    (tmp_path / "N36W085.hgt.zip").write_bytes(b"PK" + bytes(100))
+    with pytest.raises(HillsError, match="damaged"):
+        Hills(tmp_path, plane)
