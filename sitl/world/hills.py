@@ -97,7 +97,8 @@ class Hills:
         if (south, west) not in self._tiles:
             assert self._folder is not None
             name = f"{'S' if south < 0 else 'N'}{abs(south):02d}{'W' if west < 0 else 'E'}{abs(west):03d}.hgt"
-            path, tile = self._folder / name, None
+            path = self._folder / name
+            tile: npt.NDArray[np.int16] | None = None
             if path.is_file():
                 tile = np.memmap(path, ">i2", "r", shape=_shape(path, path.stat().st_size))
             elif (path := path.with_name(f"{name}.zip")).is_file():
