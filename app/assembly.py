@@ -269,10 +269,15 @@ def fences_of(config: Config, plane: LocalPlane) -> Fences:
         raise InputError(f"fences: {error}; correct its corners.") from error
 
 
-def surroundings_of(config: Config, plane: LocalPlane, home_deg: HomeDeg) -> Surroundings:
-    """Return fences and ground of a configuration in the plane; see ``Prepared.controller``."""
+def surroundings_of(
+    config: Config, plane: LocalPlane, home_deg: HomeDeg, ground: Ground | None = None
+) -> Surroundings:
+    """Return fences and ground of a configuration in the plane; see ``Prepared.controller``.
+
+    ground: the one to use; None: that of the configured elevation data.
+    """
     aircraft, fences = config.aircraft, fences_of(config, plane).check(config.aircraft.height_m)
-    ground = ground_of(config, plane, home_deg)
+    ground = ground or ground_of(config, plane, home_deg)
     if ground is None:
         rates = ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s)
         return Surroundings(fences, OneHeight(rates))

@@ -68,9 +68,6 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         plan = Plan(_CIRCLE, path.path(0, east_m, north_m, course_rad), time_s)
     tracking, here = LineTracking(), _CIRCLE.position_at_course(0.0)
     lay_out(path.path(0, *here, 0.0), _CIRCLE, tracking, math.inf)
-    for goal in (here, _CIRCLE):  # a simulated vehicle asks for each step
-        tracking.wanted_per_m(here, 0.0, 15.0, here, goal)
-    tracking.is_done(here, here, here)
     far = replace(_TARGET, east_m=_TARGET.east_m + beyond_m)
     for course_rad in (1.6, 3.1, 4.7, 0.0):
         east_m, north_m = _CIRCLE.position_at_course(course_rad)

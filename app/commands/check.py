@@ -18,9 +18,8 @@ from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
-from sidelong.app.study.flight_kernel import advance as advance_flight
 from sidelong.app.study.prediction import FLIGHT_S, is_studied, predict
-from sidelong.estimators.compiled import is_cached
+from sidelong.app.study.study import is_compiled
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
 from sidelong.mission.paper.scope import scope
@@ -119,7 +118,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     if not reasons and not is_studied(settings):
         console.print(f"planner {settings.planner.name}: its own limits are kept; simulated flights do not fly it")
     elif not reasons:
-        if not is_cached(advance_flight):
+        if not is_compiled(settings.planner.name):
             console.print("compiling the simulated flights, once for this version of the program: up to a minute")
         prediction = predict(settings, table_progress(console.print))
         values["prediction"] = prediction.as_json()

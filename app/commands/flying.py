@@ -14,8 +14,8 @@ from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.event_loop import run
 from sidelong.app.flight.life import Life
 from sidelong.app.shutdown import interrupt_dropped
-from sidelong.estimators.compiled import is_cached
 
+_FLIGHTS = 4  # predicted before a launch: 3 s
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 
 T = TypeVar("T")
@@ -57,24 +57,22 @@ def kept_if_armed(records: Path) -> Iterator[Callable[[Life], Life]]:
 
 
 def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
-    """Report what keeps simulated flights of a configuration from the requirement, as ``check`` would.
+    """Report what keeps a few simulated flights of a configuration from the requirement; ``check`` flies more.
 
-    Before the study's code is compiled for the first time, and with figures of eight, this would take up to a minute:
+    Before the code is compiled for the first time, and with figures of eight, this would take up to a minute:
     ``check`` is then recommended instead.
     """
-    from sidelong.app.study.flight_kernel import advance  # noqa: PLC0415  # only once the options are checked
-    from sidelong.app.study.prediction import predict  # noqa: PLC0415  # likewise
+    from sidelong.app.study.prediction import predict  # noqa: PLC0415  # only once the options are checked
+    from sidelong.app.study.study import is_compiled  # noqa: PLC0415  # likewise
 
-    if not is_cached(advance) or config.aircraft.aircraft().has_pan_limit:
+    if not is_compiled(config.planner.name) or config.aircraft.aircraft().has_pan_limit:
         note("how well this requirement can be kept has not been computed yet: sidelong check does it")
         return
     try:
-        prediction = predict(config)
+        prediction = predict(config, flights=_FLIGHTS)
     except InputError as error:  # of the study alone: the flight has been checked
         note(f"how well this requirement can be kept cannot be computed: {error}")
         return
     shortcoming = prediction.shortcoming(config)
     if shortcoming:
         note(f"warning: sidelong check refuses this configuration: {shortcoming}")
-    elif prediction.doubt():
-        note(f"close to the limit: {prediction.doubt()}")

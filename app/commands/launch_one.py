@@ -43,9 +43,8 @@ async def _recorded(
                 loop.call_soon_threadsafe(display.note, text)
 
             def prepare() -> Prepared:
-                done = prepared(config, table_progress(display.note), display.note)
-                warn_of_prediction(config, display.note)
-                return done
+                warn_of_prediction(config, display.note)  # a first flight does not wait for it: nothing is compiled
+                return prepared(config, table_progress(display.note), display.note)
 
             recording = Recording(folder, config, note)
             life = begun(Life(lambda: recording.begun, display.note))

@@ -32,7 +32,6 @@ from sidelong.app.study.benchmark import Benchmark, benchmark_table
 from sidelong.app.study.design import Design, configured, designs, parsed_sweep
 from sidelong.app.study.fleet import FleetPlannerName
 from sidelong.app.study.fleet_study import fleet_json, fleet_table, fly_fleets
-from sidelong.app.study.flight_kernel import advance as advance_flight
 from sidelong.app.study.measures import EXPLAINED
 from sidelong.app.study.parallel import Workers, on_cluster, on_processes
 from sidelong.app.study.recorded import recorded_targets
@@ -40,26 +39,23 @@ from sidelong.app.study.report import (
     EXPORTED,
     export_runs,
     parquet_writer,
-    study_fidelity,
     study_json,
+    study_parts,
     study_table,
     study_title,
     sweep_table,
 )
 from sidelong.app.study.routes import route_next_to
 from sidelong.app.study.settings import (
-    AUTOPILOTS,
+    LAG_S,
     MISSION_PLANNERS,
-    OWN_PLANNERS,
-    Fidelity,
     Hills,
     PlannerName,
     StudySettings,
 )
 from sidelong.app.study.store import ResultStore
-from sidelong.app.study.study import Study, StudyResult, table_of
+from sidelong.app.study.study import Study, StudyResult, is_compiled, table_of
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.frames import LocalPlane
 
 _TARGETS = panel("Targets")
@@ -68,9 +64,9 @@ _COMPUTATION = panel("Computation")
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 _OF_BENCHMARK = {"benchmark", "targets", "planner", "controller", "runs", "jobs", "json"}
-_KINEMATIC = {"perfect_sensors", "terrain", "fleet", "controller"}
 # What does not belong to the command that flies one run again.
 _OF_WHOLE = {"planner", "run", "sweep", "store", "export", "report", "json", "jobs", "scheduler"}
+_AIRSPEED_M_S = 5.0, 60.0  # of the simulated vehicle
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
 
@@ -114,14 +110,11 @@ def study(
     wind: Annotated[float | None, AIRCRAFT(help="Steady wind, m/s.")] = None,
     autopilot: Annotated[
         str | None,
-        AIRCRAFT(
-            help="Latency and lag measured for this autopilot; closed loop: the simulated one. arduplane or px4."
-        ),
+        AIRCRAFT(help="The simulated autopilot that flies: arduplane (default) or px4."),
     ] = None,
-    latency: Annotated[
-        float | None, AIRCRAFT(help="Time from a decision to the earliest departure, s; 0.2 by default.")
+    lag: Annotated[
+        float | None, AIRCRAFT(help="Time constant of the aircraft's bank, s; by default that of the autopilot.")
     ] = None,
-    lag: Annotated[float | None, AIRCRAFT(help="Time constant of the aircraft's bank, s; 0 by default.")] = None,
     sweep: Annotated[
         list[str] | None,
         _COMPARISON(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
@@ -130,12 +123,9 @@ def study(
     duration: Annotated[
         float | None, _TARGETS(help="Longest run, s; default 1200, or a recorded target's whole track.")
     ] = None,
-    fidelity: Annotated[
-        Fidelity,
-        _COMPARISON(help="kinematic: filter and planner, fast; closed-loop: the whole product and a vehicle."),
-    ] = Fidelity.KINEMATIC,
+    fidelity: Annotated[str | None, typer.Option(hidden=True)] = None,  # noqa: ARG001  # refused where it is given
     perfect_sensors: Annotated[
-        bool, _COMPARISON("--perfect-sensors", help="Give the planners the true state of the target.")
+        bool, _COMPARISON("--perfect-sensors", help="Fly with a laser and a gimbal without errors.")
     ] = False,
     fleet: Annotated[
         int,
@@ -158,11 +148,12 @@ def study(
     report: Annotated[Path | None, OUTPUT(help="Write a page with all figures to this .html file.")] = None,
     json: JsonOption = None,
 ) -> None:
-    """Compare planners against many targets, random or recorded, without an autopilot.
+    """Compare planners against many targets, random or recorded, in a closed loop with a simulated vehicle.
 
-    Band 100 to 500 m, left side; noisy laser and gimbal go through the real filter to the real planners. lvfg,
-    park and orbit are guidance laws of the literature. The side is that of the course that the target made good over
-    requirement.course_horizon_s, once it has moved 10 m. Recorded tracks are smoothed over 2.5 s.
+    Band 100 to 500 m, left side; noisy laser and gimbal. The whole program flies: input checks, filter, planner and
+    mission exchange. lvfg, park and orbit are guidance laws of the literature, which steer an aircraft directly. The
+    side is that of the course that the target made good over requirement.course_horizon_s, once it has moved 10 m.
+    Recorded tracks are smoothed over 2.5 s.
 
     On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).
 
@@ -172,7 +163,6 @@ def study(
       sidelong study --targets tracks --routes --planner predictive
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
       sidelong study --autopilot arduplane --wind 4
-      sidelong study --fidelity closed-loop --runs 50 --jobs 2
       sidelong study --fleet 2 --runs 50
       sidelong study --terrain dem --home 36.59,-84.24 --runs 50
       sidelong study --benchmark --json benchmark.json
@@ -189,19 +179,16 @@ def study(
         _benchmark(Benchmark(targets, planner, controller or "", runs), jobs, json)
         return
     _check_effect(given, fleet)
-    planners = _planners(fidelity, planner, given)
     _check_places(export, report, store, scheduler)
-    if autopilot not in (None, *AUTOPILOTS):
-        raise InputError(f"--autopilot: {autopilot!r} was not measured; these were: {', '.join(AUTOPILOTS)}.")
-    answer = AUTOPILOTS.get(autopilot or "")
+    if autopilot not in (None, *LAG_S):
+        raise InputError(f"--autopilot: there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}.")
     values = configured(load_config(config)) if config is not None else {}
     for section, field, value in (
         ("aircraft", "airspeed_m_s", airspeed),
         ("aircraft", "radius_m", radius),
         ("requirement", "target_speed_max_m_s", target_speed_max),
         ("simulation", "wind_speed_m_s", wind),
-        ("study", "latency_s", answer.latency_s if answer and latency is None else latency),
-        ("study", "lag_s", answer.lag_s if answer and lag is None else lag),
+        ("study", "lag_s", lag),
     ):
         if value is not None:
             values.setdefault(section, {})[field] = value
@@ -209,14 +196,13 @@ def study(
     airspeed_m_s = values.get("aircraft", {}).get("airspeed_m_s", 10.0)
     _check_values(None if "aircraft.airspeed_m_s" in dict(sweeps) else airspeed_m_s, target_speed_max, duration)
     base = StudySettings(
-        planners=planners,
+        planners=_planners(planner, controller),
         runs=20 if runs is None else runs,
         seed=seed,
         legs_s=_legs(legs),
         perfect_sensors=perfect_sensors,
         duration_s=1200.0 if duration is None else duration,
         noise_draws=noise_draws,
-        fidelity=fidelity,
         autopilot=autopilot or "arduplane",
         controller=controller or "",
     )
@@ -266,21 +252,9 @@ def _given(context: typer.Context) -> dict[str, list[str]]:
     return found
 
 
-def _planners(
-    fidelity: Fidelity, chosen: list[PlannerName] | None, given: dict[str, list[str]]
-) -> tuple[PlannerName, ...]:
-    """Return the planners to compare. Raises InputError for what a closed loop cannot fly."""
-    if fidelity is Fidelity.KINEMATIC:
-        own = (PlannerName.CONTROLLER,) if "controller" in given else ()
-        return tuple(dict.fromkeys(chosen or (*OWN_PLANNERS, *own)))
-    laws = [one for one in chosen or () if one not in MISSION_PLANNERS]
-    if laws:
-        raise InputError(f"--planner: {laws[0]} has no plans to upload; with --fidelity closed-loop leave it out.")
-    if "latency" in given:
-        raise InputError("--latency: a closed loop has the latency of its uploads; leave it out.")
-    for name in sorted(_KINEMATIC & given.keys()):
-        raise InputError(f"{given[name][0]}: a closed loop does not fly that; leave out --fidelity.")
-    return tuple(dict.fromkeys(chosen or MISSION_PLANNERS))
+def _planners(chosen: list[PlannerName] | None, controller: str | None) -> tuple[PlannerName, ...]:
+    own = (PlannerName.CONTROLLER,) if controller else ()
+    return tuple(dict.fromkeys(chosen or (*MISSION_PLANNERS, *own)))
 
 
 def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, fleet: int) -> Hills:
@@ -289,7 +263,7 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
     home_deg = latitude_longitude_deg("--home", home)
     if home_deg is None:
         raise InputError("--terrain needs a place within the elevation data; give --home LAT,LON.")
-    from sidelong.app.study.hills import hills_of  # noqa: PLC0415  # compiled code takes a second to load
+    from sidelong.app.study.closed_loop import hills_of  # noqa: PLC0415  # compiled code takes a second to load
 
     return hills_of(elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg))
 
@@ -309,14 +283,14 @@ def _fly_fleet(
     if str(json) != "-":
         size = settings.config.requirement.fleet_size
         console.print(f"{size} aircraft on each target, {settings.layer_m:g} m of height apart")
-        console.print(study_fidelity(settings))
+        console.print(study_parts(settings))
         print_whole(fleet_table(flown))
     write_json(json, fleet_json(settings, flown))
 
 
 def _benchmark(benchmark: Benchmark, jobs: int | None, json: Path | None) -> None:
-    if not is_cached(advance_flight):
-        console.print("compiling the flights, once for this version of the program: some minutes")
+    if not is_compiled(PlannerName.PREDICTIVE):
+        console.print("compiling the flights, once for this version of the program: up to a minute")
     with runs_progress(benchmark.total) as (advance, computing):
         rows = benchmark.fly(jobs, advance, computing)
     if str(json) != "-":
@@ -332,7 +306,7 @@ def _fly(study: Study, workers: Workers, batches: int) -> None:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
     if not missing:
         return
-    if study.designs[0].settings.fidelity is Fidelity.KINEMATIC and not is_cached(advance_flight):
+    if not is_compiled(*study.designs[0].settings.planners):
         console.print("compiling the flights, once for this version of the program: up to a minute")
     with runs_progress(missing) as (advance, computing):
         try:
@@ -354,7 +328,7 @@ def _announce(results: list[StudyResult], json: Path | None) -> None:
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
         console.print(study_title(first))
-        console.print(study_fidelity(first.settings))
+        console.print(study_parts(first.settings))
         print_whole(sweep_table(results) if len(results) > 1 else study_table(first))
         if len(results) > 1:
             console.print(EXPLAINED)
@@ -398,8 +372,9 @@ def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design,
 def _check_values(airspeed_m_s: float | None, target_speed_max_m_s: float | None, duration_s: float | None) -> None:
     """Complain about options by their names. airspeed_m_s: None where it is swept."""
     if airspeed_m_s is not None:
-        if not 3.0 < airspeed_m_s <= 80.0:
-            raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from 3 to 80 m/s.")
+        if not _AIRSPEED_M_S[0] <= airspeed_m_s <= _AIRSPEED_M_S[1]:
+            least, greatest = _AIRSPEED_M_S
+            raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from {least:g} to {greatest:g} m/s.")
         if target_speed_max_m_s is not None and not 0.0 <= target_speed_max_m_s < airspeed_m_s:
             raise InputError(
                 f"--target-speed-max: {target_speed_max_m_s:g} m/s is not from 0 to below the airspeed, "
@@ -419,6 +394,7 @@ def _legs(words: str) -> tuple[float, float]:
 def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
     """Raise InputError for an option that would have no effect."""
     useless = {
+        "fidelity": (True, "every study flies the closed loop; leave it out"),
         "home": ("terrain" not in given, "it places the study on elevation data; give --terrain with it"),
         "legs": ("targets" in given, "recorded targets move as recorded; leave it out"),
         "jobs": ("scheduler" in given, "the workers of --scheduler compute; leave it out"),

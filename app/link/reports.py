@@ -10,7 +10,7 @@ from typing import Any
 
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT, mode_name
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import VehicleMessages
 from sidelong.mission.core.events import ModeReported
 from sidelong.mission.exchange.outbox import MISSION
 from sidelong.mission.exchange.reports import (
@@ -44,7 +44,7 @@ _UNASKED = {"MISSION_CURRENT", "POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_ST
 class VehicleReports:
     """Decodes one vehicle's reports."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: VehicleMessages) -> None:
         self._vehicle = vehicle
         self._mode = ""
         self._decoders: dict[str, _Decoder] = {

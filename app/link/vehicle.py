@@ -135,21 +135,15 @@ _ROUND_TRIPS, _MORE_S = 1.5, 0.15  # timeout of an answer: this many round trips
 Listener = Callable[[Message], object]
 
 
-class Vehicle:
-    """One vehicle. ``run`` must be running for anything else to proceed."""
+class VehicleMessages:
+    """What one vehicle sends, and who listens to it. own_id: system and component id of this end of the link."""
 
-    def __init__(self, link: Link) -> None:
-        self.link = link
-        self.system_id = link.system_id
+    def __init__(self, system_id: int, own_id: tuple[int, int]) -> None:
+        self.system_id, self._own_id = system_id, own_id
         self.latest: dict[str, Message] = {}
         self.texts = StatusTexts()  # of the autopilot
         self.listeners: list[Listener] = []
         self.bystanders: list[Listener] = []  # receive the messages of other systems, too
-
-    async def run(self) -> None:
-        """Hand every message of this vehicle to whoever waits or listens, until the link is closed."""
-        async for message in self.link.messages():
-            self.take(message)
 
     def take(self, message: Message) -> None:
         """Hand a message to whoever waits or listens, if it is of this vehicle; to bystanders in any case."""
@@ -170,6 +164,31 @@ class Vehicle:
             if name in self.latest:
                 listener(self.latest[name])
         self.listeners.append(listener)
+
+    def is_for_us(self, message: Message) -> bool:
+        """Return whether a message of the autopilot is addressed to this station; answers to others may arrive too.
+
+        Older autopilots do not set the target of a COMMAND_ACK.
+        """
+        if message.component_id != AUTOPILOT_COMPONENT:
+            return False
+        system_id, component_id = self._own_id
+        fields = message.fields
+        for_system, for_component = fields.get("target_system") or 0, fields.get("target_component") or 0
+        return for_system in (0, system_id) and for_component in (0, component_id)
+
+
+class Vehicle(VehicleMessages):
+    """One vehicle on a link. ``run`` must be running for anything else to proceed."""
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link.system_id, link.own_id)
+        self.link = link
+
+    async def run(self) -> None:
+        """Hand every message of this vehicle to whoever waits or listens, until the link is closed."""
+        async for message in self.link.messages():
+            self.take(message)
 
     def answer_s(self, unknown_s: float) -> float:
         """Return how long to wait for an answer: by the measured round trip, unknown_s as long as there is none."""
@@ -195,18 +214,6 @@ class Vehicle:
             yield queue
         finally:
             self.listeners.remove(on_message)
-
-    def is_for_us(self, message: Message) -> bool:
-        """Return whether a message of the autopilot is addressed to this station; answers to others may arrive too.
-
-        Older autopilots do not set the target of a COMMAND_ACK.
-        """
-        if message.component_id != AUTOPILOT_COMPONENT:
-            return False
-        system_id, component_id = self.link.own_id
-        fields = message.fields
-        for_system, for_component = fields.get("target_system") or 0, fields.get("target_component") or 0
-        return for_system in (0, system_id) and for_component in (0, component_id)
 
     async def received(self, name: str, timeout_s: float) -> Message | None:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""

@@ -1,46 +1,43 @@
-"""A light vehicle: it keeps and flies missions as an autopilot does, with the kinematics of the studies.
+"""A vehicle of :mod:`sidelong.sitl` in a closed loop: its modes, missions and guidance, without bytes and streams.
 
-It speaks the mission protocol with the simulated vehicles' own stores and transfer, flies the legs and circles of its
-mission by the autopilot's guidance law (:mod:`sidelong.mission.upload.line_tracking`), and rolls as
-:class:`sidelong.app.simulation.airframe.KinematicAircraft`. Telemetry and payload are handed over decoded.
+Telemetry and payload are handed over decoded, at fixed rates; only what the exchange sends passes as frames. The
+vehicle flies by the simulator's own guidance (:mod:`sidelong.sitl.arduplane.navigator`,
+:mod:`sidelong.sitl.px4.navigator`), not by the model with which the way points are laid out.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import astuple, dataclass, replace
-from typing import Any
-
-from pymavlink.dialects.v20 import all as mavlink
+from dataclasses import astuple, dataclass
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.link.message import Message
-from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.app.simulation.airframe_kernel import Body
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import Target
 from sidelong.app.simulation.wire import Decoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.upload.items import circle_item
-from sidelong.mission.upload.line_tracking import LineTracking, Point
 from sidelong.mission.upload.mission_item import e7
-from sidelong.sitl.arduplane.mission import ArduPlaneMission
-from sidelong.sitl.arduplane.vehicle import QUIRKS as ARDUPLANE_QUIRKS
-from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, UNSUPPORTED, Command
-from sidelong.sitl.protocol.transfer import Item, Transfer
-from sidelong.sitl.px4.mission import Px4Mission
-from sidelong.sitl.px4.vehicle import QUIRKS as PX4_QUIRKS
+from sidelong.sitl import settings as sitl
+from sidelong.sitl.arduplane.vehicle import ArduPlane
+from sidelong.sitl.arduplane.vehicle import Mode as ArduPlaneMode
+from sidelong.sitl.protocol.transfer import Item
+from sidelong.sitl.px4.vehicle import Mode as Px4Mode
+from sidelong.sitl.px4.vehicle import Px4
+from sidelong.sitl.world import airframe
 
-_STEP_S = 0.1  # of the kinematics
+STEP_S = 0.1
+"""Of the guidance and of the airframe."""
+_ADDRESS = "loop"
 _SYSTEM, _AUTOPILOT = 1, 1
-_ARMED_AND_CUSTOM = 217  # base mode
 _NAVIGATION_GOOD = 831  # all flags of a healthy EKF
-_MODES = {"AUTO": 10, "GUIDED": 15, "RTL": 11, "MISSION": 0x04040000, "LOITER": 0x03040000, "ALTCTL": 0x00020000}
+_ROLL_LIMIT = {"arduplane": "ROLL_LIMIT_DEG", "px4": "FW_R_LIM"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +58,48 @@ LIVE_RATES = Rates(20, 10, 20, 10, 10, 1, 5)
 
 
 @dataclass(frozen=True, slots=True)
+class Body:
+    """What the aircraft can do; the turn of a bank is coordinated.
+
+    Attributes:
+        airspeed_m_s: true airspeed at the height of home.
+        bank_max_rad: of the autopilot's guidance.
+        roll_rate_max_rad_s: of the bank.
+        lag_s: time constant of the bank towards its command, within the roll rate.
+        climb_m_s, descent_m_s: greatest rates.
+    """
+
+    airspeed_m_s: float
+    bank_max_rad: float = math.radians(45.0)
+    roll_rate_max_rad_s: float = math.radians(60.0)
+    lag_s: float = 0.45
+    climb_m_s: float = 6.0
+    descent_m_s: float = 4.0
+
+    @property
+    def build(self) -> airframe.AirframeParameters:
+        """The same as the simulator's airframe takes it."""
+        return airframe.AirframeParameters(
+            roll_time_constant_s=max(self.lag_s, STEP_S),  # shorter than a step: within it
+            roll_rate_max_rad_s=self.roll_rate_max_rad_s,
+            climb_max_m_s=self.climb_m_s,
+            sink_max_m_s=self.descent_m_s,
+        )
+
+
+def put_in_flight(craft: airframe.Airframe, state: AircraftState, height_m: float) -> None:
+    """Let an airframe fly as ``state`` says, over ground that it cannot touch."""
+    craft.flying, craft.ground_m = True, -math.inf
+    craft.east_m, craft.north_m, craft.height_m = state.east_m, state.north_m, height_m
+    craft.velocity_east_m_s = state.ground_speed_m_s * math.sin(state.course_rad)
+    craft.velocity_north_m_s = state.ground_speed_m_s * math.cos(state.course_rad)
+    air_m_s = craft.velocity_east_m_s - craft.wind.east_m_s, craft.velocity_north_m_s - craft.wind.north_m_s
+    craft.airspeed_m_s, craft.heading_rad = math.hypot(*air_m_s), math.atan2(*air_m_s)
+    turn_rad_s = state.ground_speed_m_s * state.curvature_per_m
+    craft.roll_rad = math.atan(craft.airspeed_m_s * turn_rad_s / GRAVITY_M_S2)
+
+
+@dataclass(frozen=True, slots=True)
 class Start:
     """Where and how a flight begins: circling already, with that circle as its mission.
 
@@ -69,6 +108,7 @@ class Start:
         home: where heights count from.
         circle: flown at the start.
         height_m: above home.
+        state: where on the circle.
         boot_s: the vehicle's clock at the start.
     """
 
@@ -76,6 +116,7 @@ class Start:
     home: Home
     circle: Circle
     height_m: float
+    state: AircraftState
     boot_s: float = 100.0
 
 
@@ -83,8 +124,8 @@ class KinematicVehicle:
     """One vehicle of an autopilot's kind, with its payload and the target that this looks at.
 
     Args:
-        autopilot: whose missions, modes and guidance law it has.
-        aircraft: where it is and what it can do.
+        autopilot: whose missions, modes and guidance it has.
+        body: what its airframe can do.
         wind: that blows, and that it reports.
         start: how the flight begins.
         payload: what it carries, None: nothing.
@@ -93,6 +134,10 @@ class KinematicVehicle:
 
     Attributes:
         time_s: since the start of the simulation.
+        simulated: the simulator's vehicle.
+        flown: called after each step of the airframe.
+        sees: whether the payload can see the target from where the aircraft is, by its place (east, north, height).
+        target_height_m: height of the target's ground above home at (east, north).
     """
 
     system_id = _SYSTEM
@@ -100,42 +145,60 @@ class KinematicVehicle:
     def __init__(
         self,
         autopilot: Autopilot,
-        aircraft: KinematicAircraft,
+        body: Body,
         wind: Wind,
         start: Start,
         payload: Payload | None,
         target: Target,
         rates: Rates = Rates(),  # frozen
     ) -> None:
-        self.aircraft, self.target, self.height_m = aircraft, target, start.height_m
-        self.mode = autopilot.mission_mode
-        self.flown: Callable[[Body], object] = lambda _body: None
-        self._autopilot, self._wind, self._start = autopilot, wind, start
+        self.target = target
+        self.flown: Callable[[], object] = lambda: None
+        self.target_height_m: Callable[[float, float], float] = lambda _east_m, _north_m: 0.0
+        self.sees: Callable[[tuple[float, float, float], tuple[float, float, float]], bool] = lambda *_: True
+        self._autopilot, self._start = autopilot, start
         self._payload, self._rates = payload, rates
         tick_hz, *each_hz = astuple(rates)
         if any(tick_hz % rate_hz for rate_hz in each_hz if rate_hz):
             raise ValueError(f"the rates {tuple(each_hz)} do not divide {tick_hz} Hz")
-        self._tracking: LineTracking = autopilot.tracking(aircraft.airspeed_m_s, wind)
-        self._tick, self.time_s = 0, 0.0
+        self._every = [tick_hz // rate_hz if rate_hz else 0 for rate_hz in each_hz]
+        self._tick, self.time_s, self.flown_s = 0, 0.0, 0.0
         self._sent: list[Message] = []
-        self._parser = mavlink.MAVLink(None)
-        self._parser.robust_parsing = True
-        self._packer = mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_AUTOPILOT)
-        self._decoder, self._station = Decoder(), object()  # the other end of the only link
-        self._one_by_one = autopilot.quirks.stores_items_one_by_one
-        self.mission: ArduPlaneMission | Px4Mission = self._make_mission()
-        self._transfer = Transfer(
-            mavlink.MAV_MISSION_TYPE_MISSION,
-            self.mission,
-            self,  # type: ignore[arg-type]  # it sends, and that is all
-            ARDUPLANE_QUIRKS if self._one_by_one else PX4_QUIRKS,
-            1.0,
-            lambda _severity, _text: None,
-            {},
+        self._decoder = Decoder()
+        self.simulated = self._in_flight(body, wind)
+        self.craft = self.simulated.craft
+        self._station = self.simulated.radio.connect(_ADDRESS, start.boot_s)
+
+    def _in_flight(self, body: Body, wind: Wind) -> ArduPlane | Px4:
+        """Return the simulator's vehicle on its circle, with that as its mission, as an earlier upload left it."""
+        autopilot, start = self._autopilot, self._start
+        settings = sitl.Settings(
+            sitl.Flavour(autopilot.key),
+            system_id=self.system_id,
+            airspeed_m_s=body.airspeed_m_s,
+            wind=airframe.Wind(wind.east_m_s, wind.north_m_s),
+            home=sitl.Home(start.home.latitude_deg, start.home.longitude_deg, start.home.altitude_m),
+            payload=None,
         )
-        self._previous: Point | None = None  # where the leg begins
-        self._goal: Point | Circle = start.circle
-        self._store_first_mission()
+        is_px4 = settings.flavour is sitl.Flavour.PX4
+        vehicle: ArduPlane | Px4 = Px4(settings) if is_px4 else ArduPlane(settings)
+        vehicle.parameters.set(_ROLL_LIMIT[autopilot.key], math.degrees(body.bank_max_rad))
+        vehicle.now_s, vehicle.armed = start.boot_s, True
+        vehicle.craft.build = body.build
+        put_in_flight(vehicle.craft, start.state, start.height_m)
+        loiter = circle_item(start.circle, start.plane, start.height_m)
+        head, tail = autopilot.head(start.home), autopilot.tail(start.home)
+        layout = MissionLayout((*head, loiter, *tail), len(head), len(head), len(head) + 1, autopilot.min_items)
+        items = layout.filled().items
+        mission = vehicle.mission
+        mission.begin(len(items))
+        for index, i in enumerate(items):
+            item = Item(i.command, i.frame, (i.param1, i.param2, i.param3, i.param4), i.x, i.y, i.z)
+            mission.put(index, item, current=index == len(head))
+        mission.finish()
+        mission.index = len(head)
+        vehicle.set_mode(Px4Mode.MISSION if is_px4 else ArduPlaneMode.AUTO)
+        return vehicle
 
     # -- as the loop drives it -------------------------------------------------------------------------------
 
@@ -144,24 +207,42 @@ class KinematicVehicle:
         """Time between two ticks."""
         return 1.0 / self._rates.tick_hz
 
+    @property
+    def mode(self) -> str:
+        """The name of the flight mode."""
+        return self._autopilot.mode_name(self.simulated.base_mode, self.simulated.mode)
+
+    @property
+    def state(self) -> AircraftState:
+        """Where the aircraft is, as planners see it."""
+        craft = self.craft
+        speed_m_s = craft.ground_speed_m_s
+        curvature_per_m = craft.yaw_rate_rad_s / max(speed_m_s, 1.0)
+        return AircraftState(self.flown_s, craft.east_m, craft.north_m, craft.course_rad, speed_m_s, curvature_per_m)
+
+    def pilot_takes_over(self) -> None:
+        """Move the sticks: the flight mode changes without any station's command."""
+        self.simulated.set_mode(self.simulated.taken_over_mode)
+
     def advance(self, to_s: float) -> None:
         """Fly until a time, and send what is due on the way."""
+        simulated, boot_s = self.simulated, self._start.boot_s
         while self.time_s < to_s - 1e-6:
             self._send_due()
             self._tick += 1
             self.time_s = self._tick / self._rates.tick_hz
-            while self.aircraft.body.time_s < self.time_s - 1e-6:
-                self._fly(min(_STEP_S, self.time_s - self.aircraft.body.time_s))
-            self._transfer.step(self.time_s)
+            while self.flown_s < self.time_s - 1e-6:
+                step_s = min(STEP_S, self.time_s - self.flown_s)
+                self.flown_s += step_s
+                simulated.step(boot_s + self.flown_s, step_s)
+                self.flown()
 
     def take(self) -> list[Message]:
         """Return what was sent since the last call."""
+        if self.simulated.radio.outbox:
+            self._take_answers()
         taken, self._sent = self._sent, []
         return taken
-
-    def send(self, _station: object, message: Any) -> None:
-        """Send what the mission protocol answers."""
-        self._sent += self._decoder.messages(message.pack(self._packer), 0.0)
 
     def messages(self, packet: Message, received_s: float) -> Iterator[Message]:
         """Decode a packet of :meth:`take`: here they are messages already."""
@@ -169,119 +250,14 @@ class KinematicVehicle:
 
     def receive(self, frame: bytes) -> None:
         """Take a frame of the ground's."""
-        for message in self._parser.parse_buffer(frame) or ():
-            kind = message.get_type()
-            if kind in ("COMMAND_LONG", "COMMAND_INT"):
-                command = Command.from_message(message)
-                self.send(self._station, command.acknowledgement(self._command(command)))
-            elif kind == "MISSION_SET_CURRENT":
-                self.set_current(message.seq)
-            elif kind.startswith("MISSION_"):
-                self._transfer.handle(self._station, message, self.time_s)  # type: ignore[arg-type]
+        for message in self._station.parser.parse_buffer(frame) or ():
+            self.simulated.handle(self._station, message)
+        self._take_answers()
 
-    # -- the mission -----------------------------------------------------------------------------------------
-
-    def _make_mission(self) -> ArduPlaneMission | Px4Mission:
-        if not self._one_by_one:
-            return Px4Mission(lambda: self._begin_leg(self.mission.index, from_here=True))
-        home = self._start.home
-        place = e7((home.latitude_deg, home.longitude_deg))
-        item = Item(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0,) * 4, *place, home.altitude_m)
-        return ArduPlaneMission(item, lambda *_: None, lambda *_: None, lambda: True)
-
-    def _store_first_mission(self) -> None:
-        """Store the circle that is flown at the start, as an earlier upload would have."""
-        circle, start = self._start.circle, self._start
-        loiter = circle_item(circle, start.plane, start.height_m)
-        head, tail = self._autopilot.head(start.home), self._autopilot.tail(start.home)
-        layout = MissionLayout((*head, loiter, *tail), len(head), len(head), len(head) + 1, self._autopilot.min_items)
-        items = layout.filled().items
-        self.mission.begin(len(items))
-        for index, i in enumerate(items):
-            item = Item(i.command, i.frame, (i.param1, i.param2, i.param3, i.param4), i.x, i.y, i.z)
-            self.mission.put(index, item, current=index == len(head))
-        self.mission.finish()
-        if isinstance(self.mission, ArduPlaneMission):
-            self.mission.index = len(head)
-            self.mission.resume()
-        self._begin_leg(self.mission.index, from_here=False)
-
-    def set_current(self, index: int) -> None:
-        """Fly an item now, as MISSION_SET_CURRENT orders."""
-        if isinstance(self.mission, ArduPlaneMission):
-            if not self.mission.set_current(index):
-                return
-        elif 0 <= index < len(self.mission.items()):
-            self.mission.index = index
-        else:
-            return
-        self._begin_leg(self.mission.index, from_here=True)
-        self._send_current()
-
-    def _begin_leg(self, index: int, *, from_here: bool) -> None:
-        items = self.mission.items()
-        item = self.mission.item if isinstance(self.mission, ArduPlaneMission) else None
-        if item is None:
-            if not 0 <= index < len(items):
-                return
-            item = items[index]
-        here = self.aircraft.body.east_m, self.aircraft.body.north_m
-        if from_here:
-            self._previous = here if self._tracking.first_is_line else None
-        elif not isinstance(self._goal, Circle):
-            self._previous = self._goal
-        place = self._start.plane.east_north_m(item.latitude_deg, item.longitude_deg)
-        if item.command == mavlink.MAV_CMD_NAV_WAYPOINT:
-            self._goal = place
-        else:
-            radius_m = item.params[2] or self._start.circle.radius_m
-            self._goal = Circle(*place, abs(radius_m), radius_m > 0.0)
-
-    # -- flying ----------------------------------------------------------------------------------------------
-
-    def _fly(self, step_s: float) -> None:
-        state, tracking = self.aircraft.body, self._tracking
-        at = state.east_m, state.north_m
-        while not isinstance(self._goal, Circle) and tracking.is_done(at, self._previous, self._goal):
-            if isinstance(self.mission, ArduPlaneMission):
-                self.mission.advance()
-            else:
-                self.mission.index += 1
-            self._begin_leg(self.mission.index, from_here=False)
-        wanted = tracking.wanted_per_m(at, state.course_rad, state.speed_m_s, self._previous, self._goal)
-        self.aircraft.step(wanted, step_s)
-        self.flown(self.aircraft.body)
-
-    # -- commands --------------------------------------------------------------------------------------------
-
-    def _command(self, command: Command) -> int:
-        match command.id:
-            case mavlink.MAV_CMD_DO_SET_MODE:
-                main, sub = int(command.number(2)), int(command.number(3))
-                return self._set_mode(main if self._one_by_one else main << 16 | sub << 24)
-            case mavlink.MAV_CMD_DO_REPOSITION if self._one_by_one and command.number(3) > 0.0:
-                return self._fly_circle(command, command.number(3), command.number(4) == 0.0)
-            case mavlink.MAV_CMD_DO_ORBIT if not self._one_by_one and command.number(1):
-                return self._fly_circle(command, abs(command.number(1)), command.number(1) > 0.0)
-        return UNSUPPORTED
-
-    def _set_mode(self, custom_mode: int) -> int:
-        mode = next((name for name, number in _MODES.items() if number == custom_mode), None)
-        if mode is None:
-            return DENIED
-        self.mode = mode
-        if mode == self._autopilot.mission_mode:
-            self._begin_leg(self.mission.current_index(), from_here=True)
-        elif mode == "RTL":
-            self._goal = replace(self._start.circle, east_m=0.0, north_m=0.0)
-        return ACCEPTED
-
-    def _fly_circle(self, command: Command, radius_m: float, clockwise: bool) -> int:
-        """Fly a circle by command: at once, and without a line that leads there."""
-        place = self._start.plane.east_north_m(command.param(5), command.param(6))
-        self._goal, self.mode = Circle(*place, radius_m, clockwise), self._autopilot.circle_mode
-        self._send_circle()
-        return ACCEPTED
+    def _take_answers(self) -> None:
+        answers, self.simulated.radio.outbox = self.simulated.radio.outbox, []
+        for _, frame in answers:
+            self._sent += self._decoder.messages(frame, 0.0)
 
     # -- telemetry -------------------------------------------------------------------------------------------
 
@@ -290,81 +266,80 @@ class KinematicVehicle:
         """The vehicle's clock."""
         return round((self._start.boot_s + self.time_s) * 1000.0)
 
-    def _is_due(self, rate_hz: int) -> bool:
-        return rate_hz > 0 and self._tick % (self._rates.tick_hz // rate_hz) == 0
-
     def _say(self, name: str, **fields: object) -> None:
-        self._sent.append(Message(name, _SYSTEM, _AUTOPILOT, fields, 0.0))
+        self._sent.append(Message(name, self.system_id, _AUTOPILOT, fields, 0.0))
 
     def _send_due(self) -> None:
-        rates, state, boot_ms = self._rates, self.aircraft.body, self.boot_ms
-        east_m_s = state.speed_m_s * math.sin(state.course_rad)
-        north_m_s = state.speed_m_s * math.cos(state.course_rad)
-        if self._is_due(rates.attitude_hz):
-            roll_rad, yaw_rad = state.bank_rad, self.heading_rad
-            self._say("ATTITUDE", time_boot_ms=boot_ms, roll=roll_rad, pitch=0.0, yaw=yaw_rad)
-        if self._is_due(rates.position_hz):
-            latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(state.east_m, state.north_m)
+        tick, craft, boot_ms = self._tick, self.craft, self.boot_ms
+        position, attitude, gimbal, laser, status, current = (
+            every > 0 and tick % every == 0 for every in self._every
+        )
+        if attitude:
+            yaw_rad = math.remainder(craft.heading_rad, math.tau)
+            self._say("ATTITUDE", time_boot_ms=boot_ms, roll=craft.roll_rad, pitch=craft.pitch_rad, yaw=yaw_rad)
+        if position:
+            latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(craft.east_m, craft.north_m)
             self._say(
                 "GLOBAL_POSITION_INT",
                 time_boot_ms=boot_ms,
                 lat=round(latitude_deg * 1e7),
                 lon=round(longitude_deg * 1e7),
-                alt=round((self._start.home.altitude_m + self.height_m) * 1000.0),
-                relative_alt=round(self.height_m * 1000.0),
-                vx=round(north_m_s * 100.0),
-                vy=round(east_m_s * 100.0),
-                vz=0,
+                alt=round((self._start.home.altitude_m + craft.height_m) * 1000.0),
+                relative_alt=round(craft.height_m * 1000.0),
+                vx=round(craft.velocity_north_m_s * 100.0),
+                vy=round(craft.velocity_east_m_s * 100.0),
+                vz=round(craft.climb_m_s * -100.0),
             )
-        if self._is_due(rates.status_hz):
+        if status:
             self._send_status()
-        if self._is_due(rates.mission_current_hz):
+        if current:
             self._send_current()
-            self._send_circle()
-        if self._payload is not None and self._is_due(rates.gimbal_hz):
+        if self._payload is not None and gimbal:
             truth = self.target.at(self.time_s)
-            line_m = truth.east_m - state.east_m, truth.north_m - state.north_m, -self.height_m
-            with_range = self._is_due(rates.laser_hz)
-            self._sent += self._payload.measure(
-                self.time_s, boot_ms, *line_m, heading_rad=self.heading_rad, with_range=with_range
-            )
-
-    @property
-    def heading_rad(self) -> float:
-        """Where the nose points: the course through the air, clockwise from north."""
-        state, wind = self.aircraft.body, self._wind
-        east_m_s = state.speed_m_s * math.sin(state.course_rad) - wind.east_m_s
-        north_m_s = state.speed_m_s * math.cos(state.course_rad) - wind.north_m_s
-        return math.atan2(east_m_s, north_m_s)
+            ground_m = self.target_height_m(truth.east_m, truth.north_m)
+            here_m, there_m = (craft.east_m, craft.north_m, craft.height_m), (truth.east_m, truth.north_m, ground_m)
+            if self.sees(here_m, there_m):
+                self._sent += self._payload.measure(
+                    self.time_s,
+                    boot_ms,
+                    truth.east_m - craft.east_m,
+                    truth.north_m - craft.north_m,
+                    ground_m - craft.height_m,
+                    heading_rad=craft.heading_rad,
+                    with_range=laser,
+                )
 
     def _send_status(self) -> None:
-        autopilot = self._autopilot.mav_autopilot
-        mode = _MODES[self.mode]
-        self._say("HEARTBEAT", autopilot=autopilot, type=1, base_mode=_ARMED_AND_CUSTOM, custom_mode=mode)
+        vehicle, wind = self.simulated, self.craft.wind
+        self._say(
+            "HEARTBEAT", autopilot=vehicle.autopilot_id, type=1, base_mode=vehicle.base_mode, custom_mode=vehicle.mode
+        )
         self._say("GPS_RAW_INT", fix_type=3)
-        wind = self._wind
-        if self._one_by_one:
+        if isinstance(vehicle, ArduPlane):
             from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s))
             self._say("EKF_STATUS_REPORT", flags=_NAVIGATION_GOOD)
-            self._say("WIND", direction=from_deg, speed=wind.speed_m_s, speed_z=0.0)
+            speed_m_s = math.hypot(wind.east_m_s, wind.north_m_s)
+            self._say("WIND", direction=from_deg, speed=speed_m_s, speed_z=0.0)
         else:
             self._say("ESTIMATOR_STATUS", flags=_NAVIGATION_GOOD)
             self._say("WIND_COV", wind_x=wind.north_m_s, wind_y=wind.east_m_s)
 
-    def _send_circle(self) -> None:
-        """Report the circle that is flown by command."""
-        circle = self._goal
-        if self.mode != self._autopilot.circle_mode or not isinstance(circle, Circle):
-            return
-        x, y = e7(self._start.plane.latitude_longitude_deg(circle.east_m, circle.north_m))
-        if self._one_by_one:
-            self._say("POSITION_TARGET_GLOBAL_INT", lat_int=x, lon_int=y)
-        else:
-            signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
-            self._say("ORBIT_EXECUTION_STATUS", x=x, y=y, radius=signed_m)
-
     def _send_current(self) -> None:
-        mission = self.mission
-        total = len(mission.items()) - (1 if self._one_by_one else 0)
-        mission_id = mission.opaque_id() or 0
-        self._say("MISSION_CURRENT", seq=mission.current_index(), total=total, mission_id=mission_id)
+        """Report the mission's item, and the circle that is flown by command."""
+        vehicle = self.simulated
+        total = len(vehicle.mission.items())
+        mission_id = 0
+        if isinstance(vehicle, ArduPlane):
+            total -= 1
+        else:
+            mission_id = vehicle.mission.mission_id
+        self._say("MISSION_CURRENT", seq=vehicle.mission.index, total=total, mission_id=mission_id)
+        if vehicle.mode == (ArduPlaneMode.GUIDED if isinstance(vehicle, ArduPlane) else Px4Mode.HOLD):
+            place = vehicle.navigator.goal.ground_m
+            x, y = e7(self._start.plane.latitude_longitude_deg(*place))
+            if isinstance(vehicle, ArduPlane):
+                self._say("POSITION_TARGET_GLOBAL_INT", lat_int=x, lon_int=y)
+            elif vehicle.navigator.circle is not None:
+                circle = vehicle.navigator.circle
+                signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
+                self._say("ORBIT_EXECUTION_STATUS", x=x, y=y, radius=signed_m)

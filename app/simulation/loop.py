@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from types import SimpleNamespace
-from typing import Generic, Protocol, TypeVar, cast
+from typing import Generic, Protocol, TypeVar
 
 from sidelong.app.link.message import Message
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import Link, Vehicle
+from sidelong.app.link.vehicle import VehicleMessages
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ClockTick
@@ -65,7 +64,7 @@ class ClosedLoop(Generic[P]):
 
     def __init__(self, simulated: SimulatedVehicle[P]) -> None:
         self.simulated = simulated
-        self.vehicle = Vehicle(cast(Link, SimpleNamespace(system_id=simulated.system_id, own_id=OWN_ID)))
+        self.vehicle = VehicleMessages(simulated.system_id, OWN_ID)
         self.telemetry, self.reports = Telemetry(simulated.system_id), VehicleReports(self.vehicle)
         self.core: MissionController | None = None
         self.listeners: list[Callable[[InboundEvent, tuple[Output, ...]], object]] = []

@@ -1,115 +1,275 @@
-"""Runs of a study in the closed loop: the whole core against the kinematic vehicle, not planner and filter alone.
-
-Target, noise and start are drawn as in :mod:`sidelong.app.study.run`.
-"""
+"""Runs of a study: the whole core in a closed loop with a vehicle of the simulator, over flat ground or hills."""
 
 from __future__ import annotations
 
+import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from sidelong.app.assembly import mission_controller_of
+from sidelong.app.assembly import mission_controller_of, surroundings_of
 from sidelong.app.autopilots.registry import AUTOPILOTS as FLOWN_AUTOPILOTS
-from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
+from sidelong.app.config import Config
+from sidelong.app.link.message import Message
+from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import RandomTarget, TargetTruth
-from sidelong.app.study.flight import StopWatch
-from sidelong.app.study.judging import RunResult, judged
+from sidelong.app.study.judging import RunResult, judged, judged_log
 from sidelong.app.study.recorded import RecordedTarget
-from sidelong.app.study.run import aircraft_on, first_circle, payload_of, scene
-from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
-from sidelong.estimators.estimate import TargetEstimate
+from sidelong.app.study.scene import Scene, StopWatch, first_circle, payload_of, scene, start_on
+from sidelong.app.study.settings import LAG_S, Hills, PlannerName, StudySettings
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner
-from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.plan import CheckedPlannerFactory, Plan, PlanCheck, Planner
+from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.paper.planner import PaperPlanner
-from sidelong.mission.predictive.planner import PredictivePlanner
+from sidelong.mission.predictive.planner import USUAL, PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.route.route import event_of
+from sidelong.mission.terrain.heights import FlightHeights, HeightRules
 
-_HOME = Home(47.4, 8.5, 400.0)
-_RATES = Rates(attitude_hz=1)
+RATES = Rates(attitude_hz=1)
+# At sea level, where true and equivalent airspeed are equal.
+HOME = Home(47.4, 8.5, 0.0)
+PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)
+BOOT_S = 100.0
+"""The vehicle's clock when a run begins."""
+TARGET_M = 1.0
+"""What of a target stands above the ground."""
+_SPREAD_M = 8_000.0  # targets start within this distance of home
+_LOOKED_EVERY = 50  # steps: whether any position of the side and the band sees the target
+_AZIMUTHS, _RING_M = 72, 20.0
 
 
-class _OnTicks:
+class OnTicks:
     """A target with precomputed motion for each tick of the vehicle."""
 
-    def __init__(self, target: RandomTarget | RecordedTarget, ticks: int) -> None:
-        self._rows = target.sampled(np.arange(ticks) / _RATES.tick_hz).tolist()
+    def __init__(self, target: RandomTarget | RecordedTarget, duration_s: float) -> None:
+        ticks = np.arange(math.ceil(duration_s * RATES.tick_hz) + 2)
+        self._truths = [TargetTruth(*row) for row in target.sampled(ticks / RATES.tick_hz).tolist()]
 
     def at(self, time_s: float) -> TargetTruth:
-        return TargetTruth(*self._rows[round(time_s * _RATES.tick_hz)])
+        """See :class:`sidelong.app.simulation.target.Target`."""
+        return self._truths[round(time_s * RATES.tick_hz)]
 
 
-@dataclass(frozen=True, slots=True)
-class _Timed:
-    """A planner whose decisions are timed."""
+class StudiedAircraft(ClosedLoop[Message]):
+    """One aircraft of a run, taken over on its first circle.
 
-    planner: Planner
-    watch: StopWatch
+    Args:
+        settings: the design that is flown.
+        flown: the scene.
+        target: the same by ticks.
+        circle: the first circle.
+        noise_rng: noise of the payload.
+        make_planner: makes its planner.
+        config: the mission, where it is not that of the design.
+        ground: what it flies over; None: flat ground. It is known to the core if the configuration counts the height
+            from the ground.
 
-    def decide(
-        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
-    ) -> Decision:
-        return self.watch(lambda: self.planner.decide(aircraft, target, present, wind, latency_s))
+    Attributes:
+        rows: time, east, north, height above home, after each step.
+        departed_s: when each plan departed.
+        watch: times the decisions.
+    """
+
+    def __init__(
+        self,
+        settings: StudySettings,
+        flown: Scene,
+        target: OnTicks,
+        circle: Circle,
+        noise_rng: np.random.Generator,
+        make_planner: CheckedPlannerFactory,
+        *,
+        config: Config | None = None,
+        ground: Ground | None = None,
+    ) -> None:
+        config = config or settings.config
+        errors, assumed = payload_of(settings)
+        known = config.aircraft.height_above == "ground"
+        autopilot = next(one for one in FLOWN_AUTOPILOTS if one.key == settings.autopilot)
+        own, limits = config.aircraft, config.aircraft.aircraft()
+        state, height_m = start_on(settings, flown, circle), _first_height_m(config, circle, ground)
+        start = Start(PLANE, HOME, circle, height_m, state, BOOT_S)
+        body = Body(
+            own.airspeed_m_s,
+            limits.bank_max_rad,
+            limits.roll_rate_max_rad_s,
+            settings.lag_s or LAG_S[settings.autopilot],
+            own.climb_m_s,
+            own.descent_m_s,
+        )
+        payload = Payload(errors, noise_rng)
+        vehicle = KinematicVehicle(autopilot, body, settings.wind, start, payload, target, RATES)
+        super().__init__(vehicle)
+        self.vehicle_in_flight, self.watch = vehicle, StopWatch()
+        if ground is not None:
+            _put_over(vehicle, ground)
+        self.telemetry.plane = PLANE  # as of home: the first position lies elsewhere
+        surroundings, tracker = surroundings_of(config, PLANE, None, ground if known else None), Tracker(assumed)
+        if surroundings.ground is not None:
+            tracker.stand_on(surroundings.ground, config.sensors.angles_alone)
+
+        def make(aircraft: Aircraft, requirement: Requirement) -> Planner:
+            planner = make_planner(aircraft, requirement, surroundings)
+            decide = planner.decide
+            planner.decide = lambda *of: self.watch(lambda: decide(*of))  # type: ignore[method-assign]
+            return planner
+
+        self.controller = controller = StandoffController(
+            StandoffSettings(
+                config.requirement.requirement(),
+                limits,
+                lost_after_s=config.planner.lost_after_s,
+                give_up_after_s=math.inf,
+            ),
+            tracker,
+            make,
+            surroundings,
+        )
+        self.rows: list[tuple[float, float, float, float]] = []
+        self.departed_s: list[float] = []
+        vehicle.flown = self._flown
+        self._flown()
+        self.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
+
+    def _flown(self) -> None:
+        vehicle, craft = self.vehicle_in_flight, self.vehicle_in_flight.craft
+        self.rows.append((vehicle.flown_s, craft.east_m, craft.north_m, craft.height_m))
+        if self.controller.changes.moves > len(self.departed_s):
+            self.departed_s.append(vehicle.time_s)
+
+    def log(self, flown: Scene) -> FloatArray:
+        """Return time, aircraft and target (east, north), course of the target and height above home, (n, 7)."""
+        rows = np.array(self.rows[:-1])  # where each step begins
+        truth = flown.target.sampled(rows[:, 0])[:, [0, 1, 4]]
+        return np.hstack([rows[:, :3], truth, rows[:, 3:]])
 
 
-def run_closed_loop(
+def run(
     settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
 ) -> RunResult:
-    """Fly one run; see :func:`sidelong.app.study.run.run`."""
-    flown, watch = scene(settings, number), StopWatch()
-    autopilot = next(one for one in FLOWN_AUTOPILOTS if one.name.lower() == settings.autopilot)
-    errors, assumed = payload_of(settings)
-    circle = first_circle(settings, flown)
-    # The bank and the lag are those of the autopilot.
-    lag_s = settings.lag_s or AUTOPILOTS[settings.autopilot].lag_s
-    aircraft = aircraft_on(settings, flown, circle, settings.aircraft().bank_max_rad, lag_s)
-    plane = LocalPlane(_HOME.latitude_deg, _HOME.longitude_deg)
-    start = Start(plane, _HOME, circle, settings.config.aircraft.height_m)
-    payload = Payload(errors, flown.sensor_rng)
-    target = _OnTicks(flown.target, math.ceil(flown.duration_s * _RATES.tick_hz) + 2)
-    vehicle = KinematicVehicle(autopilot, aircraft, settings.wind, start, payload, target, _RATES)
+    """Fly one run. Target and sensor noise depend on the seed and ``number`` only, not on the planner."""
 
-    def make_planner(aircraft: Aircraft, requirement: Requirement) -> Planner:
+    def make_planner(aircraft: Aircraft, requirement: Requirement, plans: PlanCheck) -> Planner:
         if planner is PlannerName.PAPER:
-            return _Timed(PaperPlanner(aircraft, requirement), watch)
+            return PaperPlanner(aircraft, requirement)
         assert table is not None
-        return _Timed(PredictivePlanner(aircraft, requirement, table), watch)
+        own = IN_TEAM if settings.config.requirement.fleet_size > 1 else USUAL
+        return PredictivePlanner(aircraft, requirement, table, own, check=plans.cleared, sight=plans.sight)
 
-    controller = StandoffController(
-        StandoffSettings(
-            settings.requirement(),
-            settings.aircraft(),
-            lost_after_s=settings.config.planner.lost_after_s,
-            give_up_after_s=math.inf,
-        ),
-        Tracker(assumed),
-        make_planner,
-    )
-    loop = ClosedLoop(vehicle)
-    loop.telemetry.plane = plane  # as of home: the first position lies elsewhere
-    departed_s: list[float] = []
+    return fly(settings, number, make_planner, keep_track)
 
-    def departures(_event: object, _outputs: object) -> None:
-        if controller.changes.moves > len(departed_s):
-            departed_s.append(vehicle.time_s)
 
-    loop.listeners.append(departures)
-    states = [aircraft.body]
-    vehicle.flown = states.append
-    loop.start(
-        lambda plane: mission_controller_of(settings.config, controller, autopilot, plane, _HOME), vehicle.mode
+def fly(
+    settings: StudySettings, number: int, make_planner: CheckedPlannerFactory, keep_track: bool = False
+) -> RunResult:
+    """Fly one run of a planner of one's own."""
+    flown, config, ground = scene(settings, number), settings.config, None
+    if settings.hills is not None:
+        place_rng = np.random.default_rng(np.random.SeedSequence((settings.seed, number, 1)))
+        ground = _moved(settings.hills.ground, place_rng)
+        config = _over(settings, ground)
+    target = OnTicks(flown.target, flown.duration_s)
+    circle = first_circle(settings, flown)
+    craft = StudiedAircraft(
+        settings, flown, target, circle, flown.sensor_rng, make_planner, config=config, ground=ground
     )
     if flown.route is not None:
-        loop.put(event_of(flown.route, vehicle.time_s))
-    loop.run(flown.duration_s - vehicle.time_s)
-    rows = np.array([(state.time_s, state.east_m, state.north_m) for state in states])
-    log = np.hstack([rows, flown.target.sampled(rows[:, 0])])
-    return judged(settings, log, departed_s, watch.taken_s, keep_track)
+        craft.put(event_of(flown.route, craft.telemetry.now_s))
+    craft.run(flown.duration_s - craft.simulated.time_s)
+    log = craft.log(flown)
+    over_ground = () if ground is None else (_over_ground(settings, ground, log),)
+    return judged(settings, log, craft.departed_s, craft.watch.taken_s, keep_track, *over_ground)
+
+
+# -- over hills ----------------------------------------------------------------------------------------------------
+
+
+def _over(settings: StudySettings, ground: Ground) -> Config:
+    """Return the mission over hills: heights above known ground, else one height above the target's start."""
+    config = settings.config
+    changed: dict[str, str | float] = {"height_above": "ground"}
+    if settings.terrain == "ignored":
+        changed = {"height_m": config.aircraft.height_m + ground.height_m(0.0, 0.0)}
+    return config.model_copy(update={"aircraft": config.aircraft.model_copy(update=changed)})
+
+
+def _first_height_m(config: Config, circle: Circle, ground: Ground | None) -> float:
+    """Return the height of the first circle, above home."""
+    own = config.aircraft
+    if ground is None or own.height_above != "ground":
+        return own.height_m
+    rules = HeightRules(own.height_m, "ground", own.clearance_m, own.airspeed_m_s, own.climb_m_s, own.descent_m_s)
+    first = FlightHeights(ground, rules).levelled(Plan(circle), None, (0.0, 0.0))
+    over_target_m = own.height_m + ground.height_m(0.0, 0.0)
+    return over_target_m if isinstance(first, str) else first.circle_height_m(over_target_m)
+
+
+def _put_over(vehicle: KinematicVehicle, ground: Ground) -> None:
+    """Let hills hide the target, which stands on its ground: at the height of home where that is not known."""
+
+    def height_m(east_m: float, north_m: float) -> float:
+        known_m = ground.height_m(east_m, north_m)
+        return 0.0 if math.isnan(known_m) else known_m
+
+    def sees(here_m: tuple[float, float, float], target_m: tuple[float, float, float]) -> bool:
+        return ground.sees(here_m, (target_m[0], target_m[1], target_m[2] + TARGET_M))
+
+    vehicle.target_height_m, vehicle.sees = height_m, sees
+
+
+def _over_ground(settings: StudySettings, ground: Ground, log: FloatArray) -> tuple[float, float, float]:
+    """Return the time in sight, that where any place of side and band sees the target, and the least clearance."""
+    heights_m = ground.heights_at_m(log[:, 3], log[:, 4])
+    eyes_m = np.where(np.isnan(heights_m), 0.0, heights_m) + TARGET_M
+    in_sight = np.array(
+        [ground.sees((e, n, h), (te, tn, eye)) for (_, e, n, te, tn, _, h), eye in zip(log, eyes_m, strict=True)]
+    )
+    steps = range(0, len(log), _LOOKED_EVERY)
+    course_rad = judged_log(settings, log).course_rad
+    looked = [_some_place_sees(settings, ground, log[k, 3:5], course_rad[k], log[k, 6]) for k in steps]
+    seeable = in_sight | np.repeat(looked, _LOOKED_EVERY)[: len(in_sight)]
+    possible = float(in_sight[seeable].mean()) if seeable.any() else math.nan
+    clear_m = log[:, 6] - ground.heights_at_m(log[:, 1], log[:, 2])
+    known = ~np.isnan(clear_m)
+    return float(in_sight.mean()), possible, float(clear_m[known].min()) if known.any() else math.nan
+
+
+def _some_place_sees(
+    settings: StudySettings, ground: Ground, target_m: FloatArray, course_rad: float, height_m: float
+) -> bool:
+    """Return whether any position in the band sees the target from a height, on the side if the course is known."""
+    wanted = settings.requirement()
+    east_m, north_m = target_m.tolist()
+    ground_m = ground.height_m(east_m, north_m)
+    seen_m = TARGET_M + (0.0 if math.isnan(ground_m) else ground_m)
+    rings = math.ceil(wanted.range_max_m / _RING_M)
+    needed_m = ground.horizon_m(east_m, north_m, seen_m, _AZIMUTHS, rings, _RING_M)
+    needed_m = needed_m[:, math.ceil(wanted.range_min_m / _RING_M) :]
+    azimuth_rad = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
+    off_rad = azimuth_rad - course_rad - wanted.side.normal_turn_rad
+    return bool((needed_m[~(np.cos(off_rad) < 0.0)] <= height_m).any())
+
+
+def hills_of(ground: Ground) -> Hills:
+    """Return the ground with its digest."""
+    posts = (ground.west_m, ground.south_m, ground.step_east_m, ground.step_north_m, ground.sigma_m)
+    return Hills(ground, hashlib.sha256(repr(posts).encode() + ground.heights_m.tobytes()).hexdigest()[:16])
+
+
+def _moved(ground: Ground, rng: np.random.Generator) -> Ground:
+    """Return the ground as seen from a place about home that is known."""
+    while True:
+        east_m, north_m = rng.uniform(-_SPREAD_M, _SPREAD_M, 2).tolist()
+        if not math.isnan(ground.height_m(east_m, north_m)):
+            return replace(ground, west_m=ground.west_m - east_m, south_m=ground.south_m - north_m)

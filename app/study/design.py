@@ -16,8 +16,9 @@ from sidelong.mission.core.feasibility import in_words, unflyable
 Value = float | str
 Overrides = dict[str, dict[str, Any]]
 
-SWEPT = SHAPING | {"study": ("latency_s", "lag_s", "terrain")}
+SWEPT = SHAPING | {"study": ("lag_s", "terrain")}
 _DESIGNS_MAX = 10_000
+_LAG_MAX_S = 5.0
 _ROOMY_RADIUS_M = 105.0  # the widest circle that leaves room in the band of 100 to 500 m
 
 
@@ -134,13 +135,11 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
         fitted["aircraft"] = {"radius_m": still_air_radius_m * (1.0 + wind_m_s / airspeed_m_s) ** 2}
     if "target_speed_max_m_s" not in given.get("requirement", {}):
         fitted["requirement"] = {"target_speed_max_m_s": 0.5 * airspeed_m_s}
-    for key, bound_s in (("latency_s", 10.0), ("lag_s", 5.0)):
-        value = own.get(key, getattr(base, key))
-        if not isinstance(value, float | int) or not 0.0 <= value <= bound_s:
-            raise InputError(f"--{key.removesuffix('_s')}: {value} s is not from 0 to {bound_s:g} s.")
+    lag_s = own.get("lag_s", base.lag_s)
+    if not isinstance(lag_s, float | int) or not 0.0 <= lag_s <= _LAG_MAX_S:
+        raise InputError(f"--lag: {lag_s} s is not from 0 to {_LAG_MAX_S:g} s.")
     terrain = own.get("terrain", base.terrain)
     if terrain not in ("known", "ignored") or (terrain != base.terrain and base.hills is None):
         raise InputError("--sweep: study.terrain is known or ignored, and needs --terrain.")
-    latency_s, lag_s = (float(own.get(key, getattr(base, key))) for key in ("latency_s", "lag_s"))
     config = with_values(config, fitted, name)
-    return replace(base, config=config, latency_s=latency_s, lag_s=lag_s, terrain=terrain)
+    return replace(base, config=config, lag_s=float(lag_s), terrain=terrain)

@@ -1,69 +1,58 @@
-"""One run of a study with several aircraft on one target: joint decisions on a joint estimate, or a law with phases.
+"""One run of a study with several aircraft on one target: closed loops under one coordinator, or a law with phases.
 
-Roles, advice and plans are those of the coordinator that flies (:mod:`sidelong.mission.fleet.coordinator`). The joint
-estimate is that of its filter in a compiled loop, without the exclusion of faulty payloads.
+Each aircraft flies the product's own core; roles, advice and the joint estimate are those of the coordinator that
+flies (:mod:`sidelong.mission.fleet.coordinator`), fed by each core's reports as in flight.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 
 import numpy as np
 
-from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.app.study import fleet_kernel as kernel
-from sidelong.app.study.flight import StopWatch, flown_plan, true_estimate
-from sidelong.app.study.flight_kernel import (
-    CHANGES,
-    COMING,
-    COMMAND_PER_M,
-    DEPARTURE_S,
-    PRESENT,
-    Flight,
-    Target,
-    new_flight,
-    take_plan,
-)
-from sidelong.app.study.joint_sight import JointSight
-from sidelong.app.study.judging import STEP_S, RunResult, judged, shares_of_any
-from sidelong.app.study.run import START_RANGE_M, aircraft_on, first_circle, scene
+from sidelong.app.simulation.target import TargetTruth
+from sidelong.app.study.closed_loop import OnTicks, StudiedAircraft
+from sidelong.app.study.judging import RunResult, judged, shares_of_any
+from sidelong.app.study.laws import SteeredAircraft, fly_steered
+from sidelong.app.study.scene import START_RANGE_M, Scene, StopWatch, first_circle, payload_of, scene
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.estimators.settings import TrackerSettings
-from sidelong.mission.core.events import RouteGiven
-from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
+from sidelong.estimators.sensing.sighting import AnySighting
+from sidelong.estimators.tracking.joint_track import JointTrack
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import Event
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.plan import AircraftState, PlanCheck
+from sidelong.mission.core.requirement import Aircraft, Requirement
+from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.events import (
     ClockReported,
     FleetEvent,
-    PlansReported,
     TargetRouteGiven,
     Tell,
     Tick,
     VehicleLost,
-    VehicleReported,
 )
+from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.geometry.progress import circling_of, line_of
 from sidelong.mission.laws.phased import phased
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
-from sidelong.mission.route.progress_kernel import fresh_progress
-from sidelong.mission.route.route import event_of, route_from
+from sidelong.mission.route.route import event_of
 
-_STEPS = 10  # of a second, after which all decide
 _CHI2_95 = 5.991
 _TARGET = "target"
-_REPORTED_BEFORE_S = 0.01
+_TICK_S, _JUDGED_S = 0.5, 1.0
+_CLOCK_SIGMA_S = 0.01
 
 
 class FleetPlannerName(StrEnum):
@@ -87,8 +76,8 @@ class FleetResult:
     """What several aircraft came to together. on_side_any, in_band_any: shares of time by at least one of them.
 
     min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the required side.
-    position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %; 0 and 1 with
-    perfect sensors. aircraft: each scored as if it were alone. logs (aircraft, n, 6) as judged.
+    position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %. aircraft: each
+    scored as if it were alone. logs (aircraft, n, 6) as judged.
     """
 
     time_on_side_any: float
@@ -106,192 +95,163 @@ class FleetResult:
 
 @dataclass(slots=True)
 class _Member:
-    """One aircraft of the run."""
+    """One aircraft of the run. waiting: what is to be put into its core."""
 
     name: str
     height_m: float
-    flight: Flight
-    body: KinematicAircraft
-    planner: TeamPlanner
-    airspeed_m_s: float
+    craft: StudiedAircraft
+    reporter: FleetReporter
+    waiting: deque[Event] = field(default_factory=deque)
     lost: bool = False
 
-    @property
-    def state(self) -> AircraftState:
-        return AircraftState(*self.flight.body[:6].tolist())
+    def fly_on(self) -> None:
+        """Move its clock by one tick; a lost aircraft flies its last plan."""
+        craft, vehicle = self.craft, self.craft.simulated
+        if self.lost:
+            vehicle.advance(vehicle.time_s + vehicle.tick_s)
+            vehicle.take()
+            return
+        craft.step()
+        while self.waiting:
+            craft.put(self.waiting.popleft())
+
+
+class _Errors:
+    """Errors of the joint estimate."""
+
+    def __init__(self) -> None:
+        self._squared: list[tuple[float, float]] = []
+
+    def note(self, found: TargetEstimate | None, truth: TargetTruth) -> None:
+        """Compare an estimate with the truth."""
+        if found is not None:
+            off = np.array((found.east_m - truth.east_m, found.north_m - truth.north_m))
+            self._squared.append((float(off @ off), float(off @ np.linalg.solve(found.covariance[:2, :2], off))))
 
     @property
-    def busy(self) -> bool:
-        return bool(self.flight.counts[COMING] > 0)
-
-    def plan(self, coming: bool = False) -> Plan:
-        """Return the plan that is flown, or the one that comes."""
-        which = self.flight.counts[PRESENT]
-        departure_s = float(self.flight.numbers[DEPARTURE_S]) if coming or not self.busy else 0.0
-        return flown_plan(self.flight, 1 - which if coming else which, departure_s)
+    def shares(self) -> tuple[float, float]:
+        """Root mean square of the position error, m, and the share within 95 %; NaN without an estimate."""
+        squared = np.array(self._squared or [(math.nan, math.nan)])
+        return math.sqrt(float(squared[:, 0].mean())), float((squared[:, 1] < _CHI2_95).mean())
 
 
 class FleetRun:
     """One run with all aircraft of the requirement. Target and noise depend on the seed and ``number`` only."""
 
     def __init__(self, settings: StudySettings, number: int, table: ValueTable) -> None:
-        self._settings, self._scene = settings, scene(settings, number)
-        self._steps = round(self._scene.duration_s / STEP_S)
-        time_s = np.add.accumulate(np.append(0.0, np.full(self._steps - 1, STEP_S)))
-        self._target = Target(np.ascontiguousarray(self._scene.target.sampled(time_s)), np.zeros((1, 3)))
-        self._members = self._set_up(table)
-        heights_m = [member.height_m for member in self._members]
-        self._handovers = 0
-        self._estimate: TargetEstimate | None = None
-        self._sight = None if settings.perfect_sensors else JointSight(settings, self._scene, heights_m, self._steps)
-        self._watch = StopWatch(1)
-        self._errors: list[tuple[float, float]] = []
-        aircraft, requirement = settings.aircraft(), settings.requirement()
+        self._settings, self._scene, self._table = settings, scene(settings, number), table
+        self._target = OnTicks(self._scene.target, self._scene.duration_s)
+        self._errors, self._handovers = _Errors(), 0
+        self._members = [self._member(*of) for of in _starts(settings, self._scene)]
+        self._by_name = {one.name: one for one in self._members}
+        aircraft, (_, assumed) = settings.aircraft(), payload_of(settings)
         self._coordinator = FleetCoordinator(
-            [FleetMember(one.name, aircraft, TrackerSettings(), one.height_m) for one in self._members],
-            [FleetTarget(_TARGET, requirement)],
+            [FleetMember(one.name, aircraft, assumed, one.height_m) for one in self._members],
+            [FleetTarget(_TARGET, settings.requirement())],
             lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table, IN_TEAM)),
-            estimate_of=lambda _target, _time_s: self._estimate,
         )
-        self._planners = {one.name: one.planner for one in self._members}
-        for name in self._planners:
-            self._step(ClockReported(name, 0.0, 0.0, 0.01))
+        for one in self._members:
+            ahead_s = one.craft.simulated.time_s - one.craft.telemetry.now_s
+            self._step(ClockReported(one.name, 0.0, ahead_s, _CLOCK_SIGMA_S))
         if self._scene.route is not None:
             self._step(TargetRouteGiven(_TARGET, event_of(self._scene.route, 0.0)))
 
-    def fly(self, planner: FleetPlannerName, losses: Sequence[Loss]) -> FleetResult:
-        """Fly with joint decisions, or a law that holds the aircraft at equal phases about the target."""
-        if planner is FleetPlannerName.JOINT:
-            return self._flown(self._decide, _STEPS, losses)
-        steered = partial(
-            phased,
-            clockwise=self._settings.requirement().side.clockwise,
-            airspeed_m_s=self._settings.aircraft().airspeed_m_s,
-            constant_speed=planner is FleetPlannerName.FORMATION,
-        )
+    def _member(self, name: str, height_m: float, circle: Circle, noise_rng: np.random.Generator) -> _Member:
+        settings = self._settings
 
-        def steer(estimate: TargetEstimate) -> None:
-            states = [member.state for member in self._members]
-            for member, (curvature_per_m, airspeed_m_s) in zip(
-                self._members, self._watch(lambda: steered(states, estimate)), strict=True
-            ):
-                member.flight.numbers[COMMAND_PER_M], member.airspeed_m_s = curvature_per_m, airspeed_m_s
+        def make_planner(aircraft: Aircraft, requirement: Requirement, plans: PlanCheck) -> TeamPlanner:
+            planned = PredictivePlanner(
+                aircraft, requirement, self._table, IN_TEAM, check=plans.cleared, sight=plans.sight
+            )
+            return TeamPlanner(planned)
 
-        return self._flown(steer, 2, ())
+        own = settings.config.aircraft.model_copy(update={"height_m": height_m})
+        config = settings.config.model_copy(update={"aircraft": own})
+        craft = StudiedAircraft(settings, self._scene, self._target, circle, noise_rng, make_planner, config=config)
+        member = _Member(name, height_m, craft, FleetReporter(name))
 
-    # -- the run ---------------------------------------------------------------------------------------------
+        def stepped(event: InboundEvent, outputs: tuple[Output, ...]) -> None:
+            for news in member.reporter.after(craft.controller, event, outputs, craft.simulated.time_s):
+                self._step(news)
 
-    def _flown(self, decide: Callable[[TargetEstimate], None], steps: int, losses: Sequence[Loss]) -> FleetResult:
-        at = 0
-        while at < self._steps:
-            time_s = float(self._members[0].flight.body[0])
+        craft.listeners.append(stepped)
+        return member
+
+    def fly(self, losses: Sequence[Loss] = ()) -> FleetResult:
+        """Fly to the end."""
+        vehicle, ticked_s = self._members[0].craft.simulated, -math.inf
+        while vehicle.time_s < self._scene.duration_s - 1e-6:
+            time_s = vehicle.time_s
             for loss in losses:
                 member = self._members[loss.aircraft]
                 if time_s >= loss.time_s and not member.lost:
                     member.lost = True
                     self._step(VehicleLost(member.name, time_s, "lost in this study", yielded=True))
-            self._estimate = self._estimated(at, time_s)
-            if self._estimate is not None:
-                decide(self._estimate)
             for member in self._members:
-                frame = member.body.frame(STEP_S)._replace(airspeed_m_s=member.airspeed_m_s)
-                kernel.fly_on(member.flight, self._target, frame, steps)
-            if self._sight is not None:
-                until = min(at + steps, self._steps)
-                logs = np.stack([member.flight.log[at:until] for member in self._members])
-                self._sight.see(logs, [not member.lost for member in self._members], self._target, at, until)
-            at += steps
-        return self._result()
+                member.fly_on()
+            if vehicle.time_s >= ticked_s + _TICK_S - 1e-6:
+                self._tick(vehicle.time_s)
+                ticked_s = vehicle.time_s
+        logs = np.stack([member.craft.log(self._scene)[:, :6] for member in self._members])
+        changes = [member.craft.departed_s for member in self._members]
+        heights_m = [member.height_m for member in self._members]
+        taken_s = [taken for member in self._members for taken in member.craft.watch.taken_s]
+        return _result(self._settings, logs, heights_m, changes, taken_s, self._errors, self._handovers)
 
-    def _estimated(self, step: int, time_s: float) -> TargetEstimate | None:
-        truth = self._target.sampled[step]
-        if self._sight is None:
-            return true_estimate(time_s, truth)
-        found = self._sight.estimate(time_s)
-        if found is not None:
-            off = np.array((found.east_m - truth[0], found.north_m - truth[1]))
-            self._errors.append((float(off @ off), float(off @ np.linalg.solve(found.covariance[:2, :2], off))))
-        return found
-
-    def _decide(self, estimate: TargetEstimate) -> None:
-        """Let the coordinator assign the roles, and each aircraft decide by its advice."""
-        time_s, settings = round(estimate.time_s, 3), self._settings
-        flying = [member for member in self._members if not member.lost]
+    def _tick(self, time_s: float) -> None:
         before = self._coordinator.primary(_TARGET)
-        for member in flying:
-            self._planned(member)
-            # Before the tick, so that the roles go by the same moment of all.
-            self._step(
-                VehicleReported(
-                    *(member.name, time_s - _REPORTED_BEFORE_S, member.state, member.height_m, True),
-                    *(settings.latency_s, settings.wind),
-                )
-            )
         self._step(Tick(time_s))
         self._handovers += before is not None and self._coordinator.primary(_TARGET) != before
-        for member in flying:
-            if not member.busy:
-                arguments = member.state, estimate, member.plan(), settings.wind, settings.latency_s
-                plan = self._watch(partial(member.planner.decide, *arguments)).plan
-                if plan is not None:
-                    take_plan(member.flight, plan.departure_s, *line_of(plan))
-                    self._planned(member)
-
-    def _planned(self, member: _Member) -> None:
-        self._step(PlansReported(member.name, member.plan(), member.plan(coming=True) if member.busy else None))
+        if time_s % _JUDGED_S < _TICK_S:
+            self._errors.note(self._coordinator.estimate(_TARGET), self._target.at(time_s))
 
     def _step(self, event: FleetEvent) -> None:
         for command in self._coordinator.step(event):
-            match command:
-                case Tell(name, RouteGiven() as given):
-                    route = route_from(given)
-                    self._planners[name].follow(route, fresh_progress(route.east_m.size))
-                case Tell(name, FleetAdvice() | NeighbourPlanned() as news):
-                    self._planners[name].advise(news)
+            if isinstance(command, Tell):
+                self._by_name[command.name].waiting.append(command.event)
 
-    def _result(self) -> FleetResult:
-        settings, logs = self._settings, np.stack([member.flight.log for member in self._members])
-        changes = [one.flight.changed_s[: one.flight.counts[CHANGES]].tolist() for one in self._members]
-        results = tuple(judged(settings, *of, [], False) for of in zip(logs, changes, strict=True))
-        side, side_now, band = shares_of_any(settings, logs)
-        squared = np.array(self._errors) if self._errors else np.zeros((1, 2))
-        return FleetResult(
-            side,
-            side_now,
-            band,
-            _separation_m(logs, [member.height_m for member in self._members]),
-            min(result.min_range_m for result in results),
-            self._handovers,
-            math.sqrt(float(squared[:, 0].mean())),
-            float((squared[:, 1] < _CHI2_95).mean()),
-            results,
-            np.asarray(self._watch.taken_s, np.float32),
-            logs,
-        )
 
-    def _set_up(self, table: ValueTable) -> list[_Member]:
-        """Set the aircraft up in turn on the required and the opposite side, each in a height layer of its own."""
-        settings, flown = self._settings, self._scene
-        requirement, aircraft = settings.requirement(), settings.aircraft()
-        members = []
-        for k in range(settings.config.requirement.fleet_size):
-            side = requirement.side if k % 2 == 0 else requirement.side.opposite
-            circle = first_circle(settings, flown, side, START_RANGE_M + k // 2 * aircraft.radius_m)
-            body, height_m = (
-                aircraft_on(settings, flown, circle),
-                settings.config.aircraft.height_m + k * settings.layer_m,
-            )
-            members.append(
-                _Member(
-                    f"aircraft {k + 1}",
-                    height_m,
-                    new_flight(body.body, circling_of(circle), height_m, (1, 1), self._steps, 1),
-                    body,
-                    TeamPlanner(PredictivePlanner(aircraft, requirement, table, IN_TEAM)),
-                    aircraft.airspeed_m_s,
-                )
-            )
-        return members
+def _starts(settings: StudySettings, flown: Scene) -> list[tuple[str, float, Circle, np.random.Generator]]:
+    """Return name, height, first circle and noise of each aircraft: in turn on the required and the opposite side."""
+    requirement, height_m = settings.requirement(), settings.config.aircraft.height_m
+    count, found = settings.config.requirement.fleet_size, []
+    for k, noise_rng in enumerate(flown.sensor_rng.spawn(count)):
+        side = requirement.side if k % 2 == 0 else requirement.side.opposite
+        circle = first_circle(settings, flown, side, START_RANGE_M + k // 2 * settings.aircraft().radius_m)
+        found.append((f"aircraft {k + 1}", height_m + k * settings.layer_m, circle, noise_rng))
+    return found
+
+
+def _fly_phased(settings: StudySettings, number: int, planner: FleetPlannerName) -> FleetResult:
+    """Fly a law that holds the aircraft at equal phases about the target."""
+    flown, watch, errors = scene(settings, number), StopWatch(), _Errors()
+    starts = _starts(settings, flown)
+    crafts = [SteeredAircraft(settings, flown, circle, height_m, rng) for _, height_m, circle, rng in starts]
+    (_, assumed), target = payload_of(settings), OnTicks(flown.target, flown.duration_s)
+    joint = JointTrack({name: assumed for name, *_ in starts})
+
+    def estimate(time_s: float, seen: Sequence[Sequence[AnySighting]]) -> TargetEstimate | None:
+        for (name, *_), sightings in zip(starts, seen, strict=True):
+            for sighting in sightings:
+                joint.add(name, sighting)
+        found = joint.estimate(time_s)
+        if time_s % _JUDGED_S < _TICK_S / 5.0:
+            errors.note(found, target.at(time_s))
+        return found
+
+    steered = partial(
+        phased,
+        clockwise=settings.requirement().side.clockwise,
+        airspeed_m_s=settings.aircraft().airspeed_m_s,
+        constant_speed=planner is FleetPlannerName.FORMATION,
+    )
+
+    def steer(states: Sequence[AircraftState], found: TargetEstimate) -> list[tuple[float, float]]:
+        return watch(lambda: steered(states, found))
+
+    logs = fly_steered(flown, crafts, estimate, steer)
+    heights_m = [height_m for _, height_m, *_ in starts]
+    return _result(settings, logs, heights_m, [[] for _ in crafts], watch.taken_s, errors, 0)
 
 
 def run_fleet(
@@ -302,7 +262,31 @@ def run_fleet(
     losses: Sequence[Loss] = (),
 ) -> FleetResult:
     """Fly one run. losses count for joint decisions only."""
-    return FleetRun(settings, number, table).fly(planner, losses)
+    if planner is FleetPlannerName.JOINT:
+        return FleetRun(settings, number, table).fly(losses)
+    return _fly_phased(settings, number, planner)
+
+
+def _result(
+    settings: StudySettings,
+    logs: FloatArray,
+    heights_m: Sequence[float],
+    changes: Sequence[Sequence[float]],
+    taken_s: Sequence[float],
+    errors: _Errors,
+    handovers: int,
+) -> FleetResult:
+    results = tuple(judged(settings, *of, [], False) for of in zip(logs, changes, strict=True))
+    return FleetResult(
+        *shares_of_any(settings, logs),
+        _separation_m(logs, heights_m),
+        min(result.min_range_m for result in results),
+        handovers,
+        *errors.shares,
+        results,
+        np.asarray(taken_s, np.float32),
+        logs,
+    )
 
 
 def _separation_m(logs: FloatArray, heights_m: Sequence[float]) -> float:

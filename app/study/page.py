@@ -13,7 +13,7 @@ from sidelong.app.report import html
 from sidelong.app.report.plot_style import BAD, figure, legend_above, styled
 from sidelong.app.study.design import word
 from sidelong.app.study.measures import BAND, EXPLAINED, MOVES, SIDE, Measure
-from sidelong.app.study.report import measures_of, study_fidelity, study_title, sweep_rows
+from sidelong.app.study.report import measures_of, study_parts, study_title, sweep_rows
 from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.study import StudyResult, flown_again
 from sidelong.app.text_file import write_text
@@ -31,7 +31,7 @@ def write_page(results: Sequence[StudyResult], command: str, file: Path) -> None
         best = max(results, key=lambda one: _mean(next(iter(one.planners.values()))[SIDE.name], SIDE))
         figures = [*_maps(results), *_spreads(best)]
         parts = [_table(results), *map(html.figure, figures), *_worst(results, command)]
-    head = f"<h1>Study</h1><p>{escape(title)}; {escape(study_fidelity(first.settings))}.</p>"
+    head = f"<h1>Study</h1><p>{escape(title)}; {escape(study_parts(first.settings))}.</p>"
     whole = [head, f"<p><code>{escape(command)}</code></p>", *parts]
     write_text(file, html.document("sidelong study", "\n".join(whole)))
 

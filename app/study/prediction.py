@@ -13,7 +13,7 @@ from sidelong.app.config import Config, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.study.design import configured, designs
 from sidelong.app.study.judging import RunResult
-from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
+from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.app.study.study import one_flown, table_of
 
 FLIGHTS, FLIGHTS_MAX, FLIGHT_S = 20, 80, 600.0  # more flights while the verdict is in doubt
@@ -135,36 +135,40 @@ def studied(config: Config) -> StudySettings:
     """
     if not is_studied(config):
         raise InputError(f"a study does not fly planner.name = {config.planner.name!r} of another distribution")
-    planner, answer = PlannerName(config.planner.name), AUTOPILOTS[config.simulation.autopilot]
-    base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S)
+    planner, autopilot = PlannerName(config.planner.name), config.simulation.autopilot
+    base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S, autopilot=autopilot)
     (design,) = designs(base, configured(config), [])
     together = with_values(design.settings.config, {"requirement": {"fleet_size": config.requirement.fleet_size}}, "")
-    return replace(design.settings, latency_s=answer.latency_s, lag_s=answer.lag_s, config=together)
+    return replace(design.settings, config=together)
 
 
-def predict(config: Config, progress: Callable[[float], None] = lambda _share: None) -> Prediction:
-    """Fly a configuration that its planner can fly next to random targets, by the kinematic study.
+def predict(
+    config: Config, progress: Callable[[float], None] = lambda _share: None, flights: int | None = None
+) -> Prediction:
+    """Fly a configuration that its planner can fly next to random targets, in the closed loop.
 
     Args:
         config: The mission. Its planner, aircraft, requirement, sensors and simulated wind count.
         progress: Called with the share 0..1 of the value table while that is computed.
+        flights: Fly this many; None: until the verdict is clear.
     """
     settings = studied(config)
     (planner,) = settings.planners
     table = table_of(settings, progress) if planner is PlannerName.PREDICTIVE else None
-    return prediction_of(lambda number: one_flown(settings, planner, number, table))
+    return prediction_of(lambda number: one_flown(settings, planner, number, table), flights)
 
 
-def prediction_of(fly: Callable[[int], RunResult]) -> Prediction:
+def prediction_of(fly: Callable[[int], RunResult], flights: int | None = None) -> Prediction:
     """Fly until the verdict is clear, ``FLIGHTS_MAX`` flights at most.
 
     Args:
         fly: Flies the run with a number, from 0.
+        flights: Fly this many instead.
     """
     flown: list[RunResult] = []
     while True:
-        flown += [fly(number) for number in range(len(flown), len(flown) + FLIGHTS)]
+        flown += [fly(number) for number in range(len(flown), len(flown) + (flights or FLIGHTS))]
         measured = [(one.time_in_band, one.time_on_side, one.time_within_pan_limits) for one in flown]
         found = Prediction(len(flown), *(Share.of(shares) for shares in zip(*measured, strict=True)))
-        if not found.doubt() or len(flown) >= FLIGHTS_MAX:
+        if flights or not found.doubt() or len(flown) >= FLIGHTS_MAX:
             return found

@@ -15,7 +15,7 @@ from rich.table import Table
 from sidelong.app.errors import missing_package
 from sidelong.app.study.design import word
 from sidelong.app.study.measures import ON_FLAT_GROUND, OVER_HILLS, WITHIN_PAN_LIMITS, Measure, decision_ms
-from sidelong.app.study.settings import PARTS, Fidelity, StudySettings
+from sidelong.app.study.settings import PARTS, StudySettings
 from sidelong.app.study.store import MEASURES
 from sidelong.app.study.study import PlannerResult, StudyResult
 from sidelong.mission.core.path import FloatArray
@@ -41,10 +41,9 @@ def study_title(result: StudyResult) -> str:
     )
 
 
-def study_fidelity(settings: StudySettings) -> str:
-    """Return one line that names the fidelity and the parts that were flown."""
-    autopilot = f", {settings.autopilot}" if settings.fidelity is Fidelity.CLOSED_LOOP else ""
-    return f"fidelity {settings.fidelity}{autopilot}: {PARTS[settings.fidelity]}"
+def study_parts(settings: StudySettings) -> str:
+    """Return one line that names the parts that were flown."""
+    return f"closed loop, {settings.autopilot}: {PARTS}"
 
 
 def measures_of(settings: StudySettings) -> tuple[Measure, ...]:
@@ -106,8 +105,7 @@ def targets_json(settings: StudySettings) -> dict[str, Any]:
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,
         "seed": settings.seed,
-        "fidelity": str(settings.fidelity),
-        "parts": PARTS[settings.fidelity],
+        "parts": PARTS,
         "targets": settings.runs,
         "skipped": len(settings.skipped),
         "skipped_targets": [{"file": file, "reason": reason} for file, reason in settings.skipped],

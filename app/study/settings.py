@@ -27,40 +27,22 @@ class PlannerName(StrEnum):
     CONTROLLER = "controller"
 
 
-class Fidelity(StrEnum):
-    """How much of the product a study flies; ``PARTS`` lists it."""
-
-    KINEMATIC = "kinematic"
-    CLOSED_LOOP = "closed-loop"
-
-
-PARTS = {
-    Fidelity.KINEMATIC: "filter and planner in a compiled loop; the aircraft flies each plan from its departure, "
-    "without checks of the input, control step, exchange or autopilot",
-    Fidelity.CLOSED_LOOP: "MAVLink decoding, plausibility checks, filter, planner, control step and exchange with "
-    "the autopilot; a kinematic vehicle flies the mission items that were uploaded",
-}
+PARTS = (
+    "MAVLink decoding, plausibility checks, filter, planner, control step and exchange with the autopilot; a "
+    "simulated vehicle flies the uploaded mission items by its own guidance"
+)
 """What a study consists of."""
-
 
 OWN_PLANNERS = tuple(one for one in PlannerName if one is not PlannerName.CONTROLLER)
 """Everything that can be compared without a program of the user."""
 
 MISSION_PLANNERS = (PlannerName.PREDICTIVE, PlannerName.PAPER)
-"""The planners that a closed loop flies; guidance laws have no plans to upload."""
+"""The planners that the closed loop flies; guidance laws have no plans to upload."""
 
 
-@dataclass(frozen=True, slots=True)
-class AutopilotAnswer:
-    """latency_s: what a flight counts with from a decision to the earliest departure. lag_s: of the bank."""
-
-    latency_s: float
-    lag_s: float
-
-
-# The lag is fitted to the bank that flights in SITL asked for and flew, a quarter of an hour each (to 0.045 and
-# 0.011 rad RMS); the latency is that of uploads to the simulated vehicles, and what a flight begins with.
-AUTOPILOTS = {"arduplane": AutopilotAnswer(1.0, 0.45), "px4": AutopilotAnswer(1.0, 0.43)}
+# Fitted to the bank that flights in SITL asked for and flew, a quarter of an hour each (to 0.045 and 0.011 rad RMS).
+LAG_S = {"arduplane": 0.45, "px4": 0.43}
+"""Time constant of the bank of each autopilot."""
 
 # What of the configuration shapes a run; the rest is about links, fences and real vehicles.
 SHAPING = {
@@ -110,13 +92,13 @@ class StudySettings:
     """What is flown, and how often.
 
     planners: what is compared. config: aircraft, requirement, sensors and wind. runs: targets; each is flown
-    noise_draws times by each planner. legs_s: how long a random target keeps its course. latency_s: from a decision
-    to the earliest departure. lag_s: time constant with which the bank follows its command, within the roll rate; 0:
-    the roll rate alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or
+    noise_draws times by each planner. legs_s: how long a random target keeps its course. perfect_sensors: laser and
+    gimbal have no errors. lag_s: time constant with which the bank follows its command, within the roll rate; 0: that
+    of the autopilot. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or
     for duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. layer_m: from
     the height of an aircraft of a fleet to that of the next.
 
-    fidelity: what is flown; autopilot: whose vehicle, in a closed loop. controller: the command of the planner
+    autopilot: whose vehicle flies. controller: the command of the planner
     "controller", see :mod:`sidelong.app.study.controller`.
 
     hills: what targets and aircraft move over, None: flat ground. terrain: whether planner and filter know it.
@@ -129,7 +111,6 @@ class StudySettings:
     legs_s: tuple[float, float] = (40.0, 200.0)
     perfect_sensors: bool = False
     duration_s: float = 1200.0
-    latency_s: float = 0.2
     lag_s: float = 0.0
     tracks: tuple[RecordedTarget, ...] = ()
     skipped: tuple[tuple[str, str], ...] = ()
@@ -138,7 +119,6 @@ class StudySettings:
     layer_m: float = 60.0
     hills: Hills | None = None
     terrain: Literal["known", "ignored"] = "known"
-    fidelity: Fidelity = Fidelity.KINEMATIC
     autopilot: str = "arduplane"
     controller: str = ""
 

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sidelong.app.planners.registry import PLANNER_NAMES, planner_by_name
 from sidelong.app.study.design import Design
 from sidelong.app.study.judging import RunResult, Track
 from sidelong.app.study.parallel import Task, Workers, parallel
-from sidelong.app.study.run import run
-from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings
+from sidelong.app.study.settings import MISSION_PLANNERS, PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
 from sidelong.app.value_cache import value_table
+from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.fleet.team import IN_TEAM
 from sidelong.mission.predictive.planner import USUAL, table_configuration
@@ -134,18 +135,23 @@ def flown(
 def one_flown(
     settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
 ) -> RunResult:
-    """Fly one run, over flat ground or over hills."""
+    """Fly one run: a planner by the whole core in a closed loop, a law by its commands alone."""
     # What is compiled takes a second to load.
-    if settings.fidelity is Fidelity.CLOSED_LOOP:
-        from sidelong.app.study.closed_loop import run_closed_loop  # noqa: PLC0415
+    if planner in MISSION_PLANNERS:
+        from sidelong.app.study.closed_loop import run  # noqa: PLC0415
 
-        return run_closed_loop(settings, planner, number, table, keep_track)
-    if settings.hills is None:
         return run(settings, planner, number, table, keep_track)
-    from sidelong.app.study.hills import run_over  # noqa: PLC0415
+    from sidelong.app.study.laws import run_law  # noqa: PLC0415
 
-    assert table is not None
-    return run_over(settings, number, table, keep_track)
+    return run_law(settings, planner, number, keep_track)
+
+
+def is_compiled(*planners: str) -> bool:
+    """Return whether runs of planners can be flown without compilation."""
+    from sidelong.estimators.filters.imm_kernel import update  # noqa: PLC0415  # as above
+
+    own = [one for one in planners if one in PLANNER_NAMES]
+    return is_cached(update) and all(planner_by_name(one).is_compiled() for one in own)
 
 
 def flown_again(flown: RunId, settings: StudySettings) -> Track:

@@ -102,32 +102,6 @@ class LineTracking:
             duration_s,
         )
 
-    def wanted_per_m(
-        self, at: Point, course_rad: float, speed_m_s: float, previous: Point | None, goal: Point | Circle
-    ) -> float:
-        """Return the curvature that the guidance asks for, without limits.
-
-        Args:
-            at: where the aircraft is, (east, north) in metres.
-            course_rad: its course over the ground.
-            speed_m_s: its ground speed.
-            previous: where the leg begins; None: the goal itself is steered for.
-            goal: the waypoint at the end of the leg, or the circle to fly.
-        """
-        if isinstance(goal, Circle):
-            return kernel.to_circle_per_m(*at, course_rad, speed_m_s, circling_of(goal), self._law)
-        return kernel.to_line_per_m(*at, course_rad, speed_m_s, *(previous or _NO_POINT), *goal, self._law)
-
-    def is_done(self, at: Point, previous: Point | None, waypoint: Point) -> bool:
-        """Return whether a leg ends here: near its waypoint, or abreast of it.
-
-        Args:
-            at: Position (east, north), m.
-            previous: The waypoint before; None on the first leg.
-            waypoint: The waypoint of the leg.
-        """
-        return kernel.is_done(*at, *(previous or _NO_POINT), *waypoint, self.switch_m)
-
     @property
     def _law(self) -> kernel.Law:
         return kernel.Law(self.gain_per_m(1.0), self.look_ahead_m(1.0))

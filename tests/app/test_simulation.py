@@ -10,8 +10,7 @@ import pytest
 from sidelong.app.assembly import mission_controller_of, tracker_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
-from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Rates, Start
+from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
@@ -39,10 +38,9 @@ CIRCLE = Circle(-300.0, 0.0, 50.0, True)
 def vehicle_of(autopilot, *, seed=1, rates=LIVE_RATES, wind=Wind()):  # noqa: B008  # frozen
     target_rng, noise_rng = (np.random.default_rng((seed, part)) for part in range(2))
     state = AircraftState(0.0, *CIRCLE.position_at_course(0.0), 0.0, 15.0, CIRCLE.curvature_per_m)
-    aircraft = KinematicAircraft(state, 15.0, math.radians(45.0), math.radians(60.0), wind, 0.45)
     target = RandomTarget(target_rng, 600.0, 3.0, (20.0, 60.0))
-    start = Start(PLANE, HOME, CIRCLE, 100.0)
-    return KinematicVehicle(autopilot, aircraft, wind, start, Payload(PayloadErrors(), noise_rng), target, rates)
+    start = Start(PLANE, HOME, CIRCLE, 100.0, state)
+    return KinematicVehicle(autopilot, Body(15.0), wind, start, Payload(PayloadErrors(), noise_rng), target, rates)
 
 
 class Flight:
@@ -79,7 +77,7 @@ def test_plans_are_uploaded_activated_and_flown(autopilot, guidance):
     assert (acquired.circle.east_m, acquired.circle.north_m) == pytest.approx((-300.0, 0.0), abs=0.1)
     assert flight.departed()
     assert not flight.found(Yield)
-    planned, flown = flight.controller.changes.present.circle, flight.vehicle.aircraft.state
+    planned, flown = flight.controller.changes.present.circle, flight.vehicle.state
     away_m = math.hypot(flown.east_m - planned.east_m, flown.north_m - planned.north_m)
     assert away_m == pytest.approx(planned.radius_m, rel=0.25)
 
@@ -99,14 +97,14 @@ def test_the_same_seeds_fly_the_same_to_the_last_bit():
         link = Link(LinkFaults(loss=0.2, delay_s=0.1), np.random.default_rng(5))
         flight = Flight(AUTOPILOTS[0], down=link)
         flight.loop.run(120.0)
-        states.append((flight.vehicle.aircraft.state, flight.outputs))
+        states.append((flight.vehicle.state, flight.outputs))
     assert repr(states[0]) == repr(states[1])  # NaN is not equal to itself
 
 
 def test_a_pilot_who_changes_the_mode_is_yielded_to():
     flight = Flight(AUTOPILOTS[0])
     flight.loop.run(30.0)
-    flight.vehicle.mode = "RTL"
+    flight.vehicle.pilot_takes_over()
     flight.loop.run(5.0)
     (reason,) = [one.reason for one in flight.found(Yield)]
     assert "flight mode" in reason

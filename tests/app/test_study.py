@@ -50,7 +50,7 @@ def test_the_summary_has_every_key(small):
     summary = json.loads(json.dumps(study_json([result]), allow_nan=False))
     assert set(summary) == {
         *("planners", "runs", "seed", "simulated_s", "wall_s"),
-        *("noise_draws", "targets", "skipped", "skipped_targets", "fidelity", "parts"),
+        *("noise_draws", "targets", "skipped", "skipped_targets", "parts"),
     }
     assert (summary["runs"], summary["targets"], summary["skipped"]) == (3, 3, 0)
     assert summary["simulated_s"] == 3 * len(LAWS) * 150.0

@@ -31,7 +31,7 @@ def cluster():
 def test_a_worker_may_die_and_nothing_is_lost_or_flown_twice(cluster):
     expected = run_study(SETTINGS, None, jobs=1)
     announced, flown = [], []
-    study = Study([Design(SETTINGS), Design(replace(SETTINGS, latency_s=1.0, runs=3))], ResultStore(None))
+    study = Study([Design(SETTINGS), Design(replace(SETTINGS, lag_s=1.0, runs=3))], ResultStore(None))
 
     def progress(runs):
         flown.append(runs)

@@ -71,7 +71,6 @@ def test_every_parameter_that_shapes_a_study_reaches_it():
         "requirement.threshold": 0.8,
         "sensors.range_sigma_m": 3.0,
         "study.lag_s": 0.5,
-        "study.latency_s": 1.0,
     }
     (found,) = designs(StudySettings(), {}, [parsed_sweep(f"{key}={value}") for key, value in swept.items()])
     s = found.settings
@@ -79,7 +78,7 @@ def test_every_parameter_that_shapes_a_study_reaches_it():
         (math.radians(30.0), math.radians(10.0))
     )
     assert (s.requirement().range_min_m, s.requirement().threshold) == (120.0, 0.8)
-    assert (s.config.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
+    assert (s.config.sensors.range_sigma_m, s.lag_s) == (3.0, 0.5)
 
 
 def test_a_radius_that_fits_is_found_for_each_value_that_is_swept(tmp_path):
@@ -108,9 +107,9 @@ def test_what_cannot_be_flown_is_passed_over_and_reported():
         (("--sweep", "aircraft.radius_m=1:2"), "FROM:TO:STEP is like"),
         (("--sweep", "aircraft.airspeed_m_s=fast"), "aircraft.airspeed_m_s"),
         (("--sweep", "aircraft.radius_m=300"), "radius_m"),
-        (("--latency", "-1"), "--latency"),
+        (("--fidelity", "closed-loop"), "--fidelity: every study flies the closed loop; leave it out"),
         (("--lag", "nan"), "--lag"),
-        (("--autopilot", "inav"), "--autopilot: 'inav' was not measured; these were: arduplane, px4"),
+        (("--autopilot", "inav"), "--autopilot: there is no simulated 'inav'; give arduplane or px4"),
         (("--run", "20"), "--run"),
         (("--export", "a.xlsx"), "--export"),
         (("--report", "a.pdf"), "--report"),
@@ -136,21 +135,21 @@ def test_a_configuration_is_studied_as_it_would_be_flown(command, tmp_path):
     assert given["time_on_side"]["mean"] == pytest.approx(expected["time_on_side"].mean())
 
 
-def test_an_autopilot_stands_for_its_latency_and_lag(command, tmp_path):
+def test_an_autopilot_stands_for_its_lag(command, tmp_path):
     def given(*words):
         summary = tmp_path / "study.json"
         assert command("--planner", "paper", *QUICK[2:], *words, "--json", str(summary)).exit_code == 0
         return json.loads(summary.read_text())["planners"]["paper"]["max_range_m"]
 
-    assert given("--autopilot", "arduplane") == given("--latency", "1.0", "--lag", "0.45") != given()
-    assert given("--autopilot", "px4", "--latency", "0.2", "--lag", "0") == given()
+    assert given("--autopilot", "arduplane") == given("--lag", "0.45") == given()
+    assert given("--autopilot", "px4") == given("--autopilot", "px4", "--lag", "0.43") != given()
 
 
-def test_latency_and_lag_shape_a_flight():
+def test_autopilot_and_lag_shape_a_flight():
     settings = replace(SMALL, planners=(PlannerName.PAPER,), runs=1, duration_s=300.0)
     found = [
         run_study(one, None, jobs=1).planners[PlannerName.PAPER]
-        for one in (settings, replace(settings, latency_s=3.0), replace(settings, lag_s=1.0))
+        for one in (settings, replace(settings, autopilot="px4"), replace(settings, lag_s=1.0))
     ]
     assert found[0]["moves_per_hour"].max() > 0.0
     assert not np.array_equal(found[0]["max_range_m"], found[1]["max_range_m"])
@@ -173,7 +172,7 @@ def test_what_is_stored_is_not_flown_again(tmp_path):
     again = ResultStore(file)
     result = counted(again, replace(SMALL, runs=5))
     assert flown == [2, 2, 1]
-    counted(again, replace(SMALL, runs=5, latency_s=1.0))
+    counted(again, replace(SMALL, runs=5, lag_s=1.0))
     assert flown == [2, 2, 1, 2, 2, 1]
     expected = run_study(replace(SMALL, runs=5), None, jobs=1).planners[PlannerName.LVFG]
     for name in MEASURES:

@@ -21,13 +21,8 @@ def compare(before):
     print(*(kernel.py_func.__name__ for kernel, now in compiled().items() if now - before.get(kernel, set())))
 """
 ALONE = """
-from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.core.requirement import Wind
 from tests.faults.flight import FaultedFlight, Scenario
 
-# The simulated aircraft is compiled, too, but flies in no program that commands a real one.
-KinematicAircraft(AircraftState(0.0, 0.0, 0.0, 0.0, 15.0, 0.0), 15.0, 0.7, 0.5, Wind()).step(0.0, 0.1)
 flight = FaultedFlight(Scenario(3, "px4"), terrain=sys.argv[1])
 before = compiled()
 flown = flight.fly()

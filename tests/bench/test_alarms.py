@@ -18,8 +18,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.flight.alarm_watch import AlarmWatch
 from sidelong.app.link.queries import VehicleStatus
-from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Start
+from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane, wrap_rad
@@ -71,11 +70,10 @@ def flown(seed: int) -> Flown:
     autopilot = AUTOPILOTS[seed % len(AUTOPILOTS)]
     target_rng, noise_rng = (np.random.default_rng((seed, part)) for part in range(2))
     state = AircraftState(0.0, *CIRCLE.position_at_course(0.0), 0.0, 15.0, CIRCLE.curvature_per_m)
-    aircraft = KinematicAircraft(state, 15.0, math.radians(45.0), math.radians(60.0), Wind(), 0.45)
     target = RandomTarget(target_rng, FLIGHT_S + 100.0, 3.0, (20.0, 120.0))
-    start = Start(PLANE, HOME, CIRCLE, 100.0)
+    start = Start(PLANE, HOME, CIRCLE, 100.0, state)
     payload = _Recorded(ERRORS, noise_rng)
-    vehicle = KinematicVehicle(autopilot, aircraft, Wind(), start, payload, target, LIVE_RATES)
+    vehicle = KinematicVehicle(autopilot, Body(15.0), Wind(), start, payload, target, LIVE_RATES)
     controller, loop, result = controller_of(config), ClosedLoop(vehicle), Flown()
     loop.telemetry.plane = PLANE
     loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
@@ -88,7 +86,7 @@ def flown(seed: int) -> Flown:
         loop.run(STEP_S)
         snapshot = controller.snapshot()
         watch.show(snapshot)
-        shown, true, own = page.of(snapshot), target.at(vehicle.time_s), vehicle.aircraft.state
+        shown, true, own = page.of(snapshot), target.at(vehicle.time_s), vehicle.state
         course.take(vehicle.time_s, (true.velocity_east_m_s, true.velocity_north_m_s), wanted.course_horizon_s)
         east_m, north_m = own.east_m - true.east_m, own.north_m - true.north_m
         in_band = wanted.range_min_m <= math.hypot(east_m, north_m) <= wanted.range_max_m

@@ -1,20 +1,18 @@
-"""What ``check`` predicts of random configurations, compared with as many flights of each in the closed loop.
+"""What ``check`` predicts of random configurations, compared with as many flights of each next to other targets.
 
 ``CHECKED=200 python -m pytest tests/bench/test_check.py -s``
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from sidelong.app.config import Config, unflyable
 from sidelong.app.errors import InputError
-from sidelong.app.study.closed_loop import run_closed_loop
+from sidelong.app.study.closed_loop import run
 from sidelong.app.study.prediction import FLIGHTS_MAX, Prediction, Share, predict, prediction_of, studied
-from sidelong.app.study.settings import Fidelity, PlannerName
+from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.study import table_of
 from tests.bench.size import size
 
@@ -43,11 +41,9 @@ def random_config(rng: np.random.Generator) -> Config:
 
 def flown(config: Config) -> Prediction:
     """Return what flights in the closed loop come to, by the same rule, next to other targets."""
-    settings = replace(studied(config), fidelity=Fidelity.CLOSED_LOOP)
+    settings = studied(config)
     table = table_of(settings)
-    return prediction_of(
-        lambda number: run_closed_loop(settings, PlannerName.PREDICTIVE, FLIGHTS_MAX + number, table)
-    )
+    return prediction_of(lambda number: run(settings, PlannerName.PREDICTIVE, FLIGHTS_MAX + number, table))
 
 
 def verdict(prediction: Prediction, config: Config) -> str:

@@ -21,15 +21,15 @@ from unittest import mock
 import numpy as np
 
 from sidelong.app.analysis.target_course import made_good_rad
-from sidelong.app.study.flight import CompiledFlight, Flown
+from sidelong.app.study.closed_loop import BOOT_S, fly
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.run import run
+from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.mission.core.plan import AircraftState, Decision, Plan
-from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlanCheck
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive import planner as planner_module
 from sidelong.mission.predictive.decision_kernel import Looker, choices, commitment, look_deeper
@@ -79,7 +79,7 @@ class Clairvoyant(PredictivePlanner):
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
-        paths = self._paths(round(scene.departure_s / STEP_S), k, looker.turns)
+        paths = self._paths(round((scene.departure_s - BOOT_S) / STEP_S), k, looker.turns)
         time_s, per_s = STEP_S * PER_S * np.arange(paths.shape[1]), STEP_S * PER_S
         made_good = np.array([made_good_rad(time_s, np.gradient(path, per_s, axis=0), HORIZON_S) for path in paths])
         made_good = np.where(np.isnan(made_good), scene.course_rad, made_good)
@@ -104,14 +104,18 @@ class Clairvoyant(PredictivePlanner):
 def flown(study: StudySettings, known_s: float) -> Iterator[tuple[str, RunResult]]:
     """Fly each track of a study, with the noise of each draw; known_s: 0 for the planner as it is."""
 
-    def predicted(self: CompiledFlight, planner: PredictivePlanner, latency_s: float) -> Flown:
-        return self.with_planner(Clairvoyant(planner, self._target.sampled, known_s), latency_s)
-
     table = value_table(table_configuration(study.aircraft(), study.requirement()))
-    way = predicted if known_s else CompiledFlight.with_predictive
-    with mock.patch.object(CompiledFlight, "with_predictive", way):
-        for number in study.numbers:
-            yield study.tracks[number % study.runs].name, run(study, PlannerName.PREDICTIVE, number, table)
+    for number in study.numbers:
+        flown_by = scene(study, number)
+        truth = flown_by.target.sampled(STEP_S * np.arange(round(flown_by.duration_s / STEP_S)))
+
+        def make(
+            aircraft: Aircraft, wanted: Requirement, _plans: PlanCheck, truth: np.ndarray = truth
+        ) -> PredictivePlanner:
+            planner = PredictivePlanner(aircraft, wanted, table)
+            return Clairvoyant(planner, truth, known_s) if known_s else planner
+
+        yield study.tracks[number % study.runs].name, fly(study, number, make)
 
 
 def study_of(folder: Path, airspeed_m_s: float, radius_m: float, speed_max_m_s: float, draws: int) -> StudySettings:

@@ -22,7 +22,7 @@ import pytest
 
 from sidelong.app.study import closed_loop
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings, studied
+from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.study.study import table_of
 from sidelong.estimators.tracking.tracker import Tracker
 from tests.faulty_payload import FaultyPayload, PayloadFaults
@@ -41,7 +41,6 @@ def settings() -> StudySettings:
         noise_draws=DRAWS,
         duration_s=DURATION_S,
         config=studied(airspeed_m_s=12.0, radius_m=40.0, target_speed_max_m_s=5.0),
-        fidelity=Fidelity.CLOSED_LOOP,
     )
     folder = os.environ.get("SIDELONG_TARGETS")
     if folder is None:
@@ -85,7 +84,7 @@ def fly(
         patched.setattr(closed_loop, "Payload", FaultyPayload)
         patched.setattr(closed_loop, "Tracker", _Observed)
         for number in flown.numbers:
-            result = closed_loop.run_closed_loop(flown, PlannerName.PREDICTIVE, number, table)
+            result = closed_loop.run(flown, PlannerName.PREDICTIVE, number, table)
             log = np.array(_Observed.seen.pop())
             at = log[np.searchsorted(log[:, 0], log[0, 0] + BY_S)]
             rows.append((result.time_on_side, result.min_range_m, at[1] - gimbal_s, at[2] - range_s))

@@ -32,7 +32,8 @@ from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.flight.simulated import free_udp_port
 from sidelong.app.records.journal import JournalReader
-from sidelong.app.study.judging import STEP_S, judged
+from sidelong.app.simulation.kinematic import STEP_S
+from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.routes import route_next_to
 from sidelong.app.study.settings import StudySettings

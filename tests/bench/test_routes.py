@@ -21,12 +21,10 @@ import numpy as np
 import shapely
 
 from sidelong.app.study.benchmark import CLASSES, AircraftClass
+from sidelong.app.study.closed_loop import BOOT_S, fly, run
 from sidelong.app.study.fleet import run_fleet
-from sidelong.app.study.flight import CompiledFlight
-from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.routes import own_route, route_next_to
-from sidelong.app.study.run import aircraft_on, first_circle, run, scene, sensed_by
 from sidelong.app.study.settings import STUDIED, PlannerName, StudySettings, studied
 from sidelong.app.study.study import table_of
 from sidelong.estimators.estimate import TargetEstimate
@@ -185,7 +183,7 @@ class _Noted(PredictivePlanner):
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
         decision = super().decide(aircraft, target, present, wind, latency_s)
-        self.noted.append((aircraft.time_s, bool(self._memory[ON_ROUTE])))
+        self.noted.append((aircraft.time_s - BOOT_S, bool(self._memory[ON_ROUTE])))
         return decision
 
 
@@ -226,14 +224,10 @@ def departures(folder: Path, runs: int, every: int = 1) -> Iterator[Left]:
         study = settings_of(one, (departure.target,))
         study = replace(study, seed=number)
         table = table_of(study)
-        flown = scene(study, 0)
-        circle = first_circle(study, flown)
-        inputs = aircraft_on(study, flown, circle), circle, study.config.aircraft.height_m, sensed_by(study, flown)
-        flight = CompiledFlight(flown.target, *inputs, study.wind, flown.duration_s)
-        assert flown.route is not None
-        planner = _Noted(study.aircraft(), study.requirement(), table, flown.route)
-        result = flight.with_planner(planner, study.latency_s)
-        score = judged(study, result.log, result.changed_s, result.decision_s, False)
+        assert departure.target.route is not None
+        planner = _Noted(study.aircraft(), study.requirement(), table, departure.target.route)
+        unrouted = replace(study, tracks=(replace(departure.target, route=None),))
+        score = fly(unrouted, 0, lambda *_of, planner=planner: planner)
         time_s, on = np.array(planner.noted).T
         near = (time_s > departure.leaves_s - 60.0) & (time_s <= departure.leaves_s)
         off = time_s[(time_s >= departure.leaves_s) & (on == 0.0)]

@@ -20,8 +20,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.planners.planner_kind import PlannerKind
-from sidelong.app.simulation.airframe import KinematicAircraft
-from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
+from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
@@ -47,7 +46,6 @@ _RATES = Rates(
     tick_hz=10, position_hz=10, attitude_hz=10, gimbal_hz=10, laser_hz=10, status_hz=1, mission_current_hz=1
 )
 _EXCHANGE = ("MISSION_", "COMMAND_", "POSITION_TARGET_")
-_LAG_S = 0.45
 _FENCE_M = 1500.0
 FLAVOURS = {one.name.lower(): one for one in AUTOPILOTS}
 
@@ -131,15 +129,13 @@ class FaultedFlight(FaultyLoop[Message]):
         state = AircraftState(
             0.0, *circle.position_at_course(course_rad), course_rad, speed_m_s, circle.curvature_per_m
         )
-        aircraft = KinematicAircraft(
-            state, limits.airspeed_m_s, limits.bank_max_rad, math.radians(60.0), wind, _LAG_S
-        )
-        start = Start(_PLANE, _HOME, circle, config.aircraft.height_m, self._boot_s)
-        vehicle = KinematicVehicle(autopilot, aircraft, wind, start, self.payload(noise_rng), self._target, _RATES)
+        body = Body(limits.airspeed_m_s, limits.bank_max_rad)
+        start = Start(_PLANE, _HOME, circle, config.aircraft.height_m, state, self._boot_s)
+        vehicle = KinematicVehicle(autopilot, body, wind, start, self.payload(noise_rng), self._target, _RATES)
         super().__init__(vehicle, Link(NO_FAULTS, self._fault_rng, change=self._change))
         self.telemetry.plane = _PLANE
         self._states = [state]
-        vehicle.flown = self._states.append
+        vehicle.flown = lambda: self._states.append(vehicle.state)
         self.pilot_takes_over_s = math.inf
         self._acquired_s = math.inf
         self.flown = Flown(scenario)
@@ -155,7 +151,7 @@ class FaultedFlight(FaultyLoop[Message]):
     def fly(self) -> Flown:
         while self.simulated.time_s < self._scenario.duration_s - 1e-6:
             if self.simulated.time_s >= self.pilot_takes_over_s:
-                self.simulated.mode = "RTL" if self._scenario.flavour == "arduplane" else "ALTCTL"
+                self.simulated.pilot_takes_over()
             self.step()
             if self.flown.yielded is None and self.simulated.time_s >= self._acquired_s:
                 self._judge_reported(self.simulated.time_s, self._states[-1])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sidelong.app.study.benchmark import TRACKS
+from sidelong.app.study.closed_loop import run
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.routes import own_route
-from sidelong.app.study.run import run
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.study.study import table_of
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality

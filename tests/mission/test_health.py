@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.simulation.kinematic import KinematicVehicle
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
@@ -16,6 +15,7 @@ from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.health.health import Health
 from sidelong.mission.health.payload_check import PayloadCheck
+from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
 from tests.faults.flight import ERRORS, FaultedFlight, Scenario
 from tests.faults.flight_faults import (
     GIMBAL,
@@ -172,14 +172,14 @@ def test_single_wrong_ranges_of_a_slow_laser_are_no_jumps_of_the_target():
 
 
 def test_aircraft_that_does_not_follow_its_plans_is_reported(monkeypatch):
-    begin_leg = KinematicVehicle._begin_leg
+    flight, go_to = FaultedFlight(Scenario(3, "arduplane", 400.0)), ArduPlaneNavigator.go_to
 
-    def begun(self, index, *, from_here):
-        if self.time_s < BEGIN_S:  # later, it acknowledges everything, and flies on as it does
-            begin_leg(self, index, from_here=from_here)
+    def begun(self, goal, then, clockwise):
+        if flight.simulated.time_s < BEGIN_S:  # later, it acknowledges everything, and flies on as it does
+            go_to(self, goal, then, clockwise)
 
-    monkeypatch.setattr(KinematicVehicle, "_begin_leg", begun)
-    flown = FaultedFlight(Scenario(3, "arduplane", 400.0)).fly()
+    monkeypatch.setattr(ArduPlaneNavigator, "go_to", begun)
+    flown = flight.fly()
     assert any("be ready to take over" in text for _, text in flown.announced)
 
 

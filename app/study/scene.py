@@ -1,0 +1,111 @@
+"""What a run of a study begins with, the same for every planner: target, first circle, start, payload and noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import thread_time
+from typing import TypeVar
+
+import numpy as np
+
+from sidelong.app.assembly import tracker_settings
+from sidelong.app.simulation.payload import PayloadErrors
+from sidelong.app.simulation.target import RandomTarget
+from sidelong.app.study.recorded import RecordedTarget
+from sidelong.app.study.settings import StudySettings
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Side
+from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.route.route import Route
+
+START_RANGE_M = 300.0
+_TIMED_EVERY = 32
+
+T = TypeVar("T")
+
+
+class StopWatch:
+    """Times one call in 32: asking for the processor's time may itself cost as much as a decision."""
+
+    def __init__(self) -> None:
+        self.taken_s: list[float] = []
+        self._calls = 0
+
+    def __call__(self, decide: Callable[[], T]) -> T:
+        self._calls += 1
+        if (self._calls - 1) % _TIMED_EVERY != 0:
+            return decide()
+        begun_s = thread_time()
+        decision = decide()
+        self.taken_s.append(thread_time() - begun_s)
+        return decision
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """The same for every planner."""
+
+    name: str
+    target: RandomTarget | RecordedTarget
+    duration_s: float
+    start_rng: np.random.Generator
+    sensor_rng: np.random.Generator
+    route: Route | None = None
+
+
+def scene(settings: StudySettings, number: int) -> Scene:
+    """Return the scene of a run, one of ``settings.numbers``."""
+    draw, k = divmod(number, settings.runs)
+    if not settings.tracks:
+        seeds = np.random.SeedSequence((settings.seed, k)).spawn(3)
+        speed_max_m_s = settings.config.requirement.target_speed_max_m_s
+        target = RandomTarget(np.random.default_rng(seeds[0]), settings.duration_s, speed_max_m_s, settings.legs_s)
+        start, sensor = np.random.SeedSequence((settings.seed, k, draw)).spawn(2) if draw else seeds[1:]
+        return Scene(
+            f"random {k}", target, settings.duration_s, np.random.default_rng(start), np.random.default_rng(sensor)
+        )
+    track = settings.tracks[k]
+    start, sensor = np.random.SeedSequence((settings.seed, track.key, draw)).spawn(2)
+    duration_s = min(track.duration_s, settings.duration_s)
+    return Scene(
+        track.name, track, duration_s, np.random.default_rng(start), np.random.default_rng(sensor), track.route
+    )
+
+
+def first_circle(
+    settings: StudySettings, flown: Scene, side: Side | None = None, range_m: float = START_RANGE_M
+) -> Circle:
+    """Return the initial circle of a run, to one side of the target; None: the required one."""
+    requirement = settings.requirement()
+    side = side or requirement.side
+    normal_rad = flown.target.at(0.0).course_rad + side.normal_turn_rad
+    if requirement.sector is not None:
+        normal_rad = requirement.sector.middle_rad
+    return Circle(
+        range_m * math.sin(normal_rad), range_m * math.cos(normal_rad), settings.aircraft().radius_m, side.clockwise
+    )
+
+
+def start_on(settings: StudySettings, flown: Scene, circle: Circle) -> AircraftState:
+    """Return an aircraft somewhere on a circle."""
+    course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
+    return AircraftState(
+        0.0,
+        *circle.position_at_course(course_rad),
+        course_rad,
+        ground_speed_m_s(course_rad, settings.aircraft().airspeed_m_s, settings.wind),
+        circle.curvature_per_m,
+    )
+
+
+def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
+    """Return the errors of the payload, and the tracker's settings for it."""
+    sensors, limit_rad = settings.config.sensors, settings.aircraft().pan_limit_rad
+    errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limit_rad)
+    if settings.perfect_sensors:
+        errors = PayloadErrors(0.0, 0.0, 0.0, limit_rad)
+    return errors, tracker_settings(sensors, settings.config.planner.lost_after_s)
