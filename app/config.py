@@ -154,7 +154,7 @@ class PlannerSection(Section):
         PLANNER_NAMES[0], description="; ".join(f"{one.name}: {one.about}" for one in PLANNERS) + "."
     )
     guidance: Literal["mission", "command"] = "mission"
-    """mission: plans are uploaded as mission items; command: the circle is moved by one command, again and again."""
+    """mission: plans are uploaded as mission items; command (not on PX4): the circle is moved by single commands."""
     tolerance_m: float = Field(15.0, ge=1, le=200)
     """How far the flown line of a transition may leave the planned one, m."""
     winds_m_s: list[Annotated[float, Field(gt=0, le=30)]] = Field(default_factory=list, max_length=8)

@@ -86,10 +86,18 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
         if route is not None and route.file is not None:
             yield f"{field}.file", partial(read_flight_route, route.file)
     if config.is_simulated:
+        if isinstance(config.simulation.autopilot, str):  # a fleet has several
+            yield "planner.guidance", partial(_check_guidance, config.simulation.autopilot, config.planner.guidance)
         yield "simulation.target", partial(_check_motion, config.simulation.target)
         for one in targets:
             if one.motion is not None:
                 yield f"target {one.name!r}: motion", partial(_check_motion, one.motion)
+
+
+def _check_guidance(key: str, guidance: str) -> None:
+    from sidelong.app.autopilots.registry import AUTOPILOTS, check_guidance  # noqa: PLC0415  # as above
+
+    check_guidance(next(one for one in AUTOPILOTS if one.key == key), guidance)
 
 
 def _check_modes(modes: Sequence[str]) -> None:

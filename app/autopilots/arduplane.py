@@ -83,6 +83,7 @@ class ArduPlane:
     packs_integers_bytewise = False
     quirks = ProtocolQuirks(stores_items_one_by_one=True, home_at_zero=True, reports_target_at_once=False)
     mission_mode, circle_mode = "AUTO", "GUIDED"
+    circles_refused = ""  # DO_REPOSITION is refused in another mode than GUIDED
     min_items = 24
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:

@@ -58,6 +58,9 @@ class Autopilot(AutopilotDialect, Protocol):
     packs_integers_bytewise: bool
     """Whether PARAM_VALUE carries the bytes of an integer where the float belongs."""
 
+    circles_refused: str
+    """Why circles are not flown by command (``planner.guidance``), '' if they are."""
+
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         """Return a flight mode as the autopilot's own documentation calls it."""
 

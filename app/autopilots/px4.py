@@ -61,6 +61,9 @@ class Px4:
     packs_integers_bytewise = True
     quirks = ProtocolQuirks(stores_items_one_by_one=False, home_at_zero=False, reports_target_at_once=True)
     mission_mode, circle_mode = "MISSION", "LOITER"
+    # DO_ORBIT selects Hold, also over a mode that the pilot has selected since the last heartbeat, and a pilot's own
+    # Hold is the same mode. Journals of flights by command are still replayed.
+    circles_refused = "PX4 obeys an orbit in any flight mode and would leave one that the pilot has just selected"
     min_items = 0
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:

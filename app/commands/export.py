@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -29,6 +31,8 @@ from sidelong.app.text_file import whole_file
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
 
+_REASON_MAX = 100  # characters
+
 
 def export(
     source: Annotated[Path, typer.Argument(help="A run folder of ours, or a tlog, PX4 ULog or ArduPilot .bin.")],
@@ -47,7 +51,20 @@ def export(
       sidelong export flight.tlog --format gpx
     """
     checked_file("--out", out)
-    write_export(recording(source), wanted, out, config)
+    with _in_words(source):
+        write_export(recording(source), wanted, out, config)
+
+
+@contextlib.contextmanager
+def _in_words(source: Path) -> Iterator[None]:
+    """Turn what values of a recording that no flight has lead to, in any format, into InputError."""
+    try:
+        yield
+    except (ArithmeticError, LookupError, TypeError, ValueError, struct.error) as error:
+        reason = f"{error}".partition("\n")[0][:_REASON_MAX] or type(error).__name__
+        raise InputError(
+            f"{source}: has values that cannot be exported ({reason}); give another recording."
+        ) from error
 
 
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sidelong.app.autopilots.autopilot import Autopilot, Limits
 from sidelong.app.autopilots.parameter import ParameterTable, Purpose, RequiredParameter
-from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
+from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot, check_guidance
 from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
@@ -133,6 +133,7 @@ def checks(
     return (
         _health_check(vehicle),
         _position_check(vehicle),
+        _guidance_check(config, autopilot),
         Check("home", home is not None, "known" if home else "not known", "wait for the GPS fix that sets it"),
         _ground_check(config, home),
         *_terrain_checks(config, vehicle),
@@ -161,6 +162,14 @@ def _health_check(vehicle: Vehicle) -> Check:
     used = int(fields["onboard_control_sensors_present"]) & int(fields["onboard_control_sensors_enabled"])
     ill = [name for bit, name in _SENSORS.items() if used & ~int(fields["onboard_control_sensors_health"]) & bit]
     return Check("health", not ill, f"unhealthy: {', '.join(ill)}" if ill else "good", "wait, or see what is wrong")
+
+
+def _guidance_check(config: Config, autopilot: Autopilot) -> Check:
+    try:
+        check_guidance(autopilot, config.planner.guidance)
+    except InputError as refusal:
+        return Check("planner.guidance", False, f"{refusal}".rstrip("."), lasts=True)
+    return Check("planner.guidance", True, config.planner.guidance)
 
 
 def _position_check(vehicle: Vehicle) -> Check:

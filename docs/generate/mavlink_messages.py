@@ -97,7 +97,7 @@ _SENT = {
 _COMMANDS = {
     "COMPONENT_ARM_DISARM": "arms before take-off; disarms if the take-off failed",
     "DO_LAND_START": "item after the last circle (PX4): where a landing would begin",
-    "DO_ORBIT": "flies a circle by command (PX4, `planner.guidance`)",
+    "DO_ORBIT": "flies a circle by command (PX4, in replays of earlier versions)",
     "DO_REPOSITION": "flies a circle by command (ArduPlane, `planner.guidance`)",
     "DO_SET_MODE": "starts the mission; flies home at the end",
     "DO_SET_ROI_LOCATION": "points the gimbal (`payload.point_gimbal`, several targets)",

@@ -16,6 +16,10 @@ from tests.command_line import sidelong
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
+        (
+            ["launch", "--autopilot", "px4", "--set", "planner.guidance=command"],
+            "planner.guidance: PX4 obeys an orbit in any flight",
+        ),
         (["launch", "--target", "nope"], "simulation.target: 'nope' is none of still"),
         (["launch", "--target", "none.gpx"], "simulation.target: none.gpx cannot be read"),
         (["launch", "--route", "none.gpx"], "route.file: none.gpx: cannot be read"),

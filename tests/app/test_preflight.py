@@ -164,3 +164,10 @@ def test_a_configured_pan_limit_wider_than_the_gimbal_s_is_reported(configured_d
 
 def test_a_precision_landing_of_px4_has_a_name():
     assert Px4().mode_name(0x80 | 1, 4 << 16 | 9 << 24) in RECOVERY_MODES
+
+
+@pytest.mark.parametrize(("autopilot", "refused"), [(Px4(), ["planner.guidance"]), (ArduPlane(), [])])
+def test_guidance_by_command_is_refused_where_it_could_take_back_a_pilots_mode(autopilot, refused):
+    config = Config.model_validate({"planner": {"guidance": "command"}})
+    found = checks(config, Silent(), autopilot, NOTHING_READ, None, ())
+    assert [check.name for check in found if not check.ready and check.lasts] == refused

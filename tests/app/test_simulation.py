@@ -68,8 +68,11 @@ class Flight:
         return [one.number for one in self.found(PlanStatus) if one.stage == "departed"]
 
 
-@pytest.mark.parametrize("guidance", ["mission", "command"])
-@pytest.mark.parametrize("autopilot", AUTOPILOTS, ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    ("autopilot", "guidance"),
+    [(one, "mission") for one in AUTOPILOTS] + [(one, "command") for one in AUTOPILOTS if not one.circles_refused],
+    ids=lambda one: getattr(one, "name", one),
+)
 def test_plans_are_uploaded_activated_and_flown(autopilot, guidance):
     flight = Flight(autopilot, guidance)
     flight.loop.run(240.0)

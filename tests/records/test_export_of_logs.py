@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
+from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from sidelong.app.cli import app
 from sidelong.app.commands.export import write_export
+from sidelong.app.config import Config
 from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import Recording
 from sidelong.app.records.export import Format
+from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.report.sources import feed
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ControlAcquired
 
 DATA = Path(__file__).parents[1] / "data"
 NO_LASER = DATA / "no-laser-vtol.tlog"
@@ -72,3 +84,19 @@ def test_an_export_that_is_broken_off_leaves_the_file_from_earlier(tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         write_export(NO_LASER, Format.MCAP, out)
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("out.mcap", b"before")]
+
+
+@pytest.mark.parametrize("wanted", list(Format))
+@pytest.mark.parametrize(("east_m", "radius_m"), [(math.nan, 80.0), (0.0, 1e308)])
+def test_a_journal_with_values_that_no_flight_has_ends_in_a_sentence(tmp_path, wanted, east_m, radius_m):
+    folder = RunFolder.create(tmp_path, datetime(2026, 11, 28, tzinfo=UTC))
+    with closing(Recording(folder, Config(), print)) as recording:
+        recording.begin(LocalPlane(47.4, 8.5), (47.4, 8.5), "ArduPlane", 400.0)
+        for second in range(20):
+            recording.write(PositionReading(10.0 + second, 10.0 * second, 0.0, 100.0, 10.0, 0.0, 0.0))
+            if second == 3:
+                circle = Circle(east_m, 0.0, radius_m, clockwise=True)
+                recording.write(ControlAcquired(13.0, circle, "AUTO"))
+    folder.tlog.unlink()
+    ended = CliRunner().invoke(app, ["export", str(folder.path), "--format", wanted])
+    assert ended.exception is None or isinstance(ended.exception, InputError)
