@@ -15,7 +15,6 @@ import pytest
 import sidelong
 from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
-from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import fly_single
@@ -45,9 +44,7 @@ def test_a_flight_that_is_stopped_while_the_vehicle_is_checked_takes_nothing_ove
             life = Life(lambda: recording.begun, print)
             life.stopped.set()
             display = sidelong.Watch(folder.path, lambda _text: None)
-            return await fly_single(
-                config, None, folder, recording, display, Sharing(), life, print, lambda: prepared(config)
-            )
+            return await fly_single(config, None, folder, recording, display, life, print, lambda: prepared(config))
 
     ended = asyncio.run(fly())
     assert ended.summary.outcome == "interrupted"
