@@ -25,6 +25,7 @@ from xml.etree import ElementTree
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from sidelong.app.allowances import Allowances
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.sharing.address import Address
 from sidelong.estimators.frames import LocalPlane
@@ -140,28 +141,6 @@ def _nmea(text: str, sender: str) -> Iterator[BeaconReport]:
             yield BeaconReport(_NMEA, (sender,), latitude_deg, longitude_deg)
 
 
-class _RateLimit:
-    """Bounds the bytes per second of each sender and of all, before anything is decoded."""
-
-    def __init__(self) -> None:
-        self._of: dict[str, tuple[float, float]] = {}  # bytes that are not yet forgotten, and when
-        self._all = (0.0, -math.inf)
-
-    def allows(self, sender: str, size: int, now_s: float) -> bool:
-        if len(self._of) > _SENDERS_MAX:
-            self._of.clear()
-        own = self._of[sender] = _leaked(self._of.get(sender, (0.0, now_s)), _SENDER_BYTES_S, now_s)
-        self._all = _leaked(self._all, _ALL_BYTES_S, now_s)
-        if own[0] + size > _SENDER_BYTES_S or self._all[0] + size > _ALL_BYTES_S:
-            return False
-        self._of[sender], self._all = (own[0] + size, now_s), (self._all[0] + size, now_s)
-        return True
-
-
-def _leaked(level: tuple[float, float], bytes_s: float, now_s: float) -> tuple[float, float]:
-    return max(level[0] - bytes_s * (now_s - level[1]), 0.0), now_s
-
-
 def _join(own: socket.socket, group: str) -> None:
     """Join a multicast group on each network interface. Raises OSError if none can be."""
     refused, joined = OSError("there is no network interface"), 0
@@ -203,7 +182,9 @@ class BeaconInput(asyncio.DatagramProtocol):
     ) -> None:
         self._plane, self._name, self._sigma_m = plane, name, sigma_m
         self._now_s, self._put, self._announce, self._now = now_s, put, announce, now
-        self._clock_s, self._limit = clock_s, _RateLimit()
+        self._clock_s = clock_s
+        self._of_sender = Allowances(_SENDER_BYTES_S, _SENDER_BYTES_S, _SENDERS_MAX)
+        self._of_all = Allowances(_ALL_BYTES_S, _ALL_BYTES_S)
         self._received_s: dict[str, float] = {}
         self._several = False
         self._unread: int | None = 0  # datagrams so far; None once a position was among them
@@ -240,8 +221,9 @@ class BeaconInput(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: object) -> None:
         sender = str(addr[0]) if isinstance(addr, tuple) else ""
-        cost = len(data) + _DATAGRAM_COST_BYTES
-        if len(data) > _DATAGRAM_MAX_BYTES or not self._limit.allows(sender, cost, self._clock_s()):
+        cost, clock_s = len(data) + _DATAGRAM_COST_BYTES, self._clock_s()
+        allowed = self._of_sender.used(sender, clock_s, cost) and self._of_all.used("", clock_s, cost)
+        if len(data) > _DATAGRAM_MAX_BYTES or not allowed:
             self._announce_once(
                 f"more than {_SENDER_BYTES_S >> 10} KiB/s of one sender, or datagrams of more than "
                 f"{_DATAGRAM_MAX_BYTES >> 10} KiB, arrive at the beacon's port: they are dropped"
