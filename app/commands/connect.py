@@ -26,13 +26,13 @@ from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
-from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.transport import checked_url
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.app.payload.registry import KIND_NAMES
 from sidelong.app.payload.session import PayloadStatus
 from sidelong.app.records.sensing import Sensing
+from sidelong.mission.core.events import Event
 
 
 def connect(
@@ -139,19 +139,18 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
     ):
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
-        sources, inputs, tracker = SourceRates(vehicle), InputHealth(config, vehicle), tracker_of(config)
-        telemetry, sensing = Telemetry(vehicle.system_id), Sensing(tracker)
+        sources, inputs, tracker = SourceRates(vehicle), InputHealth(config, session.inputs), tracker_of(config)
+        sensing = Sensing(tracker)
 
-        def estimate_delays(message: Message) -> None:
-            event = telemetry.event(message)
+        def estimate_delays(_message: Message, event: Event | None, _admitted: Event | None) -> None:
             if event is not None:
                 sensing.take(event)
 
-        vehicle.listeners.append(estimate_delays)
+        session.inputs.listeners.append(estimate_delays)
         rates = await sources.received(listen_s, config.sharing)
         inputs.close()
         sources.close()
-        vehicle.listeners.remove(estimate_delays)
+        session.inputs.listeners.remove(estimate_delays)
         home = await home_of(vehicle)
         await request_pan_limits(vehicle)
         pan_rad = reported_pan_limits_rad(vehicle)

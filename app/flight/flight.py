@@ -149,7 +149,6 @@ class Flight:
     async def prepare(self) -> None:
         """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
         check_route(self._config.route, (self._vehicle.system_id,))
-        self._vehicle.listen(self._telemetry.event, "GLOBAL_POSITION_INT")  # the clock and the plane, from the start
         self._display.connected(self._status)
         if self._config.terrain.folder is not None:  # the autopilot may want heights before it takes off
             self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))
@@ -157,7 +156,7 @@ class Flight:
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
         self._begin(self._request_streams())
-        sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._vehicle)
+        sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._session.inputs)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
         )
@@ -167,8 +166,7 @@ class Flight:
         check_takeover(self._vehicle, self._config.link.take_over_from)
         inputs.close()
         sources.close()
-        self._vehicle.listeners.remove(self._telemetry.event)
-        self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
+        self._session.inputs.close()  # from here on the control step looks
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
         borrowed = required_parameters if self._config.link.set_parameters else ()

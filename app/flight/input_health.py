@@ -7,11 +7,9 @@ import math
 from sidelong.app.assembly import tracker_of
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import Check
+from sidelong.app.flight.session import VehicleInputs
 from sidelong.app.link.message import Message
-from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import Vehicle
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
-from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.core.events import ClockTick, Event
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.health.health import Health
@@ -23,38 +21,37 @@ _TICK_S = 1.0
 
 
 class InputHealth:
-    """Listens to a vehicle until ``close`` and judges its inputs as the control step does in flight.
+    """Judges a vehicle's inputs until ``close`` as the control step does in flight.
 
     A fault that shows only while the aircraft turns (a frozen gimbal, a repeated range, a wrong frame or unit) is not
     found on the ground.
 
     Args:
         config: The mission; it names the sensors.
-        vehicle: The vehicle.
+        inputs: The vehicle's, decoded and checked.
     """
 
-    def __init__(self, config: Config, vehicle: Vehicle) -> None:
-        self._vehicle, self._tracker = vehicle, tracker_of(config)
-        self._telemetry, self._door = Telemetry(vehicle.system_id), Plausibility()
+    def __init__(self, config: Config, inputs: VehicleInputs) -> None:
+        self._inputs, self._tracker = inputs, tracker_of(config)
         self._health = Health(self._tracker.parent_from_mount)
         self._tick_s = -math.inf
-        vehicle.listeners.append(self._on_message)
+        inputs.listeners.append(self._on_message)
 
     def close(self) -> None:
         """Listen no more."""
-        self._vehicle.listeners.remove(self._on_message)
+        self._inputs.listeners.remove(self._on_message)
 
-    def _on_message(self, message: Message) -> None:
-        event = self._telemetry.event(message)
+    def _on_message(self, message: Message, event: Event | None, admitted: Event | None) -> None:
         if event is not None:
-            self._take(event)
+            self._take(event, admitted)
         if message.received_s >= self._tick_s + _TICK_S or message.received_s < self._tick_s:
             self._tick_s = message.received_s
-            self._take(ClockTick(self._telemetry.now_s, message.received_s))
+            tick = ClockTick(self._inputs.telemetry.now_s, message.received_s)
+            self._take(tick, tick)
 
-    def _take(self, event: Event) -> None:
-        admitted, _ = self._door.admit(event)
-        now_s, tracker, payload = self._door.clock.now_s, self._tracker, self._health.payload
+    def _take(self, event: Event, admitted: Event | None) -> None:
+        door, tracker, payload = self._inputs.plausibility, self._tracker, self._health.payload
+        now_s = door.clock.now_s
         due = self._health.received(event, now_s)
         match admitted:
             case PositionReading():
@@ -68,7 +65,7 @@ class InputHealth:
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
             tracker.add(admitted)
         if due and now_s > -math.inf:
-            self._health.changes(now_s, tracker.ranges, tracker.gimbals, self._door.input_faults)
+            self._health.changes(now_s, tracker.ranges, tracker.gimbals, door.input_faults)
 
     def checks(self) -> tuple[Check, ...]:
         """Return what is wrong with an input, or that nothing is."""

@@ -25,9 +25,10 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.queries import release_of
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
 from sidelong.app.link.transport import Transport
-from sidelong.app.link.vehicle import LinkError, Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleMessages
 from sidelong.app.shutdown import ends_within, fails_with
 from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.core.events import Event
 
 _CLOSE_S = 30.0
 _FRAMES = 150
@@ -42,27 +43,34 @@ class Session:
     vehicle: Vehicle
     autopilot: Autopilot
     release: Release | None  # of its firmware; None: not reported
-    telemetry: Telemetry
+    inputs: VehicleInputs  # until the control step runs
     senders: SenderCheck
     background: set[asyncio.Task[None]]  # tasks that end with the connection
     note: Callable[[str], object]  # displays what has gone wrong in them
 
+    @property
+    def telemetry(self) -> Telemetry:
+        """The decoder of the vehicle's messages, from the connection to the end of the flight."""
+        return self.inputs.telemetry
+
     @contextlib.contextmanager
     def for_a_flight(self) -> Iterator[None]:
         """Let one of several flights over this connection begin with nothing known of the one before."""
-        vehicle = self.vehicle
-        self.telemetry = Telemetry(vehicle.system_id)
-        self.senders.forget()
-        vehicle.latest.pop("HOME_POSITION", None)  # requested again
+        vehicle, outer = self.vehicle, self.inputs
         lists: tuple[list[Any], ...] = (vehicle.listeners, vehicle.bystanders, vehicle.texts.listeners)
         before = [[*listeners] for listeners in lists]
-        if self.senders.message not in vehicle.listeners:
-            vehicle.listeners.append(self.senders.message)
+        outer.close()
+        self.senders.forget()
+        self.inputs = VehicleInputs(vehicle)
+        self.senders.judge(self.inputs)
+        vehicle.latest.pop("HOME_POSITION", None)  # requested again
         try:
             yield
         finally:
             for listeners, kept in zip(lists, before, strict=True):
                 listeners[:] = kept
+            self.inputs = outer
+            self.senders.judge(outer)
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
         """Run some work in the background, until the connection ends at the latest."""
@@ -121,9 +129,9 @@ async def connected(
         settling_s=settling_s,
         open_transport=open_transport,
     )
-    senders.system_id = link.system_id
     vehicle = Vehicle(link)
-    vehicle.listeners.append(senders.message)
+    inputs = VehicleInputs(vehicle)
+    senders.judge(inputs)
     receiving = asyncio.create_task(vehicle.run())
     background = {receiving}
     try:
@@ -134,8 +142,7 @@ async def connected(
         if remark is not None:
             note(f"{remark}.")
         with fails_with(receiving):
-            telemetry = Telemetry(vehicle.system_id)
-            yield Session(vehicle, autopilot, release, telemetry, senders, background, note)
+            yield Session(vehicle, autopilot, release, inputs, senders, background, note)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()
@@ -144,11 +151,39 @@ async def connected(
         await asyncio.gather(*background, return_exceptions=True)
 
 
+class VehicleInputs:
+    """What a vehicle reports before the control step runs: each message is decoded once, and checked once.
+
+    A journal begins with the control step, whose own check therefore begins with its first event.
+
+    Attributes:
+        telemetry: The decoder, which the flight goes on with.
+        plausibility: The input check of this time.
+        listeners: Each is called with a message, its event and what of that passes the check; None: there is none.
+    """
+
+    def __init__(self, vehicle: VehicleMessages) -> None:
+        self.telemetry, self.plausibility = Telemetry(vehicle.system_id), Plausibility()
+        self.listeners: list[Callable[[Message, Event | None, Event | None], object]] = []
+        self._vehicle = vehicle
+        vehicle.listen(self._message, "GLOBAL_POSITION_INT")  # the clock and the plane, from the start
+
+    def close(self) -> None:
+        """Listen no more: the control step runs."""
+        self._vehicle.listeners.remove(self._message)
+
+    def _message(self, message: Message) -> None:
+        event = self.telemetry.event(message)
+        admitted = None if event is None else self.plausibility.admit(event)[0]
+        for listener in self.listeners:
+            listener(message, event, admitted)
+
+
 class SenderCheck:
-    """Receives frames (from any thread) and messages; ``system_id`` is the vehicle's, once it is known."""
+    """Receives frames (from any thread), and judges a vehicle's inputs once they are known."""
 
     def __init__(self) -> None:
-        self.system_id: int | None = None
+        self._inputs: VehicleInputs | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -156,8 +191,6 @@ class SenderCheck:
         self._last: dict[int, int] = {}  # by system: which one is meant is known later
         self._back: defaultdict[int, deque[bool]] = defaultdict(lambda: deque(maxlen=_FRAMES))
         self._kinds: list[tuple[int, int]] = []
-        self._telemetry: Telemetry | None = None
-        self._door = Plausibility()
 
     def frame(self, data: bytes) -> None:
         """Take a raw frame."""
@@ -170,13 +203,13 @@ class SenderCheck:
             self._back[frame.system_id].append((frame.sequence - self._last[frame.system_id]) % 256 >= 128)
         self._last[frame.system_id] = frame.sequence
 
-    def message(self, message: Message) -> None:
-        """Take a message of the vehicle."""
-        if self._telemetry is None:
-            self._telemetry = Telemetry(message.system_id)
-        event = self._telemetry.event(message)
-        if event is not None:
-            self._door.admit(event)
+    def judge(self, inputs: VehicleInputs) -> None:
+        """Judge these inputs from now on."""
+        self._inputs = inputs
+        if self._message not in inputs.listeners:
+            inputs.listeners.append(self._message)
+
+    def _message(self, message: Message, _event: Event | None, _admitted: Event | None) -> None:
         if message.name == "HEARTBEAT" and message.component_id == AUTOPILOT_COMPONENT:
             kind = int(message.fields["autopilot"]), int(message.fields["type"])
             if kind[0] != AUTOPILOT_INVALID and kind not in self._kinds:
@@ -185,10 +218,11 @@ class SenderCheck:
     @property
     def two(self) -> str | None:
         """Why there are two vehicles, and the way out, or None."""
-        reason = self._door.two_vehicles
+        inputs = self._inputs
+        reason = None if inputs is None else inputs.plausibility.two_vehicles
         if reason is None and len(self._kinds) > 1:
             reason = "two vehicles speak with the same system id: their heartbeats report different kinds"
-        back = list(self._back[self.system_id]) if self.system_id is not None else []
+        back = [] if inputs is None else list(self._back.get(inputs.telemetry.system_id or 0, ()))
         if reason is None and len(back) == _FRAMES and sum(back) > _BACK_MAX_SHARE * _FRAMES:
             reason = "two vehicles speak with the same system id: their frame numbers take turns"
         return None if reason is None else f"{reason}; {_REMEDY}"

@@ -67,8 +67,8 @@ def test_a_wrong_option_is_reported_at_once(monkeypatch, arguments, sentence):
         late.called = True
         raise AssertionError
 
-    monkeypatch.setattr(launch_one, "controller_of", computed)
-    monkeypatch.setattr(replay, "controller_of", computed)
+    monkeypatch.setattr(launch_one, "prepared", computed)
+    monkeypatch.setattr(replay, "prepared", computed)
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)
     assert not late.called

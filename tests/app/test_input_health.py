@@ -8,6 +8,7 @@ import pytest
 
 from sidelong.app.config import Config
 from sidelong.app.flight.input_health import InputHealth
+from sidelong.app.flight.session import VehicleInputs
 from tests.exchange.conftest import Flight
 from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_faults import GIMBAL, Fault, repeated, turned
@@ -15,7 +16,7 @@ from tests.faults.flight_faults import GIMBAL, Fault, repeated, turned
 
 def test_vehicle_on_the_ground_has_sound_inputs_until_its_gimbal_is_silent():
     flight = Flight("px4", begin=False)
-    inputs = InputHealth(Config(), flight.vehicle)
+    inputs = InputHealth(Config(), VehicleInputs(flight.vehicle))
     flight.run(30.0)
     (check,) = inputs.checks()
     assert check.ready, check
@@ -37,7 +38,7 @@ def test_vehicle_on_the_ground_has_sound_inputs_until_its_gimbal_is_silent():
 )
 def test_wrong_gimbal_of_a_flying_aircraft_is_found(change, words):
     flight = FaultedFlight(Scenario(1, "px4", 60.0), [Fault("gimbal", 30.0, math.inf, change)])
-    inputs = InputHealth(Config(), flight.vehicle)
+    inputs = InputHealth(Config(), VehicleInputs(flight.vehicle))
     assert flight.run(25.0) is False
     assert inputs.checks()[0].ready
     flight.run(20.0)

@@ -7,14 +7,20 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sidelong.app.flight.session import SenderCheck
+from sidelong.app.flight.session import SenderCheck, VehicleInputs
+from sidelong.app.link.vehicle import VehicleMessages
 from tests.messages import Sender, heartbeat, position
 
 
 @pytest.fixture
-def senders() -> SenderCheck:
+def vehicle() -> VehicleMessages:
+    return VehicleMessages(1, (255, 190))
+
+
+@pytest.fixture
+def senders(vehicle) -> SenderCheck:
     check = SenderCheck()
-    check.system_id = 1
+    check.judge(VehicleInputs(vehicle))
     return check
 
 
@@ -49,28 +55,28 @@ def test_lost_frames_and_other_components_are_none(senders):
     assert senders.two is None
 
 
-def test_clocks_that_take_turns_are_two(senders):
+def test_clocks_that_take_turns_are_two(senders, vehicle):
     for time_ms in range(100_000, 103_000, 100):
-        senders.message(position(time_ms))
-        senders.message(position(time_ms + 400_000))
+        vehicle.take(position(time_ms))
+        vehicle.take(position(time_ms + 400_000))
     assert "its clocks take turns, 400 s apart" in senders.two
 
 
-def test_places_that_take_turns_are_two(senders):
+def test_places_that_take_turns_are_two(senders, vehicle):
     for time_ms in range(100_000, 105_000, 100):
-        senders.message(position(time_ms))
-        senders.message(position(time_ms + 30, 474_010_000))
+        vehicle.take(position(time_ms))
+        vehicle.take(position(time_ms + 30, 474_010_000))
     assert "its positions take turns, 111 m apart" in senders.two
 
 
-def test_heartbeats_of_two_kinds_are_two(senders):
+def test_heartbeats_of_two_kinds_are_two(senders, vehicle):
     for kind in (1, 2, 1):
-        senders.message(heartbeat(type=kind))
+        vehicle.take(heartbeat(type=kind))
     assert "different kinds" in senders.two
 
 
-def test_a_vehicle_alone_is_one(senders):
+def test_a_vehicle_alone_is_one(senders, vehicle):
     for time_ms in range(100_000, 130_000, 100):
-        senders.message(position(time_ms))
-        senders.message(heartbeat())
+        vehicle.take(position(time_ms))
+        vehicle.take(heartbeat())
     assert senders.two is None
