@@ -8,7 +8,7 @@ vehicle flies by the simulator's own guidance (:mod:`sidelong.sitl.arduplane.nav
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import astuple, dataclass
 
 from sidelong.app.autopilots.autopilot import Autopilot
@@ -161,7 +161,9 @@ class KinematicVehicle:
         tick_hz, *each_hz = astuple(rates)
         if any(tick_hz % rate_hz for rate_hz in each_hz if rate_hz):
             raise ValueError(f"the rates {tuple(each_hz)} do not divide {tick_hz} Hz")
-        self._every = [tick_hz // rate_hz if rate_hz else 0 for rate_hz in each_hz]
+        self._due = [
+            [rate_hz > 0 and tick % (tick_hz // rate_hz) == 0 for rate_hz in each_hz] for tick in range(tick_hz)
+        ]
         self._tick, self.time_s, self.flown_s = 0, 0.0, 0.0
         self._sent: list[Message] = []
         self._decoder = Decoder()
@@ -244,9 +246,9 @@ class KinematicVehicle:
         taken, self._sent = self._sent, []
         return taken
 
-    def messages(self, packet: Message, received_s: float) -> Iterator[Message]:
+    def messages(self, packet: Message, received_s: float) -> tuple[Message]:
         """Decode a packet of :meth:`take`: here they are messages already."""
-        yield packet
+        return (packet,)
 
     def receive(self, frame: bytes) -> None:
         """Take a frame of the ground's."""
@@ -270,10 +272,8 @@ class KinematicVehicle:
         self._sent.append(Message(name, self.system_id, _AUTOPILOT, fields, 0.0))
 
     def _send_due(self) -> None:
-        tick, craft, boot_ms = self._tick, self.craft, self.boot_ms
-        position, attitude, gimbal, laser, status, current = (
-            every > 0 and tick % every == 0 for every in self._every
-        )
+        craft, boot_ms = self.craft, self.boot_ms
+        position, attitude, gimbal, laser, status, current = self._due[self._tick % len(self._due)]
         if attitude:
             yaw_rad = math.remainder(craft.heading_rad, math.tau)
             self._say("ATTITUDE", time_boot_ms=boot_ms, roll=craft.roll_rad, pitch=craft.pitch_rad, yaw=yaw_rad)

@@ -1,4 +1,4 @@
-"""Where an aircraft is that flies a plan exactly. Source: docs/decisions/0004-two-fidelities.md."""
+"""Where an aircraft is that flies a plan exactly. Source: docs/explanation/planners.md."""
 
 from __future__ import annotations
 

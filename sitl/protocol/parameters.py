@@ -44,7 +44,9 @@ class Parameters:
         self.on_change: Callable[[str, float], None] = lambda _name, _value: None
 
     def __getitem__(self, name: str) -> float:
-        own, unit = self._former.get(name, (name, 1.0))
+        if name in self._values:
+            return self._values[name]
+        own, unit = self._former[name]
         return self._values[own] * unit
 
     def __contains__(self, name: str) -> bool:
@@ -52,7 +54,8 @@ class Parameters:
 
     def within(self, name: str, least: float, greatest: float) -> float:
         """Return a value as the airframe can bear it, whatever a station has set."""
-        return max(least, min(greatest, self[name]))
+        value = self[name]
+        return least if value < least else greatest if value > greatest else value
 
     def set(self, name: str, value: float) -> None:
         """Set a known parameter, by its own name or by that of the newest release; KeyError if there is none."""

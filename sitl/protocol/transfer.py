@@ -223,7 +223,7 @@ class Transfer:
         return next((one for one in self._transfers.values() if station in one._downloads), None)
 
     def step(self, now_s: float) -> None:
-        for station, download in list(self._downloads.items()):
+        for station, download in list(self._downloads.items()) if self._downloads else ():
             if now_s - download.received_s > self._timeout_s:
                 del self._downloads[station]
                 self._announce(self._quirks.timeout_severity, self._quirks.timeout_text)

@@ -13,6 +13,10 @@ def true_over_equivalent_airspeed(altitude_m: float) -> float:
     return float((1.0 - 2.25577e-5 * altitude_m) ** -2.128)
 
 
+def _bounded(value: float, least: float, greatest: float) -> float:
+    return least if value < least else greatest if value > greatest else value
+
+
 @dataclass(frozen=True, slots=True)
 class Wind:
     """The air's motion over the ground (where it blows *to*)."""
@@ -72,12 +76,12 @@ class Airframe:
         build = self.build
         rate_rad_s = (roll_rad - self.roll_rad) / build.roll_time_constant_s
         limit_rad_s = build.roll_rate_max_rad_s
-        self.roll_rate_rad_s = rate_rad_s = max(-limit_rad_s, min(limit_rad_s, rate_rad_s))
+        self.roll_rate_rad_s = rate_rad_s = _bounded(rate_rad_s, -limit_rad_s, limit_rad_s)
         self.roll_rad += rate_rad_s * dt_s
-        climb_m_s = max(-build.sink_max_m_s, min(build.climb_max_m_s, climb_m_s))
+        climb_m_s = _bounded(climb_m_s, -build.sink_max_m_s, build.climb_max_m_s)
         self.climb_m_s += (climb_m_s - self.climb_m_s) * dt_s / build.climb_time_constant_s
         step_m_s = build.acceleration_max_m_s2 * dt_s
-        self.airspeed_m_s += max(-step_m_s, min(step_m_s, (airspeed_m_s - self.airspeed_m_s) * dt_s))
+        self.airspeed_m_s += _bounded((airspeed_m_s - self.airspeed_m_s) * dt_s, -step_m_s, step_m_s)
         lateral_m_s2 = build.turn_efficiency * GRAVITY_M_S2 * math.tan(self.roll_rad)
         self.yaw_rate_rad_s = lateral_m_s2 / self.airspeed_m_s
         # The middle of the turn made in this step keeps a circle closed.
