@@ -175,7 +175,7 @@ def _opened(path: Path) -> list[Raster]:
         with zipfile.ZipFile(path) as archive:
             members = [one for one in archive.infolist() if one.filename.lower().endswith(_SUFFIXES[:3])]
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-        raise InputError(f"{path}: is no readable archive ({error}); replace it.") from error
+        raise InputError(f"{path}: is no readable archive ({error!s:.80}); replace it.") from error
     return [Raster(path, one.filename, one.file_size) for one in members[:_TILES_MAX]]
 
 

@@ -145,7 +145,7 @@ class Raster:
             *(OSError, EOFError, zipfile.BadZipFile, zlib.error),
             *(RuntimeError, ValueError, LookupError),
         ) as error:
-            raise InputError(f"{self.path}: cannot be unpacked ({error}); replace it.") from error
+            raise InputError(f"{self.path}: cannot be unpacked ({error!s:.80}); replace it.") from error
         if len(content) > _UNPACKED_MAX_BYTES:
             raise InputError(f"{self.path}: is longer than {_UNPACKED_MAX_BYTES >> 20} MiB; unpack it.")
         return content

@@ -22,7 +22,8 @@ _REACH_M = 1e7
 _UNITS = ((9e17, 4.1e18, 1e9), (1.2e17, 6.7e17, 1e7), (6e14, 4.1e15, 1e6), (6e11, 4.1e12, 1e3))
 _SINCE_START_MAX_S, _STEP_MAX_S = 3e8, 1e5  # other times, which count from any moment
 _TOO_SLOW_M_S, _WALK_M_S, _IMPOSSIBLE_M_S = 0.01, 0.3, 100.0
-_GAP_S, _GAP_STEPS = 6 * 3600.0, 10.0  # a longer gap, also in steps of the track, ends a part of it
+# A longer gap, also in steps of the track, ends a part of it.
+_GAP_S, _GAP_STEPS, _GAP_MAX_S = 6 * 3600.0, 10.0, 7 * 86_400.0
 _SAME_PLACE_M = 15.0
 
 _Timed = tuple[float, float, float, int]  # time, east, north, line of the file
@@ -110,7 +111,9 @@ def read_track(path: Path) -> Track:
     if not tracks:
         raise TrackError(f"{file}: {refused}")
     try:
-        index, note = chosen([(line, track.lengths_m()[-1]) for line, track in tracks], name)
+        # Way points with times are used only where there is no track.
+        lengths = [(line, -1.0 if line.kind == "points" else track.lengths_m()[-1]) for line, track in tracks]
+        index, note = chosen(lengths, name)
     except TrackError as error:
         raise TrackError(f"{file}: {error}") from error
     track = tracks[index][1]
@@ -179,7 +182,7 @@ def _longest_part(points: list[_Timed]) -> tuple[list[_Timed], int]:
     """Return the longest part without a gap of hours or a clock that is set back, and the number of other points."""
     ordered = sorted(points)
     steps_s = sorted(b[0] - a[0] for a, b in pairwise(ordered))
-    gap_s = max(_GAP_S, _GAP_STEPS * steps_s[len(steps_s) // 2])
+    gap_s = min(max(_GAP_S, _GAP_STEPS * steps_s[len(steps_s) // 2]), _GAP_MAX_S)
     part = max(_split(ordered, lambda a, b: b[0] - a[0] > gap_s), key=_length_m)
     first_s, last_s = part[0][0], part[-1][0]
     recorded = [p for p in points if first_s <= p[0] <= last_s]
@@ -191,7 +194,8 @@ def _longest_part(points: list[_Timed]) -> tuple[list[_Timed], int]:
     if twice > max(0.2 * len(part), 1):
         at = next(b[3] for a, b in pairwise(part) if b[0] == a[0] and math.dist(a[1:3], b[1:3]) > _SAME_PLACE_M)
         raise TrackError(
-            f"line {at}: several positions have the same time; give a column that names each track (mmsi, name, id)"
+            f"line {at}: several positions have the same time; give times that rise, or a column that names each "
+            "track (mmsi, name, id)"
         )
     return part, len(points) - len(part)
 

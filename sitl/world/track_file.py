@@ -30,7 +30,7 @@ SUFFIXES = (
 )
 _FILE_MAX_BYTES = 16 << 20
 _POINTS_MAX = 400_000
-_JSON_PARTS_MAX = 1_500_000
+_PARTS_MAX = 2_000_000  # elements of XML, with their attributes, or lists and objects of JSON
 _TARGET = "target"
 _LISTED = 5  # lines that are not used, by name
 _METRES_PER_DEG = 111_320.0
@@ -44,6 +44,8 @@ _CLOCK = re.compile(
     r"(?:(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})[T ,]+)?(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?\s*([AaPp][Mm])?"
     r"\s*(?:Z|UTC|GMT|[+-]00:?00)?"
 )
+_NO_TIME = re.compile(r"[\d\s:.,/TZ+-]+")
+_SEXAGESIMAL = re.compile(r"([NSEW]?)\s*([\d.]+)[°\s]*(?:([\d.]+)['\s]*)?(?:([\d.]+)[\"\s]*)?([NSEW]?)")
 # Columns by what their names may be, the best first; words are joined by "_".
 _TIMES = (
     *("t_s", "time_s", "seconds_elapsed", "timestamp", "time", "t", "datetime", "date_time", "basedatetime"),
@@ -212,9 +214,11 @@ def _text(path: Path) -> str:
         text = data.decode(encoding)
     except UnicodeDecodeError:
         text = data.decode("cp1252", "replace")  # positions are ASCII, whatever names are in
-    if "\0" in text:
+    if "\0" in text[:32]:
         raise TrackError("is not text in UTF-8; a track is a .gpx or a .csv file")
-    return text
+    if not text.strip():
+        raise TrackError("is empty")
+    return text.replace("\0", "")  # some loggers pad their cells
 
 
 def _seconds(stamp: object) -> float:
@@ -230,6 +234,8 @@ def _seconds(stamp: object) -> float:
             time = datetime.fromisoformat(text)
             return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
         parts = _CLOCK.fullmatch(text)
+    if parts is None and _NO_TIME.fullmatch(text):
+        return math.nan
     if parts is None:
         raise ValueError(f"{text!r:.40} is neither seconds nor a time of ISO 8601")
     year, month, day, hour, minute = (int(part or 0) for part in parts.groups()[:5])
@@ -255,12 +261,17 @@ def _read_xml(text: str, lines: _Lines) -> None:
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True
     root: list[str] = []
+    parts = 0
     handlers: dict[str, Callable[[ElementTree.Element, int], None]] = {}
 
     def local(name: str) -> str:
         return name.rpartition(":")[2]
 
     def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal parts
+        parts += 1 + 3 * len(attributes)
+        if parts > _PARTS_MAX:
+            raise ValueError("it has too many parts")
         if not root:
             root.append(local(name))
             kinds = {"gpx": _gpx_handlers, "kml": _kml_handlers}
@@ -387,14 +398,15 @@ def _latitude_longitude(position: Any) -> tuple[float, float]:
 
 def _read_json(text: str, lines: _Lines) -> None:
     """Read GeoJSON, or a mission of QGroundControl."""
-    if text.count("[") + text.count("{") > _JSON_PARTS_MAX:
+    if text.count("[") + text.count("{") > _PARTS_MAX:
         raise ValueError("it has too many parts")
     document = json.loads(text)
     match document:
-        case {"fileType": "Plan", "mission": {"items": [*items]}}:
+        case {"fileType": "Plan", "mission": {"items": [*items]}} | {"fileType": "Mission", "items": [*items]}:
             line = lines.begin("route", "mission")
             for item in _plan_items(items):
-                _add_item(lines, line, int(item["command"]), item["params"][4], item["params"][5], 0)
+                place = item["params"][4:6] if len(item.get("params", ())) > 5 else item["coordinate"]
+                _add_item(lines, line, int(item["command"]), *place[:2], 0)
             return
     points: list[tuple[dict[str, Any], float, float]] = []
     for properties, geometry in _geometries(document, {}):
@@ -454,16 +466,17 @@ def _plan_items(items: list[Any]) -> Iterator[dict[str, Any]]:
         match item:
             case {"TransectStyleComplexItem": {"Items": [*inner]}}:
                 yield from (one for one in inner if isinstance(one, dict))
-            case {"command": int(), "params": [*_]}:
+            case {"command": int()}:
                 yield item
 
 
 def _read_mission_items(text: str, lines: _Lines) -> None:
-    """Read a mission of Mission Planner (QGC WPL); its first item is home."""
+    """Read a mission of Mission Planner (QGC WPL); item 0 in the frame of absolute altitudes is home."""
     line = lines.begin("route", "mission")
     for number, row in enumerate(text.splitlines(), 1):
         cells = row.split()
-        if number > 1 and len(cells) >= _WPL_COLUMNS and cells[0] != "0":
+        is_item = number > 1 and len(cells) >= _WPL_COLUMNS and not row.startswith("#")
+        if is_item and not (cells[0] == "0" and cells[2] == "0"):
             try:
                 _add_item(lines, line, int(cells[3]), cells[8], cells[9], number)
             except ValueError as error:
@@ -511,8 +524,11 @@ def _read_table(header: list[str], rows: Iterable[tuple[int, list[Any]]], lines:
     first, second = places
     if first is None or second is None:
         raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
-    time = _column(names, _TIMES)
-    date = names.index("date") if "date" in names and time is not None and names[time] == "time" else None
+    time, date, clock = (_column(names, alike) for alike in (_TIMES, ("date", "utc_d"), ("time", "utc_t")))
+    if date is None or clock is None or date == clock or time not in (date, clock):
+        date = None
+    else:
+        time = clock  # the date has a column of its own
     owners = [names.index(name) for name in _OWNERS if name in names]
     every = Line(kind if time is None else "track")
     of: dict[int, list[str]] = {column: [] for column in owners}
@@ -563,8 +579,10 @@ def _stamp(time: str, date: str) -> float:
 
 
 def _coordinate(word: str) -> float:
-    """Return a coordinate, which may have a decimal comma or end in N, S, E or W. Raises ValueError."""
-    word = word.replace(",", ".")
-    if word[-1:] in "NSEW" and word[-2:-1].isdigit():
-        return float(word[:-1]) * (-1.0 if word[-1] in "SW" else 1.0)
-    return float(word)
+    """Return a coordinate in degrees; it may have a decimal comma, minutes, and N, S, E or W. Raises ValueError."""
+    word = word.replace(",", ".").rstrip("° ")
+    parts = _SEXAGESIMAL.fullmatch(word)
+    if parts is None or not parts[1] + parts[5]:
+        return float(word)
+    degrees, minutes, seconds = (float(part or 0.0) for part in parts.groups()[1:4])
+    return (degrees + minutes / 60.0 + seconds / 3600.0) * (-1.0 if parts[1] + parts[5] in "SW" else 1.0)

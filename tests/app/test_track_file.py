@@ -99,6 +99,13 @@ def test_units_and_forms_of_time_are_recognised(tmp_path: Path, header: str, sta
     ("header", "row"),
     [
         ("INDEX,TAG,DATE,TIME,LATITUDE N/S,LONGITUDE E/W", "{k},T,250504,09{m:02d}{s:02d},{lat:.6f}N,8.55E"),
+        ("utc_d,utc_t,lat,lon", "2025/05/04,09:{m:02d}:{s:02d} AM,{lat:.6f},8.55"),
+        (
+            "#units\n Lcl Date, Lcl Time, UTCOfst, Latitude, Longitude",
+            "2025-05-04, 09:{m:02d}:{s:02d}, +00:00, {lat:.6f}, 8.55",
+        ),
+        ("time,lat,lon", "2025-05-04T09:{m:02d}:{s:02d}Z,{lat:.6f}°N,E8 33.000"),
+        ("INDEX,TIME,LATITUDE N/S,LONGITUDE E/W", '{k}\0\0,09:{m:02d}:{s:02d},{lat:.6f}N,"8°33\'00""E"'),
         ("No;Latitude;Longitude;Date;Time", "{k};{comma};8,55;2025/05/04;09:{m:02d}:{s:02d}"),
         ("Latitude\tLongitude\tTime", "{lat:.6f}\t8.55\t2025-05-04T09:{m:02d}:{s:02d}+02:00"),
         ("exported by a program\n\ntime, lat, lon", "2025-05-04T09:{m:02d}:{s:02d}Z, {lat:.6f}, 8.55"),
@@ -275,8 +282,18 @@ ROUTES: dict[str, str | bytes] = {
             },
         }
     ),
+    "older.plan": json.dumps(
+        {
+            "fileType": "Mission",
+            "items": [{"command": c, "coordinate": [lat, lon, 50], "params": [0] * 4} for c, lat, lon, _ in MISSION],
+        }
+    ),
+    "relative.waypoints": "QGC WPL 120\n# twelve words or more are no item, if they begin as a comment does\n"
+    + "".join(f"{k} 0 3 16 0 0 0 0 {47.4 + k * 1e-3} 8.55 50 1\n" for k in range(12)),
     "mission.waypoints": "QGC WPL 110\n"
-    + "".join(f"{k}\t0\t3\t{c}\t0\t0\t0\t0\t{lat}\t{lon}\t50\t1\n" for k, (c, lat, lon, _) in enumerate(MISSION)),
+    + "".join(
+        f"{k}\t0\t{3 * (k > 0)}\t{c}\t0\t0\t0\t0\t{lat}\t{lon}\t50\t1\n" for k, (c, lat, lon, _) in enumerate(MISSION)
+    ),
     "area.geojson": json.dumps(
         {
             "type": "FeatureCollection",
@@ -323,7 +340,8 @@ def test_legal_variants_of_a_route_are_read(tmp_path: Path, name: str) -> None:
         ("a.kml", "<!DOCTYPE a [<!ENTITY b 'c'>]><kml>&b;</kml>", "declares entities"),
         ("a.kmz", kmz()[:80], "is not a readable track or route"),
         ("a.kmz", b"PK\x03\x04", "is not a readable track or route"),
-        ("a.json", "[" * 2_000_000, "too many parts"),
+        ("a.json", "[" * 2_000_001, "too many parts"),
+        ("a.kml", "<kml>" + "<a/>" * 2_000_001, "too many parts"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(tmp_path: Path, name: str, content: str | bytes, words: str) -> None:
