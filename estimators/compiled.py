@@ -129,7 +129,8 @@ KERNELS: list[Any] = []
 
 def _dispatcher(function: Any, **options: Any) -> Any:
     # No kernel is called from C: to compile such an entry takes a tenth of the time.
-    made: Any = numba.njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    options["no_cfunc_wrapper"] = True
+    made: Any = numba.njit(cache=True, error_model="numpy", **options)(function)
     KERNELS.append(made)
     return made
 
