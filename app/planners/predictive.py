@@ -36,13 +36,13 @@ class Predictive:
         import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
 
         from sidelong.mission.predictive.decision_kernel import commitment, look_deeper  # noqa: PLC0415
-        from sidelong.mission.predictive.future_kernel import winding  # noqa: PLC0415
         from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
         from sidelong.mission.predictive.planner import (  # noqa: PLC0415
             PredictivePlanner,
             scene_at,
             table_configuration,
         )
+        from sidelong.mission.predictive.scene_kernel import winding  # noqa: PLC0415
         from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
 
         configuration = table_configuration(aircraft, requirement, 0.0, self.settings())

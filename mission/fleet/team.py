@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sidelong.mission.core.requirement import Side
-from sidelong.mission.fleet.cover_kernel import Team
+from sidelong.mission.fleet.team_kernel import Team
 from sidelong.mission.predictive.planner import PRICE_SHARE, PredictiveSettings
 from sidelong.mission.predictive.value_table import ValueTable
 

@@ -18,13 +18,14 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Side, Wind
 from sidelong.mission.fleet import team_kernel as kernel
-from sidelong.mission.fleet.cover_kernel import Team
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.team import next_to_standing, team_of
+from sidelong.mission.fleet.team_kernel import Team
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
-from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
+from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.planner import PredictivePlanner, cheapest_allowed, scene_at
+from sidelong.mission.predictive.rollout_kernel import STEP_S
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE

@@ -20,7 +20,7 @@ from sidelong.mission.core.fleet import Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry import separation_kernel as kernel
+from sidelong.mission.geometry import line_kernel as kernel
 from sidelong.mission.geometry.progress import line_of
 
 MIN_SEPARATION_M = 50.0

@@ -1,4 +1,4 @@
-"""Room for the look ahead along a route; :mod:`sidelong.mission.predictive.foresight_kernel` fills it.
+"""Room for the look ahead along a route; :mod:`sidelong.mission.predictive.decision_kernel` fills it.
 
 Source: docs/routes.md#how-the-route-is-used.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.programme_kernel import (
+from sidelong.mission.predictive.foresight_kernel import (
     CELLS,
     COMPUTED_S,
     HEADINGS,

@@ -1,194 +1,364 @@
-"""The planner's look ahead with a known route: futures along it, and the value table in layers of time.
+"""A dynamic program along an expected path of the target: the cost to go from each position, heading and time.
 
-Without a route, or off it, everything is as :func:`sidelong.mission.predictive.future_kernel.winding` leaves it. On
-the route one more future follows it. Futures in which the target turns keep a fifth of the probability at least: a
-route does not exclude that the target leaves it.
+It runs backward from the value table at the end of the expected path. A state is a position relative to the target
+on a coarse grid, one of 16 headings, and the manner of turning: on the circle, straight, or the other way round. A
+step lasts as long as the circle takes for 45 degrees, so that no heading is interpolated. Leaving the circle, or
+changing the manner of turning, costs what the planner's own moves cost. The target may also leave the path: the
+program counts the expected value after a turn at the same hazard as the value table does.
+
+Neglected: roll dynamics (a change of curvature is a shift in time), and the change of ground speed around a circle in
+wind. All layers lie in the local plane, east mirrored where the right side is required: they stay valid as the
+target, and with it the frame of a decision, turns.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.sight import Sight
-from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import (
-    Depth,
-    Looker,
-    Prices,
-    best_line,
-    choices,
-    commitment,
-    look_deeper,
-    with_table,
+from sidelong.mission.geometry.line_kernel import crab_rad
+from sidelong.mission.predictive.cost_kernel import (
+    CostTerms,
+    Float32,
+    IntArray,
+    Table,
+    blind_rates,
+    cost_rate,
+    table_value,
 )
-from sidelong.mission.predictive.future_kernel import classes_about, watched, winding
-from sidelong.mission.predictive.programme_kernel import (
-    COMPUTED_S,
-    FOLLOWED,
-    HEADINGS,
-    KNOWN,
-    MIRROR,
-    WIND_RAD,
-    course_index,
-    fill_layers,
-    layer_s,
-    least_of,
-    resample,
-)
-from sidelong.mission.predictive.rollout_kernel import Futures
-from sidelong.mission.predictive.scene_kernel import Scene, in_frame
-from sidelong.mission.route.progress_kernel import CHANCE, OF_USE, ON_ROUTE, PART, forecast, update_progress
-from sidelong.mission.viewpoint.viewpoint_kernel import STANDING
+from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures
+from sidelong.mission.route.progress_kernel import Way
 
-_ROUTE = 0  # the future along the route is the first one
-_TRUST = 0.8  # the most that it counts
-_LEAST_TRUST = 0.3  # a less probable route is not planned along
-_RENEW_S = 2.5  # how long the layers are used
-_OTHER_WIND_RAD = 0.3
-_PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are needed, and they gain more
+FloatRow = npt.NDArray[np.float32]
+
+HEADINGS = 16
+CELLS = 22  # from the target to the edge of the grid
+SIZE = 2 * CELLS + 1
+_PAD = 8  # cells beyond the edge, equal to it: more than aircraft and target move apart in a step
+_TURN = 2  # headings of a step on the circle
+_MODES = 3  # on the circle, straight, the other way round
+HORIZON_S = 45.0
+# What is remembered of the layers: when they were computed, for which mirror, part of the route and direction of the
+# wind, then for which courses the values after a turn are computed.
+COMPUTED_S, MIRROR, FOLLOWED, WIND_RAD, KNOWN = range(5)
 
 
-@compiled
-def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, bool]:
-    """Return futures of which the first follows the route, and True; the same and False off the route, or of no use.
+class Foresight(NamedTuple):
+    """A route and the layers of the value table along it; without points, no route.
 
-    The route replaces the future along the target's own trail.
+    values: classes of the value table on the program's grid, then the layers. after_turn: the same classes, then one
+    for each of HEADINGS courses. least (classes + layers,): of ``values``.
     """
-    way, progress = looker.foresight.way, looker.foresight.progress
-    if len(way.points) == 0 or progress[ON_ROUTE] == 0.0 or progress[OF_USE] == 0.0:
-        return every, False
-    chance, turns, k = _TRUST * progress[CHANCE], len(looker.turns.rate_rad_s), every.place.shape[1]
-    if chance < _LEAST_TRUST:
-        return every, False
-    weight, place = np.full(turns + 1, (1.0 - chance) / turns), np.empty((turns + 1, k, 4))
-    weight[_ROUTE] = chance
-    place[1], place[2:] = every.place[0], every.place[len(every.weight) - turns + 1 :]
-    points = np.empty((k + 1, 2))
-    forecast(way, progress, scene.departure_s, points)
-    off_e, off_n = scene.frame_east_m - points[0, 0], scene.frame_north_m - points[0, 1]
-    for i in range(k + 1):
-        points[i, 0], points[i, 1] = in_frame(scene, points[i, 0] + off_e, points[i, 1] + off_n)
-    for i in range(k):
-        place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
-        place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-    moving = looker.memory[STANDING] == 0.0
-    return watched(scene, looker.motions, looker.wish, looker.memory, moving, weight, place), True
+
+    way: Way
+    progress: FloatArray
+    values: Float32
+    after_turn: Float32
+    cell_m: float
+    least: FloatArray
+    state: FloatArray
 
 
 @compiled
-def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) -> None:
-    """Compute the values after a turn for the courses that the route takes, and for this wind, unless they are."""
-    s, motions, table = looker.foresight, looker.motions, looker.table
-    wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
-    wind_rad = math.atan2(scene.air.wind_x_m_s, scene.air.wind_y_m_s) - turn_rad if wind_m_s > 0.0 else 0.0
-    changed_rad = wind_rad - s.state[WIND_RAD]
-    changed_rad -= 2.0 * math.pi * round(changed_rad / (2.0 * math.pi))
-    # The frame of a sector is fixed: its angle in the plane does not change.
-    if motions.wind_speed_m_s > 0.0 and abs(changed_rad) > _OTHER_WIND_RAD:
-        s.state[KNOWN:] = 0.0
-        s.state[WIND_RAD] = wind_rad
-    classes, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
-    for k in range(f.place.shape[1]):
-        course = course_index(f, _ROUTE, k, turn_rad)
-        if s.state[KNOWN + course] > 0.0:
-            continue
-        s.state[KNOWN + course] = 1.0
-        course_rad = course * 2.0 * math.pi / HEADINGS
-        table_rad = course_rad if motions.follows_course else f.course[_ROUTE, k, 2] - turn_rad
-        to_rad, from_rad = course_rad - table_rad, s.state[WIND_RAD] - table_rad
-        fastest = motions.target_speed_max_m_s
-        vx, vy = fastest * math.sin(to_rad), fastest * math.cos(to_rad)
-        wx, wy = motions.wind_speed_m_s * math.sin(from_rad), motions.wind_speed_m_s * math.cos(from_rad)
-        which, _, shares = classes_about(motions, vx, vy, wx, wy)
-        for c in range(4):
-            classes[0, 0, c], turn_share[0, 0, c] = which[c], shares[c]
-        found = s.after_turn[len(table.values) + course]
-        resample(table.after_turn, table.cell_m, classes, turn_share, 0, 0, s.cell_m, table_rad, found)
+def layer_s(airspeed_m_s: float, radius_m: float) -> float:
+    """Return the duration of a step: that of 45 degrees of the circle."""
+    return _TURN * 2.0 * math.pi / HEADINGS * radius_m / airspeed_m_s
+
+
+@inlined
+def course_index(f: Futures, one: int, k: int, turn_rad: float) -> int:
+    """Return which of HEADINGS directions of the plane the target moves in at a sample; turn_rad: of the plane."""
+    motion_rad = math.atan2(f.place[one, k, 2], f.place[one, k, 3])
+    return round((motion_rad - turn_rad) / (2.0 * math.pi) * HEADINGS) % HEADINGS
 
 
 @compiled
-def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
-    """Return what the target may do, and the looker to judge it by.
+def resample(
+    values: Float32,
+    from_cell_m: float,
+    classes: IntArray,
+    share: FloatArray,
+    one: int,
+    k: int,
+    cell_m: float,
+    turn_rad: float,
+    found: Float32,
+) -> None:
+    """Fill in a mixture of a table's classes on the coarse grid of the program, in a frame turned back.
 
-    Processes the target's estimate: call it once for each, in order of time.
+    Args:
+        values: The table (classes, headings, n, n).
+        from_cell_m: Its cell.
+        classes: Which classes are mixed (f, k, 4).
+        share: What each counts (f, k, 4).
+        one: Row of ``classes`` and ``share``.
+        k: Sample in that row.
+        cell_m: Cell of the result.
+        turn_rad: Course of the table's frame in the frame of the result.
+        found: Result (HEADINGS, SIZE, SIZE).
     """
-    every, s, table = (
-        winding(scene, looker.motions, looker.wish, looker.memory, looker.turns),
-        looker.foresight,
-        looker.table,
-    )
-    if len(s.way.points) == 0:
-        return every, looker
-    update_progress(s.way, scene.target, s.progress)
-    f, on_route = along_route(scene, looker, every)
-    part, state = s.progress[PART], s.state
-    if not on_route:
-        state[COMPUTED_S] = -np.inf
-        return f, looker
-    p = looker.prices
-    prices = Prices(_PRICE_SHARE * p.leave, _PRICE_SHARE * p.change, p.commit, p.commit_s, p.threat_s)
-    turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
-    layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)
-    since_s = scene.departure_s - state[COMPUTED_S]
-    if not 0.0 <= since_s <= _RENEW_S or state[MIRROR] != scene.mirror or state[FOLLOWED] != part:
-        _fill_after_turn(f, turn_rad, scene, looker)
-        fill_layers(
-            f,
-            _ROUTE,
-            turn_rad,
-            scene.doubt,
-            looker.terms,
-            table,
-            scene.air,
-            scene.radius_m,
-            prices.leave,
-            prices.change,
-            s.cell_m,
-            s.after_turn[count:],
-            s.values[count:],
-        )
-        least_of(s.values[count:], s.least[count:])
-        state[COMPUTED_S], state[MIRROR], state[FOLLOWED], since_s = scene.departure_s, scene.mirror, part, 0.0
     sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
-    for k in range(f.place.shape[1]):
-        at = min((k * f.step_s + since_s) / dt_s, layers - 1.001)
-        layer, past = int(at), at - int(at)
-        f.classes[_ROUTE, k, 0], f.classes[_ROUTE, k, 1] = count + layer, count + layer + 1
-        f.share[_ROUTE, k, 0], f.share[_ROUTE, k, 1] = 1.0 - past, past
-        f.share[_ROUTE, k, 2:] = 0.0
-        f.classes[_ROUTE, k, 2] = count + course_index(f, _ROUTE, k, turn_rad)
-        f.turn_share[_ROUTE, k, :] = 0.0
-        f.turn_share[_ROUTE, k, 2] = 1.0
-        f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
-    timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
-    # Figures of eight have no second look, and the route alone would lead too near to a target that leaves it.
-    every_future = looker.terms.blind > 0.0
-    depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn, every_future)
-    return f, with_table(looker, timed, prices, depth)
+    for h in range(HEADINGS):
+        heading_rad = h * 2.0 * math.pi / HEADINGS - turn_rad
+        for i in range(SIZE):
+            for j in range(SIZE):
+                x, y = (i - CELLS) * cell_m, (j - CELLS) * cell_m
+                across, along = x * cos_t - y * sin_t, x * sin_t + y * cos_t
+                found[h, i, j] = np.float32(
+                    table_value(values, from_cell_m, across, along, heading_rad, classes, share, one, k)
+                )
 
 
 @compiled
-def weigh(scene: Scene, looker: Looker, sight: Sight) -> tuple[float, float, FloatArray]:
-    """Return what staying costs, what a move must gain beyond its price, and what each move costs (choices,).
-
-    Processes the target's estimate, as :func:`foresee` does.
-    """
-    futures, judged_by = foresee(scene, looker)
-    min_gain, costs = commitment(scene, futures, judged_by), np.empty(choices(looker))
-    return look_deeper(scene, futures, judged_by, sight, min_gain, costs), min_gain, costs
+def _fill_rates(
+    f: Futures,
+    one: int,
+    k: int,
+    since_s: float,
+    turn_rad: float,
+    cell_m: float,
+    d: Doubt,
+    c: CostTerms,
+    found: Float32,
+) -> None:
+    """Fill in the running cost (SIZE, SIZE) about the target at sample k. turn_rad: of the plane in the frame."""
+    sin_w, cos_w, sigma_rad = f.facing[one, k, 0], f.facing[one, k, 1], f.facing[one, k, 2]
+    sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
+    # Of the watch course in the plane: its angle in the frame less that of the plane.
+    sin_f, cos_f = sin_w * cos_t - cos_w * sin_t, cos_w * cos_t + sin_w * sin_t
+    sigma_m = math.sqrt(d.position_m * d.position_m + (d.velocity_m_s * since_s) ** 2)
+    for i in range(SIZE):
+        for j in range(SIZE):
+            x, y = (i - CELLS) * cell_m, (j - CELLS) * cell_m
+            across, along = x * cos_f - y * sin_f, x * sin_f + y * cos_f
+            aside_m = sigma_rad * along
+            blur_m = max(1.0 + math.sqrt(sigma_m * sigma_m + aside_m * aside_m), 0.5 * cell_m)
+            found[i, j] = np.float32(cost_rate(across, along, sigma_m, blur_m, c))
 
 
 @compiled
-def decide(scene: Scene, looker: Looker) -> tuple[float, float, FloatArray]:
-    """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
+def _fill_blind(air: Air, wind_x_m_s: float, wind_y_m_s: float, cell_m: float, c: CostTerms, found: Float32) -> None:
+    """Fill in the cost (HEADINGS, SIZE, SIZE) of where the gimbal cannot look; the wind is that in the plane."""
+    axis_m, rates = (np.arange(SIZE, dtype=np.float64) - CELLS) * cell_m, np.empty((SIZE, SIZE))
+    for h in range(HEADINGS):
+        course_rad = h * 2.0 * math.pi / HEADINGS
+        blind_rates(axis_m, course_rad - crab_rad(course_rad, air.airspeed_m_s, wind_x_m_s, wind_y_m_s), c, rates)
+        for i in range(SIZE):
+            for j in range(SIZE):
+                found[h, i, j] = np.float32(rates[i, j])
 
-    The ground hides nothing.
+
+@compiled
+def _add_rows(blind: Float32, found: Float32) -> None:
+    for i in range(len(blind)):
+        for j in range(len(blind)):
+            found[i, j] += blind[i, j]
+
+
+@compiled
+def _add_row(rate: FloatRow, turned: FloatRow, hazard: np.float32, found: FloatRow) -> None:
+    for q in range(len(found)):
+        found[q] = rate[q] + hazard * turned[q]
+
+
+@compiled
+def _blend_row(
+    low: FloatRow,
+    high: FloatRow,
+    own: FloatRow,
+    a: np.float32,
+    b: np.float32,
+    c: np.float32,
+    d: np.float32,
+    half: np.float32,
+    found: FloatRow,
+) -> None:
+    for q in range(len(found)):
+        found[q] = half * own[q] + a * low[q] + b * low[q + 1] + c * high[q] + d * high[q + 1]
+
+
+@compiled
+def _choose_row(
+    circle: FloatRow,
+    straight: FloatRow,
+    other: FloatRow,
+    paid: FloatRow,
+    leave: np.float32,
+    change: np.float32,
+    half: np.float32,
+    found: FloatRow,
+    on: FloatRow,
+    ahead: FloatRow,
+    back: FloatRow,
+) -> None:
+    """Fill in the cost to go on the circle, and that in each mode with half a step's cost before it."""
+    for q in range(len(found)):
+        c, s, o = circle[q], straight[q], other[q]
+        away = s if s < o else o
+        here = c if c < away + leave else away + leave
+        changed = (away if away < c else c) + change
+        s = c if c < s else s
+        o = c if c < o else o
+        before = half * paid[q]
+        found[q] = here
+        on[q] = here + before
+        ahead[q] = (s if s < changed else changed) + before
+        back[q] = (o if o < changed else changed) + before
+
+
+@compiled
+def _extend_edges(padded: Float32) -> None:
+    """Give the cells beyond the grid the values of its edge."""
+    n = len(padded)
+    for i in range(_PAD, n - _PAD):
+        row = padded[i]
+        for q in range(_PAD):
+            row[q], row[n - 1 - q] = row[_PAD], row[n - 1 - _PAD]
+    for i in range(_PAD):
+        for q in range(n):
+            padded[i, q], padded[n - 1 - i, q] = padded[_PAD, q], padded[n - 1 - _PAD, q]
+
+
+@compiled
+def fill_layers(
+    f: Futures,
+    one: int,
+    turn_rad: float,
+    d: Doubt,
+    terms: CostTerms,
+    table: Table,
+    air: Air,
+    radius_m: float,
+    leave: float,
+    change: float,
+    cell_m: float,
+    after_turn: Float32,
+    found: Float32,
+) -> None:
+    """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on.
+
+    Args:
+        f: Futures of the target in the frame of the decision.
+        one: The future to follow.
+        turn_rad: Angle of the (mirrored) plane's north in that frame.
+        d: Uncertainty of the target.
+        terms: Running cost.
+        table: Value table: the cost to go at the end, and the hazard of turns.
+        air: Airspeed and wind, in the frame.
+        radius_m: Of the circle.
+        leave: Cost of leaving the circle.
+        change: Cost of another change.
+        cell_m: Of the result.
+        after_turn: Expected cost after a turn of the target, for each of HEADINGS courses before it:
+            (HEADINGS, HEADINGS, SIZE, SIZE).
+        found: Result (layers, HEADINGS, SIZE, SIZE).
     """
-    flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    stay_cost, min_gain, costs = weigh(scene, looker, flat)
-    line = best_line(scene, looker.craft, costs, stay_cost - min_gain)
-    return scene.departure_s, scene.radius_m, line
+    layers, n = len(found), SIZE + 2 * _PAD
+    dt_s, turn_step_rad = layer_s(air.airspeed_m_s, radius_m), 2.0 * math.pi / HEADINGS
+    rate, table_values = np.empty((SIZE, SIZE), np.float32), np.empty((HEADINGS, SIZE, SIZE), np.float32)
+    # Planes of the padded grid. Their rows are processed as one long row, in which the padding is computed in vain.
+    paid, here = np.zeros((HEADINGS, n, n), np.float32), np.empty(n * n, np.float32)
+    values, best = np.zeros((_MODES, HEADINGS, n * n), np.float32), np.zeros((_MODES, HEADINGS, n * n), np.float32)
+    first, count = _PAD * n, SIZE * n
+    hazard_per_s = 1.0 / table.mean_leg_s
+    fading, half = math.exp(-(table.discount_per_s + hazard_per_s) * dt_s), np.float32(0.5 * dt_s)
+    sin_p, cos_p, last_k = math.sin(turn_rad), math.cos(turn_rad), f.place.shape[1] - 1
+    wind_x = air.wind_x_m_s * cos_p - air.wind_y_m_s * sin_p
+    wind_y = air.wind_x_m_s * sin_p + air.wind_y_m_s * cos_p
+    chord_m = 2.0 * radius_m * math.sin(0.5 * _TURN * turn_step_rad)
+    limit = _PAD - 1.01
+    blind = np.empty((HEADINGS if terms.blind > 0.0 else 0, SIZE, SIZE), np.float32)
+    if terms.blind > 0.0:
+        _fill_blind(air, wind_x, wind_y, cell_m, terms, blind)
+    for layer in range(layers - 1, -1, -1):
+        time_s = layer * dt_s
+        k = min(int(time_s / f.step_s + 0.5), last_k)
+        _fill_rates(f, one, k, time_s, turn_rad, cell_m, d, terms, rate)
+        course = course_index(f, one, k, turn_rad)
+        for h in range(HEADINGS):
+            for i in range(SIZE):
+                _add_row(
+                    rate[i], after_turn[course, h, i], np.float32(hazard_per_s), paid[h, i + _PAD, _PAD : _PAD + SIZE]
+                )
+            if len(blind) > 0:
+                _add_rows(blind[h], paid[h, _PAD : _PAD + SIZE, _PAD : _PAD + SIZE])
+        if layer == layers - 1:
+            table_rad = f.course[one, k, 2] - turn_rad
+            resample(table.values, table.cell_m, f.classes, f.share, one, k, cell_m, table_rad, table_values)
+            for mode in range(_MODES):
+                for h in range(HEADINGS):
+                    values[mode, h].reshape(n, n)[_PAD : _PAD + SIZE, _PAD : _PAD + SIZE] = table_values[h]
+        else:
+            k, m = min(int(time_s / f.step_s), last_k), min(int((time_s + dt_s) / f.step_s), last_k)
+            from_s, to_s = time_s - k * f.step_s, time_s + dt_s - m * f.step_s
+            gone_x = f.place[one, m, 0] + f.place[one, m, 2] * to_s - f.place[one, k, 0] - f.place[one, k, 2] * from_s
+            gone_y = f.place[one, m, 1] + f.place[one, m, 3] * to_s - f.place[one, k, 1] - f.place[one, k, 3] * from_s
+            gone_x, gone_y = gone_x * cos_p - gone_y * sin_p, gone_x * sin_p + gone_y * cos_p
+            for mode in range(_MODES):
+                turn = (1 - mode) * _TURN
+                for h in range(HEADINGS):
+                    middle_rad = (h + 0.5 * turn) * turn_step_rad
+                    flown_x, flown_y = chord_m * math.sin(middle_rad), chord_m * math.cos(middle_rad)
+                    if turn == 0:
+                        flown_x, flown_y = (
+                            air.airspeed_m_s * math.sin(middle_rad),
+                            air.airspeed_m_s * math.cos(middle_rad),
+                        )
+                        flown_x, flown_y = (flown_x + wind_x) * dt_s, (flown_y + wind_y) * dt_s
+                    x = min(max((flown_x - gone_x) / cell_m, -limit), limit)
+                    y = min(max((flown_y - gone_y) / cell_m, -limit), limit)
+                    i, j = math.floor(x), math.floor(y)
+                    a, b = x - i, y - j
+                    one_a, one_b = np.float32(fading * (1.0 - a) * (1.0 - b)), np.float32(fading * (1.0 - a) * b)
+                    one_c, one_d = np.float32(fading * a * (1.0 - b)), np.float32(fading * a * b)
+                    after, at = best[mode, (h + turn) % HEADINGS], first + i * n + j
+                    _blend_row(
+                        after[at : at + count + 1],
+                        after[at + n : at + n + count + 1],
+                        paid[h].ravel()[first : first + count],
+                        one_a,
+                        one_b,
+                        one_c,
+                        one_d,
+                        half,
+                        values[mode, h, first : first + count],
+                    )
+        for h in range(HEADINGS):
+            _choose_row(
+                values[0, h, first : first + count],
+                values[1, h, first : first + count],
+                values[2, h, first : first + count],
+                paid[h].ravel()[first : first + count],
+                np.float32(leave),
+                np.float32(change),
+                half,
+                here[first : first + count],
+                best[0, h, first : first + count],
+                best[1, h, first : first + count],
+                best[2, h, first : first + count],
+            )
+            found[layer, h] = here.reshape(n, n)[_PAD : _PAD + SIZE, _PAD : _PAD + SIZE]
+            for mode in range(_MODES):
+                _extend_edges(best[mode, h].reshape(n, n))
+
+
+@compiled
+def _keep_less(values: FloatRow, least: FloatRow) -> None:
+    for q in range(len(least)):
+        least[q] = values[q] if values[q] < least[q] else least[q]
+
+
+@compiled
+def least_of(values: Float32, found: FloatArray) -> None:
+    """Fill in the least value of each class (classes,)."""
+    least = np.empty(SIZE * SIZE, np.float32)
+    for v in range(len(values)):
+        least[:] = values[v, 0].ravel()
+        for h in range(1, HEADINGS):
+            _keep_less(values[v, h].ravel(), least)
+        found[v] = least.min()

@@ -33,15 +33,13 @@ from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, tu
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices, weigh
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
 from sidelong.mission.predictive.foresight import foresight_along, no_route
-from sidelong.mission.predictive.foresight_kernel import weigh
-from sidelong.mission.predictive.future_kernel import Turns
+from sidelong.mission.predictive.foresight_kernel import Foresight
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
-from sidelong.mission.predictive.programme_kernel import Foresight
-from sidelong.mission.predictive.scene_kernel import Scene, scene_of
-from sidelong.mission.predictive.second_moves_kernel import no_seconds
+from sidelong.mission.predictive.scene_kernel import Scene, Turns, scene_of
+from sidelong.mission.predictive.second_kernel import no_seconds
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route

@@ -1,11 +1,15 @@
-"""The inner loops of the roll-out: many lines that share their beginnings, against futures of the target.
+"""Roll out candidate lines, which share their beginnings, against predicted futures of the target.
 
 Lines are sampled every step_m and at their ends, in the frame of the departure: its origin is where the target is
 then, x is to the right of the watch course, y along it. A future holds where the target is from then on, which course
 to watch from, and which course and velocity the table is to be asked for: all may change on the way.
 
 What lines share is computed once: all moves that hold one curvature follow one trunk until their last ramps begin.
-In still air a set of lines depends on the curvature at its start only, of which a flight has few: sets are kept.
+In still air a set of lines depends on the curvature at its start only, of which a flight has few: sets are cached.
+
+About each position that the target will have stands a raster of heights: from there and higher it is in sight. A
+hidden position costs as much as some seconds off side; the circle at a line's end counts for a lap, because the
+value table knows nothing of the ground.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import numpy as np
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import (
     crab_rad,
     ground_speed_m_s,
@@ -30,6 +35,7 @@ from sidelong.mission.predictive.cost_kernel import CostTerms, IntArray, Table, 
 # The target turns at random, so what it does at a certain moment of the roll-out matters only in the mean: every
 # third sample is enough.
 TURN_STRIDE = 3
+STEP_S = 1.0
 _ENDLESS_M = 1e9
 
 
@@ -409,3 +415,94 @@ def times_s(heading_rad: FloatArray, arc_m: FloatArray, air: Air) -> FloatArray:
             slower = 1.0 / ground_speed_m_s(heading_rad[s], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
             time[s] = time[s - 1] + (arc_m[s] - arc_m[s - 1]) * 0.5 * (slow + slower)
     return time
+
+
+# -- what the ground hides -------------------------------------------------------------------------------------------
+
+_LAP_SAMPLES = 16
+
+
+class View(NamedTuple):
+    """How the frame of the lines lies in the plane, and how the target moves in it."""
+
+    course_rad: float
+    mirror: float
+    velocity_x_m_s: float
+    velocity_y_m_s: float
+
+
+@compiled
+def hidden_rate(s: Sight, v: View, x_m: float, y_m: float, time_s: float) -> float:
+    """Return the cost per second at a place of the frame."""
+    targets, azimuths, rings = s.needed_m.shape
+    off_x_m, off_y_m = x_m - v.velocity_x_m_s * time_s, y_m - v.velocity_y_m_s * time_s
+    target = min(int(time_s / s.step_s + 0.5), targets - 1)
+    azimuth = (math.atan2(v.mirror * off_x_m, off_y_m) + v.course_rad) * (azimuths / math.tau) + 0.5
+    azimuth -= azimuths * math.floor(azimuth / azimuths)
+    ring = math.sqrt(off_x_m * off_x_m + off_y_m * off_y_m) / s.ring_m - 0.5
+    ring = min(max(ring, 0.0), rings - 1.0)
+    above_m = s.height_m - s.needed_m[target, min(int(azimuth), azimuths - 1), int(ring)]
+    share = 0.5 - 0.5 * above_m / s.soft_m
+    return float(s.weight * min(max(share, 0.0), 1.0))
+
+
+@compiled
+def _lap_cost(
+    s: Sight,
+    v: View,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
+    time_s: float,
+    weight: float,
+    radius_m: float,
+    lap_s: float,
+    rate_per_s: float,
+) -> float:
+    """Return the cost of the clockwise circle from a place on it, for a lap."""
+    centre_x_m, centre_y_m = x_m + radius_m * math.cos(heading_rad), y_m - radius_m * math.sin(heading_rad)
+    step_s = lap_s / _LAP_SAMPLES
+    total = 0.0
+    for k in range(_LAP_SAMPLES):
+        since_s = (k + 0.5) * step_s
+        turned_rad = heading_rad + math.tau * since_s / lap_s
+        on_x_m = centre_x_m - radius_m * math.cos(turned_rad)
+        on_y_m = centre_y_m + radius_m * math.sin(turned_rad)
+        discount = math.exp(-rate_per_s * since_s)
+        total += hidden_rate(s, v, on_x_m, on_y_m, time_s + since_s) * discount * step_s
+    return weight * total
+
+
+@compiled
+def add_sight(
+    lines: Lines,
+    start: Pose,
+    s: Sight,
+    v: View,
+    radius_m: float,
+    lap_s: float,
+    rate_per_s: float,
+    costs: FloatArray,
+) -> None:
+    """Add to the cost (lines,) of each line from a start what is hidden along it and on the circle after it."""
+    if s.needed_m.shape[0] == 0:
+        return
+    x, y = placed(lines, start)
+    rates, ends = np.empty(len(x)), np.empty(len(lines.trunk))
+    for k in range(len(x)):
+        rates[k] = hidden_rate(s, v, x[k], y[k], lines.time_s[k]) * lines.weight[k]
+    for i in range(len(ends)):
+        last = lines.own_first[i + 1] - 1
+        ends[i] = _lap_cost(
+            s,
+            v,
+            x[last],
+            y[last],
+            start.heading_rad + lines.turned_rad[last],
+            lines.time_s[last],
+            lines.weight[last],
+            radius_m,
+            lap_s,
+            rate_per_s,
+        )
+    add_up(lines, rates, np.zeros(len(x)), ends, 1.0, costs)

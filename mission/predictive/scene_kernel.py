@@ -1,9 +1,14 @@
-"""What one decision looks at: the inner loops."""
+"""The scene of a decision: aircraft, wind and plan at the departure, and predicted futures of the target.
+
+The target goes straight on, begins to turn, or repeats a part of its path history. The course to watch from follows.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
+
+import numpy as np
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
@@ -20,14 +25,22 @@ from sidelong.mission.geometry.line_kernel import (
     remainder,
     turn_radius_m,
 )
-from sidelong.mission.predictive.rollout_kernel import Air, Doubt
+from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Doubt, Futures
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     AIRSPEED_S,
     AIRSPEED_SHARE,
+    MIN_WAY_M,
+    STANDING,
+    TRAIL,
     Estimates,
     Known,
     Wish,
+    made_good_sigma_rad,
+    no_part,
+    place_at,
     position_sigma_m,
+    predict_along,
+    repeated_part,
     velocity_sigma_m_s,
     viewpoint,
 )
@@ -172,3 +185,226 @@ def in_frame(scene: Scene, east_m: float, north_m: float) -> tuple[float, float]
     sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
     east_m, north_m = east_m - scene.frame_east_m, north_m - scene.frame_north_m
     return scene.mirror * (east_m * cos_c - north_m * sin_c), east_m * sin_c + north_m * cos_c
+
+
+Four = tuple[float, float, float, float]
+
+FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
+_SLOW_M_S = 0.5  # the course of such a slow target is meaningless
+_SPEED_RINGS = 3  # of the table's classes: standing, half and full speed
+
+
+class Motions(NamedTuple):
+    """How the table's classes are arranged: see :meth:`mission.predictive.value_table.TableConfiguration.classes`."""
+
+    follows_course: bool
+    wind_speed_m_s: float
+    target_speed_max_m_s: float
+    wind_directions: int
+    target_directions: int
+
+
+class Turns(NamedTuple):
+    """Rates at which the target may begin to turn (f,), the first 0; they fade with this time constant.
+
+    stands: whether a target that has stopped stays where it is. Else it is predicted by what its estimate moves.
+    """
+
+    rate_rad_s: FloatArray
+    fades_s: float
+    stands: bool
+
+
+@inlined
+def classes_about(
+    motions: Motions, velocity_x_m_s: float, velocity_y_m_s: float, wind_x_m_s: float, wind_y_m_s: float
+) -> tuple[tuple[int, int, int, int], Four, Four]:
+    """Return the table's classes about velocities of target and wind, and their shares in V and after a turn.
+
+    Of the wind only the direction counts: its speed is the table's. After a turn the speed before it is forgotten,
+    but for that of a target that stood in a sector's table: it has no direction to turn from.
+    """
+    # Numbers, as parts of arrays that are passed on in a loop count their references at each turn.
+    speed_m_s = math.sqrt(velocity_x_m_s * velocity_x_m_s + velocity_y_m_s * velocity_y_m_s)
+    speed = min(speed_m_s / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
+    ring = min(int(speed), _SPEED_RINGS - 2)
+    outer = speed - ring
+    if motions.follows_course and motions.wind_speed_m_s == 0.0:
+        return (ring, ring + 1, 0, 0), (1.0 - outer, outer, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    if motions.follows_course:
+        directions, angle_rad = motions.wind_directions, math.atan2(wind_x_m_s, wind_y_m_s)
+    else:
+        directions, angle_rad = motions.target_directions, math.atan2(velocity_x_m_s, velocity_y_m_s)
+    direction = angle_rad / (2.0 * math.pi) * directions
+    direction -= directions * math.floor(direction / directions)
+    first = int(direction)
+    past = direction - first
+    near, far = first % directions, (first + 1) % directions
+    share = (1.0 - outer) * (1.0 - past), (1.0 - outer) * past, outer * (1.0 - past), outer * past
+    turned = 1.0 - past, past, 0.0, 0.0
+    if motions.follows_course:
+        inner, outside = ring * directions, (ring + 1) * directions
+        return (inner + near, inner + far, outside + near, outside + far), share, turned
+    # The first class is that of the standing target, which has no direction.
+    outside = 1 + ring * directions
+    if ring == 0:
+        return (0, 0, outside + near, outside + far), share, share
+    inner = outside - directions
+    return (inner + near, inner + far, outside + near, outside + far), share, turned
+
+
+@compiled
+def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turns: Turns) -> Futures:
+    """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
+
+    There is one for each turn, the first straight on. If the target repeats a part of its trail, the second follows
+    the trail. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
+    asked in the frame of the velocity, in which it was computed, or of the fixed course.
+    """
+    k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
+    speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    # The rest of its velocity is an error of the estimate, which would turn the course that is watched.
+    if turns.stands and memory[STANDING] > 0.0 and math.isnan(wish.fixed_course_rad):
+        speed_m_s = 0.0
+    part, trail = no_part(), memory[TRAIL:]
+    if moving and len(turns.rate_rad_s) > 1:
+        part = repeated_part(trail, scene.frame_east_m, scene.frame_north_m, speed_m_s)
+    more = 1 if part.chance > 0.0 else 0
+    f = len(turns.rate_rad_s) + more
+    place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - part.chance) / (f - more))
+    faded_s = np.empty(k)
+    for i in range(k):
+        faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
+    for one in range(f):
+        _turning(scene, speed_m_s, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
+    if more > 0:
+        weight[1], x_m, y_m = part.chance, np.empty(k + 1), np.empty(k + 1)
+        predict_along(trail, part, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
+        for i in range(k + 1):
+            x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
+        place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
+        place[1, :, 2], place[1, :, 3] = (x_m[1:] - x_m[:k]) / STEP_S, (y_m[1:] - y_m[:k]) / STEP_S
+    return watched(scene, motions, wish, memory, moving, weight, place)
+
+
+@compiled
+def _turning(scene: Scene, speed_m_s: float, rate_rad_s: float, faded_s: FloatArray, place: FloatArray) -> None:
+    """Fill in the places and velocities (k, 4) of a target that begins to turn: by the rate for faded_s (k,)."""
+    course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    x_m = y_m = 0.0
+    vx, vy = speed_m_s * math.sin(course_rad), speed_m_s * math.cos(course_rad)
+    for i in range(len(place)):
+        if rate_rad_s != 0.0:
+            heading_rad = course_rad + rate_rad_s * faded_s[i]
+            vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
+        place[i, 0], place[i, 1], place[i, 2], place[i, 3] = x_m, y_m, vx, vy
+        x_m, y_m = x_m + vx * STEP_S, y_m + vy * STEP_S
+
+
+@compiled
+def watched(
+    scene: Scene,
+    motions: Motions,
+    wish: Wish,
+    memory: FloatArray,
+    moving: bool,
+    weight: FloatArray,
+    place: FloatArray,
+) -> Futures:
+    """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
+    horizon_s, fixed = wish.course_horizon_s, not math.isnan(wish.fixed_course_rad)
+    f, k = place.shape[:2]
+    found = Futures(
+        weight,
+        STEP_S,
+        place,
+        np.empty((f, k, 3)),
+        np.empty((f, k, 3)),
+        np.empty((f, k, 4), np.int64),
+        np.empty((f, k, 4)),
+        np.empty((f, k, 4)),
+    )
+    past = np.empty((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
+    _watch(scene, motions, wish, memory, moving, past, found)
+    return found
+
+
+@compiled
+def _watch(
+    scene: Scene,
+    motions: Motions,
+    wish: Wish,
+    memory: FloatArray,
+    moving: bool,
+    past: FloatArray,
+    found: Futures,
+) -> None:
+    """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
+    horizon_s, place, facing, course = wish.course_horizon_s, found.place, found.facing, found.course
+    classes, share, turn_share = found.classes, found.share, found.turn_share
+    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
+    course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    # Where it was one horizon before each of the first steps.
+    for i in range(len(past)):
+        east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
+        past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
+    # No sine is taken where a way or a velocity has it: this is done for hundreds of places in each decision.
+    position2, velocity2 = doubt.position_m * doubt.position_m, doubt.velocity_m_s * doubt.velocity_m_s
+    for one in range(len(place)):
+        sin_f, cos_f, facing_rad = 0.0, 1.0, 0.0
+        sin_t, cos_t, table_rad = 0.0, 1.0, 0.0
+        before_x = before_y = np.nan
+        for i in range(place.shape[1]):
+            since_s = i * STEP_S
+            x_m, y_m, vx, vy = place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3]
+            sigma_rad = doubt.course_rad
+            turns = not fixed and (vx != before_x or vy != before_y)
+            before_x, before_y = vx, vy
+            if turns and horizon_s > 0.0 and moving:
+                table_rad, speed_m_s = math.atan2(vx, vy), math.sqrt(vx * vx + vy * vy)
+                sin_t, cos_t = (vx / speed_m_s, vy / speed_m_s) if speed_m_s > 0.0 else (0.0, 1.0)
+            elif turns and horizon_s <= 0.0:
+                facing_rad = table_rad = math.atan2(vx, vy) - course_rad
+                sin_f, cos_f = math.sin(facing_rad), math.cos(facing_rad)
+                sin_t, cos_t = sin_f, cos_f
+            if horizon_s > 0.0 and not fixed:
+                back_s = since_s - horizon_s
+                if back_s > 0.0:
+                    j = int(back_s / STEP_S)
+                    rest_s = back_s - j * STEP_S
+                    way_x_m = x_m - place[one, j, 0] - place[one, j, 2] * rest_s
+                    way_y_m = y_m - place[one, j, 1] - place[one, j, 3] * rest_s
+                else:
+                    way_x_m, way_y_m = x_m - past[i, 0], y_m - past[i, 1]
+                way_m = math.sqrt(way_x_m * way_x_m + way_y_m * way_y_m)
+                if way_m > MIN_WAY_M:
+                    sin_f, cos_f = way_x_m / way_m, way_y_m / way_m
+                    if not moving:
+                        sin_t, cos_t, table_rad = sin_f, cos_f, math.atan2(way_x_m, way_y_m)
+                sigma_rad = made_good_sigma_rad(math.sqrt(position2 + velocity2 * since_s * since_s), way_m)
+            facing[one, i, 0], facing[one, i, 1], facing[one, i, 2] = sin_f, cos_f, sigma_rad
+            course[one, i, 0], course[one, i, 1], course[one, i, 2] = sin_t, cos_t, table_rad
+            which, shares, turn_shares = classes_about(
+                motions,
+                vx * cos_t - vy * sin_t,
+                vx * sin_t + vy * cos_t,
+                air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t,
+                air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
+            )
+            for c in range(4):
+                classes[one, i, c], share[one, i, c], turn_share[one, i, c] = which[c], shares[c], turn_shares[c]
+
+
+@compiled
+def first_of(f: Futures, n: int) -> Futures:
+    """Return the first n futures alone; the probability of the removed ones is added to the first."""
+    weight = np.ones(n)
+    weight[1:] = f.weight[1:n]
+    others = 0.0
+    for one in range(1, n):
+        others += weight[one]
+    weight[0] -= others
+    return Futures(
+        weight, f.step_s, f.place[:n], f.facing[:n], f.course[:n], f.classes[:n], f.share[:n], f.turn_share[:n]
+    )

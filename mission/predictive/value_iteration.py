@@ -25,8 +25,7 @@ from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import value_kernel as kernel
 from sidelong.mission.predictive.cost_kernel import blind_rates
-from sidelong.mission.predictive.eights_kernel import EIGHTS, eight_line
-from sidelong.mission.predictive.moves_kernel import MOVES, STAY_LENGTHS, move_from
+from sidelong.mission.predictive.moves_kernel import EIGHTS, MOVES, STAY_LENGTHS, eight_line, move_from
 from sidelong.mission.predictive.value_table import (
     HEADING_STEP_RAD,
     HEADINGS,

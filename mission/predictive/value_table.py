@@ -21,7 +21,7 @@ import numpy.typing as npt
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.future_kernel import Motions
+from sidelong.mission.predictive.scene_kernel import Motions
 from sidelong.mission.predictive.value_kernel import add_turned
 
 Float32 = npt.NDArray[np.float32]

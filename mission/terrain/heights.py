@@ -23,18 +23,18 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sidelong.estimators.terrain.ground import Ground
-from sidelong.estimators.terrain.ground_kernel import height_and_slope
-from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.heights import ClimbRates
-from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.plan import Plan
-from sidelong.mission.terrain.clearance_kernel import (
+from sidelong.estimators.terrain.ground_kernel import (
     Raster,
     climbing_clearance_m,
+    height_and_slope,
     highest_along,
     highest_at,
     mean_height,
 )
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.heights import ClimbRates
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.plan import Plan
 
 # A height within this share of the required one is as good.
 _HEIGHT_SLACK = 0.2

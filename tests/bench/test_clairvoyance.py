@@ -33,10 +33,9 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive import planner as planner_module
 from sidelong.mission.predictive.decision_kernel import Looker, choices, commitment, look_deeper
-from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, classes_about
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Futures
-from sidelong.mission.predictive.scene_kernel import Scene
+from sidelong.mission.predictive.scene_kernel import FORETOLD_S, Scene, Turns, classes_about
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0

@@ -24,9 +24,8 @@ from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import blind_rate
-from sidelong.mission.predictive.decision_kernel import commitment
-from sidelong.mission.predictive.eights_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
-from sidelong.mission.predictive.foresight_kernel import foresee
+from sidelong.mission.predictive.decision_kernel import commitment, foresee
+from sidelong.mission.predictive.moves_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, price_s, scene_at, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air
 from sidelong.mission.predictive.value_iteration import compute

@@ -15,7 +15,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
-from sidelong.mission.fleet import cover_kernel as kernel
+from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
 from sidelong.mission.fleet.team import IN_TEAM, team_of

@@ -15,30 +15,27 @@ from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.foresight import no_route
-from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
-from sidelong.mission.predictive.scene_kernel import in_frame, scene_of
+from sidelong.mission.predictive.scene_kernel import Turns, first_of, in_frame, scene_of, winding
 from sidelong.mission.predictive.second_kernel import (
+    LEVELS,
     MOVE_BRANCHES,
+    SECOND_LENGTHS,
+    SECONDS,
     STAY_BRANCHES,
+    Fan,
     Second,
     deep_cost,
     foretold_of,
-    moving_ahead,
-    room_for,
-    staying_ahead,
-)
-from sidelong.mission.predictive.second_moves_kernel import (
-    LEVELS,
-    SECOND_LENGTHS,
-    SECONDS,
-    Fan,
     lay,
     lay_out_seconds,
+    moving_ahead,
     no_seconds,
+    room_for,
     speeds_over_ground,
+    staying_ahead,
     stretch,
 )
 from sidelong.mission.predictive.value_table import completed

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.mission.viewpoint.trail_kernel import PLACES, TRAIL_SIZE, predict_along, remember, repeated_part
+from sidelong.mission.viewpoint.viewpoint_kernel import PLACES, TRAIL_SIZE, predict_along, remember, repeated_part
 
 SPEED_M_S, PREDICTED_S = 2.0, 60
 

@@ -7,7 +7,7 @@ import pytest
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import table_value
-from sidelong.mission.predictive.future_kernel import classes_about
+from sidelong.mission.predictive.scene_kernel import classes_about
 from sidelong.mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 

@@ -13,8 +13,7 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
-from sidelong.mission.predictive.rollout_kernel import Pose, single_line
-from sidelong.mission.predictive.sight_kernel import View, add_sight, hidden_rate
+from sidelong.mission.predictive.rollout_kernel import Pose, View, add_sight, hidden_rate, single_line
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.terrain.sight import SightField
 
