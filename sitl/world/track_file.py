@@ -405,8 +405,10 @@ def _read_json(text: str, lines: _Lines) -> None:
         case {"fileType": "Plan", "mission": {"items": [*items]}} | {"fileType": "Mission", "items": [*items]}:
             line = lines.begin("route", "mission")
             for item in _plan_items(items):
-                place = item["params"][4:6] if len(item.get("params", ())) > 5 else item["coordinate"]
-                _add_item(lines, line, int(item["command"]), *place[:2], 0)
+                latitude, longitude = (item["params"][4:6] or item["coordinate"])[
+                    :2
+                ]  # older files have four parameters
+                _add_item(lines, line, int(item["command"]), latitude, longitude, 0)
             return
     points: list[tuple[dict[str, Any], float, float]] = []
     for properties, geometry in _geometries(document, {}):
@@ -466,7 +468,7 @@ def _plan_items(items: list[Any]) -> Iterator[dict[str, Any]]:
         match item:
             case {"TransectStyleComplexItem": {"Items": [*inner]}}:
                 yield from (one for one in inner if isinstance(one, dict))
-            case {"command": int()}:
+            case {"command": int(), "params": [*_]}:
                 yield item
 
 
