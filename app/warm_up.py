@@ -13,7 +13,7 @@ import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.sighting import Sighting
-from sidelong.estimators.tracking.delay_scene import Scene
+from sidelong.estimators.tracking.payload_kernel import EARTH, SHARED, Readings, fit_readings, look
 from sidelong.estimators.tracking.track import Track
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan, Planner
@@ -80,8 +80,10 @@ def warm_up_track(track: Track) -> None:
     """Run what estimates the target and the payload's delays. The track must not be flown afterwards."""
     times_s, zero, one = np.arange(4.0), np.zeros(4), np.ones(4)
     positions, sights = np.column_stack([times_s, zero, zero, one, zero]), np.column_stack([times_s, zero, one, zero])
-    scene = Scene(positions, sights[:0], sights, np.column_stack([times_s, one]), "earth", (0.01, 1.0))
-    scene.solve(one, zero, 1.0, settled=False)
+    ranges, noise, none = np.column_stack([times_s, one]), (0.01, 1.0, 0.0, 0.0), (0.0, 0.0)
+    readings = Readings(positions, sights, sights, ranges, EARTH, noise, none)
+    fit_readings(readings, np.ones(SHARED), np.zeros(SHARED, np.bool_), np.zeros(SHARED), 0.0)
+    look(readings, 0.0, np.empty((4, 3)))
     for time_s in (0.0, 0.5, 1.0):
         track.add(_sighting(time_s))
         track.estimate(time_s)

@@ -10,10 +10,10 @@ from sidelong.app.flight.preflight import Check
 from sidelong.app.flight.session import VehicleInputs
 from sidelong.app.link.message import Message
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from sidelong.estimators.tracking.payload_fit import yaw_fault
 from sidelong.mission.core.events import ClockTick, Event
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.health.health import Health
-from sidelong.mission.health.payload_check import yaw_fault
 
 _BAD = (InputState.STALE, InputState.INCONSISTENT)
 _OF_PAYLOAD = (Input.LASER, Input.GIMBAL)
@@ -33,7 +33,7 @@ class InputHealth:
 
     def __init__(self, config: Config, inputs: VehicleInputs) -> None:
         self._inputs, self._tracker = inputs, tracker_of(config)
-        self._health = Health(self._tracker.parent_from_mount)
+        self._health = Health(self._tracker.payload)
         self._tick_s = -math.inf
         inputs.listeners.append(self._on_message)
 
@@ -50,18 +50,9 @@ class InputHealth:
             self._take(tick, tick)
 
     def _take(self, event: Event, admitted: Event | None) -> None:
-        door, tracker, payload = self._inputs.plausibility, self._tracker, self._health.payload
+        door, tracker = self._inputs.plausibility, self._tracker
         now_s = door.clock.now_s
         due = self._health.received(event, now_s)
-        match admitted:
-            case PositionReading():
-                payload.position(admitted)
-            case AttitudeReading():
-                payload.attitude(admitted)
-            case GimbalReading():
-                self._health.note_gimbal(admitted, tracker)
-            case RangeReading() if tracker.ranges.chosen in (None, admitted.source):
-                payload.range(admitted)
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
             tracker.add(admitted)
         if due and now_s > -math.inf:
@@ -70,7 +61,8 @@ class InputHealth:
     def checks(self) -> tuple[Check, ...]:
         """Return what is wrong with an input, or that nothing is."""
         wrong = [(one.input, one.text) for one in self._health.reports if one.state in _BAD]
-        if yaw_error_rad := self._health.payload.yaw_error_rad:
+        if self._tracker.turns:
+            yaw_error_rad = self._tracker.calibration.yaw_bias_rad
             wrong.append((Input.GIMBAL, f"the gimbal: {yaw_fault(yaw_error_rad)}; a flight corrects it"))
         if not wrong:
             return (Check("inputs", True, "fresh, and without contradiction"),)

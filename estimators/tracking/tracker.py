@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
@@ -17,6 +19,7 @@ from sidelong.estimators.sensing.line_of_sight import line_of_sight
 from sidelong.estimators.sensing.pose import PoseHistory
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
+    IMAGE_TRACKER,
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -28,12 +31,12 @@ from sidelong.estimators.sensing.readings import (
 from sidelong.estimators.sensing.sighting import AnySighting, Fix, Sighting, SightingOutcome
 from sidelong.estimators.settings import SourceChoice, TrackerSettings
 from sidelong.estimators.tracking.pairing import Pairing
+from sidelong.estimators.tracking.payload_fit import SURE_S, PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.estimators.tracking.track import Track
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
-    from sidelong.estimators.tracking.delays import DelayFit
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
 
@@ -49,25 +52,23 @@ _YAW_FOUND_SIGMA_RAD, _YAW_KNOWN_RAD = math.radians(3.0), math.radians(10.0)  # 
 _PITCH_SIGMAS = 3.0
 # Of a laser; smaller errors are the filter's alone. Fitted together with a target that turns, they are less sure.
 _RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
-# On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
-# configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
-# The shape of hills may look like a small delay.
-_SURE_S, _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _STEP_LARGE_S = 0.04, 3.0, 5.0, 0.015, 0.3
+_STEP_LARGE_S = 0.3  # of a delay: the sightings until then show another place
 _RANGE_SIGMA_SHARE = 0.1  # an error may grow with the range, or be the pitch's
 
 
 class Tracker:
-    """Pose history, source selection, pairing and track in one interface. Time comes from the readings.
+    """Pose history, source selection, pairing, payload fit and track in one interface. Time comes from the readings.
 
-    A reading may come late or out of order by a few seconds.
+    A reading may come late or out of order by a few seconds. Readings of a laser or gimbal that the payload fit finds
+    faulty are not used, and the sightings made with them are undone.
 
     Attributes:
         ranges: Which laser is in use, and which were refused as they contradict the track.
         gimbals: The same of the line of sight.
+        payload: What is wrong with laser and gimbal.
         delays: How late laser and gimbal stamp their readings; None while nothing else is known than the setting.
-        is_confirmed: The fit has found delays and large errors, or none, in readings of the payload as it is now.
         corrections: How often the payload turned out to err: its sightings until then show another place.
-        yaw_error_rad: A large error that is to be corrected (:meth:`correct_yaw`); 0: none was found.
+        turns: How often the lines of sight were turned back by a large yaw error.
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -80,16 +81,11 @@ class Tracker:
         self._beacon = BeaconErrors()
         self._contradicting: dict[Source, Quaternion] = {}  # of refused gimbals: their orientation at that time
         self._track = Track(settings)
-        self._delay_fit: DelayFit | None = None
-        if settings.latency_sigma_s > 0.0:
-            from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
-
-            self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
+        self.payload = PayloadFit(settings, self._pairing.parent_from_mount)
         self._yaw_errors_rad: dict[Source, float] = {}  # large ones, which every line of sight is corrected by first
-        self.yaw_error_rad = 0.0
+        self.turns = 0
         self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
         self.delays: Delays | None = None
-        self.is_confirmed = False
         self.corrections = 0
         self._found_errors = Biases.prior(settings)  # with which the track was last restarted
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
@@ -103,12 +99,10 @@ class Tracker:
         match reading:
             case PositionReading():
                 self._poses.add(reading)
-                if self._delay_fit is not None:
-                    self._estimate_delays(self._delay_fit, reading)
+                self.payload.position(reading)
             case AttitudeReading():
                 self._poses.add(reading)
-                if self._delay_fit is not None:
-                    self._delay_fit.attitude(reading)
+                self.payload.attitude(reading)
             case GimbalReading():
                 self._add_gimbal(reading)
             case RangeReading():
@@ -117,8 +111,8 @@ class Tracker:
                 made += self._usable_fix(reading)
         if self._pairing.due:
             made += self._pairing.completed()
-            if self._delay_fit is not None and self.ends_on_ground:
-                self._fit_on_ground(made, self._delay_fit)
+            if self.ends_on_ground:
+                self._fit_on_ground(made)
         if not made:
             return ()
         outcomes = tuple(map(self._track.add, made))
@@ -126,51 +120,67 @@ class Tracker:
         self.rejected += sum(not one.accepted for one in outcomes)
         return outcomes
 
-    def _fit_on_ground(self, made: Iterable[AnySighting], fit: DelayFit) -> None:
-        """Give the fit of the delays the ends of lines of sight on the ground in place of ranges."""
+    def _fit_on_ground(self, made: Iterable[AnySighting]) -> None:
+        """Give the payload fit the ends of lines of sight on the ground in place of ranges."""
         for one in made:
             if isinstance(one, Sighting) and not one.has_range:
-                fit.range(one.time_s + self._pairing.gimbal_delay_s, one.slant_range_m, on_ground=True)
+                self.payload.ground_range(one.time_s + self._pairing.gimbal_delay_s, one.slant_range_m)
 
-    def _estimate_delays(self, fit: DelayFit, reading: PositionReading) -> None:
-        """Let the fit of the delays go on; take over what it finds once that is credible."""
-        fit.position(reading)
+    def _follow_payload(self, now_s: float) -> None:
+        """Use what the payload fit has found: the one place that corrects, and that undoes wrong sightings."""
+        payload = self.payload
+        payload.is_changed = False
         devices = self.gimbals.chosen, self.ranges.chosen
         if devices != self._devices:
             if None not in self._devices:
-                fit.clear_device()
-                self.delays, self.is_confirmed = self._delays_of.get(devices), False
-                self._pairing.set_delays(self.delays)
+                self._set_delays(self._delays_of.get(devices))
             self._devices = devices
-        found = None if self._suspected else fit.updated(reading.time_s)
-        if found is None:
+        faulty = bool(payload.laser_fault or payload.gimbal_fault)
+        if faulty is not self._suspected:
+            self._suspected = faulty
+            self.corrections += 1
+            if faulty:
+                self._track.forget_since(payload.wrong_since_s)
+            else:  # what the track was made from has turned out to be wrong
+                payload.restart()
+                self._track.begin_again()
+        if payload.yaw_error_rad:
+            self._correct_yaw(payload.yaw_error_rad)
+        found, payload.found = payload.found, None
+        if found is None or faulty:
             return
-        if fit.on_hills and fit.finds_yaw_error:  # the lines of sight end elsewhere
-            self.yaw_error_rad = found.yaw_bias_rad
+        if payload.on_hills and payload.finds_yaw_error:  # the lines of sight end elsewhere
+            self._correct_yaw(found.yaw_bias_rad)
             return
-        used_s = self._pairing.gimbal_delay_s, self._pairing.range_delay_s
-        apart_s = abs(found.gimbal_s - used_s[0]), abs(found.range_s - used_s[1])
-        sigmas_s = found.gimbal_sigma_s, found.range_sigma_s
-        sure = max(sigmas_s) < _SURE_S
-        if used_s == self.latencies_s:
-            least = _EVIDENT_ON_HILLS if fit.on_hills else _EVIDENT
-        else:
-            least = 1.0 if sure else _EVIDENT
-        steps = zip(apart_s, sigmas_s, strict=True)
-        late = any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in steps)
-        self.is_confirmed = sure
+        self._correct(found, devices, now_s)
+
+    def _correct(self, found: Delays, devices: tuple[Source | None, Source | None], now_s: float) -> None:
+        """Replace the delays and errors in use by those that were found, if these are credible and differ."""
+        payload, used_s = self.payload, self.payload.used_s
         errs = self._errs_otherwise(found)
-        if late or errs:
-            self._pairing.set_delays(found)
-            # The payload's errors were estimated with the previous delays and would change only slowly.
-            self._restart(
-                self._biases_with(found), reading.time_s, large=errs or (sure and max(apart_s) > _STEP_LARGE_S)
-            )
-        elif sure:
+        if not payload.is_late:
             found = replace(found, gimbal_s=used_s[0], range_s=used_s[1])
+        if payload.is_late or errs:
+            self._set_delays(found)
+            # The payload's errors were estimated with the previous delays and would change only slowly.
+            apart_s = max(abs(found.gimbal_s - used_s[0]), abs(found.range_s - used_s[1]))
+            large = errs or (payload.is_confirmed and apart_s > _STEP_LARGE_S)
+            self._restart(self._biases_with(found), now_s, large=large)
+        elif payload.is_confirmed:
+            self.delays = found
         else:
             return  # nothing is known better than before
-        self.delays = self._delays_of[devices] = found
+        self._delays_of[devices] = found
+
+    def _set_delays(self, delays: Delays | None) -> None:
+        self.delays = delays
+        self._pairing.set_delays(delays)
+        self.payload.used_s = self._pairing.gimbal_delay_s, self._pairing.range_delay_s
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether delays and large errors, or none, were found in readings of the payload as it is now."""
+        return self.payload.is_confirmed
 
     def _errs_otherwise(self, found: Delays) -> bool:
         """Return whether the payload's errors that were found with the delays differ clearly from those in use."""
@@ -202,12 +212,21 @@ class Tracker:
         """The delays of gimbal and laser as configured."""
         return self._settings.latencies_s
 
-    def _add_gimbal(self, reading: GimbalReading) -> None:
-        reading = self.corrected(reading)
+    def _add_gimbal(self, given: GimbalReading) -> None:
+        reading, payload, used = self.corrected(given), self.payload, self.gimbals.chosen
+        if used is None or reading.source == used:
+            payload.gimbal(reading, self.ends_on_ground)
+            if payload.is_changed:
+                self._follow_payload(reading.time_s)
+                reading = self.corrected(given)
+        elif used.message == IMAGE_TRACKER:
+            payload.gimbal_axis(reading)
+        # A camera's line of sight is made with its gimbal's.
+        if payload.gimbal_fault and (used is None or reading.source == used or used.message == IMAGE_TRACKER):
+            return
         if not self.gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
             return
-        if self._pairing.add_gimbal(reading) and self._delay_fit is not None:
-            self._delay_fit.gimbal(reading)
+        self._pairing.add_gimbal(reading)
 
     def corrected(self, reading: GimbalReading) -> GimbalReading:
         """Return a line of sight in the configured frame, if any, without the large yaw error, if one is known."""
@@ -224,30 +243,25 @@ class Tracker:
             turn = multiply(multiply((w, -x, -y, -z), turn), mount)
         return replace(reading, quaternion_wxyz=multiply(turn, reading.quaternion_wxyz))
 
-    def correct_yaw(self, yaw_error_rad: float) -> bool:
+    def _correct_yaw(self, yaw_error_rad: float) -> None:
         """Correct the yaw by a large error that was found in the lines of sight as they are used now.
 
         The errors and delays that were found before are forgotten, unless they hold the error already.
-
-        Returns:
-            Whether the lines of sight change.
         """
-        source, self.yaw_error_rad = self.gimbals.chosen, 0.0
+        source, payload = self.gimbals.chosen, self.payload
+        payload.yaw_error_rad = 0.0
         if source is None or abs(wrap_rad(yaw_error_rad - self._track.calibration.yaw_bias_rad)) < _YAW_KNOWN_RAD:
-            return False
+            return
         self._yaw_errors_rad[source] = wrap_rad(self._known_yaw_error_rad + yaw_error_rad)
         self._pairing.change_gimbals(partial(self._turned_back, yaw_error_rad=yaw_error_rad))
-        if self._delay_fit is not None:
-            self._delay_fit.clear_device()
-        self.delays = None
+        payload.turned_back()
         self._delays_of.clear()
-        self._pairing.set_delays(None)
+        self._set_delays(None)
         biases = Biases.prior(self._settings)
         if biases.covariance[0, 0] > 0.0:
             biases.covariance[0, 0] += _YAW_FOUND_SIGMA_RAD**2
-        self.is_confirmed = False
+        self.turns += 1
         self._restart(biases, self._poses.positions.newest_s, large=True)
-        return True
 
     def _restart(self, biases: Biases, now_s: float, *, large: bool) -> None:
         yaw_rad, _, range_m = abs(biases.mean - self._found_errors.mean).tolist()
@@ -316,6 +330,13 @@ class Tracker:
         return math.atan2(east, north), max(math.hypot(east, north, height_m), 1.0), sigma_m
 
     def _add_range(self, reading: RangeReading) -> None:
+        payload = self.payload
+        if self.ranges.chosen is None or reading.source == self.ranges.chosen:
+            payload.range(reading)
+            if payload.is_changed:
+                self._follow_payload(reading.time_s)
+        if payload.laser_fault and reading.source == self.ranges.chosen:
+            return
         if not self.ranges.accepts(reading.source, reading.time_s, lambda: self._measures_track(reading)):
             return
         pointing = reading.sensor_quaternion_wxyz
@@ -323,8 +344,6 @@ class Tracker:
         if pointing is not None and pointing != (1.0, 0.0, 0.0, 0.0):
             self._add_gimbal(GimbalReading(reading.time_s, pointing, "body", reading.source))
         self._pairing.add_range(reading)
-        if self._delay_fit is not None:
-            self._delay_fit.range(reading.time_s, reading.slant_range_m)
 
     def _usable_fix(self, reading: TargetFixReading) -> tuple[Fix, ...]:
         """Return a beacon's fix; a camera's where asked for, or while there is no laser that it may be made from."""
@@ -350,8 +369,7 @@ class Tracker:
         self._track.stand_on(ground)
         if angles_alone:
             self._pairing.ground = ground
-            if self._delay_fit is not None:
-                self._delay_fit.stand_on(ground)
+            self.payload.stand_on(bool(np.ptp(ground.heights_m)), ground.sigma_m)
 
     @property
     def ends_on_ground(self) -> bool:
@@ -370,25 +388,6 @@ class Tracker:
         """The estimate as of the last sighting; None before the first."""
         return self._track.last_seen
 
-    def forget_since(self, time_s: float) -> None:
-        """Undo all sightings since a time at which the payload turned out to be wrong."""
-        self._suspected = True
-        self.corrections += 1
-        self._track.forget_since(time_s)
-
-    def begin_again(self) -> None:
-        """Restart the track with the next sighting: what it was made from has turned out to be wrong."""
-        self._suspected = False
-        self.corrections += 1
-        self.restart_delays()
-        self._track.begin_again()
-
-    def restart_delays(self) -> None:
-        """Fit the delays to later readings only: those before show another target, or are wrong."""
-        self.is_confirmed = False
-        if self._delay_fit is not None:
-            self._delay_fit.clear()
-
     @property
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
@@ -398,7 +397,7 @@ class Tracker:
     @property
     def range_error(self) -> tuple[float, float]:
         """By what the ranges are multiplied, and their bias after that, m; 0 while it is that of a usual laser."""
-        bias_m = self.calibration.range_bias_m
+        bias_m = 0.0 if self.delays is None else self.delays.range_bias_m
         return self._pairing.range_factor, bias_m if abs(bias_m) > _RANGE_UNEXPECTED_M else 0.0
 
     @property
@@ -414,7 +413,7 @@ class Tracker:
         Unknown, hence 0, while the delays are: until the circle changes, one looks like the other.
         """
         known, delays = self.calibration, self.delays
-        if delays is not None and max(delays.gimbal_sigma_s, delays.range_sigma_s) >= _SURE_S:
+        if delays is not None and max(delays.gimbal_sigma_s, delays.range_sigma_s) >= SURE_S:
             return 0.0
         limit_rad = max(
             _YAW_UNEXPECTED_RAD, _YAW_SIGMAS * max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad)

@@ -39,7 +39,6 @@ from typing import Literal
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.readings import (
-    IMAGE_TRACKER,
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -57,7 +56,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.control.surroundings import Flown, Surroundings
-from sidelong.mission.control.target_news import DelayNews, JumpNews, MountNews, RangeNews, TargetNews
+from sidelong.mission.control.target_news import JumpNews, PayloadNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
@@ -143,15 +142,14 @@ class StandoffController:
         self.admitted: Event | None = None
         self.aircraft: AircraftState | None = None  # as it was last reported
         self.door = Plausibility(_WIND_MAX_SHARE * settings.aircraft.airspeed_m_s)
-        self.health = Health(tracker.parent_from_mount)
+        self.health = Health(tracker.payload)
         if surroundings.ground is not None:
-            self.health.payload.stand_on(surroundings.ground.height_m)
+            tracker.payload.ground = surroundings.ground.height_m
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
-        self._news, self._delay_news = TargetNews(), DelayNews(tracker.latencies_s)
-        self._mount_news, self._range_news, self._jump_news = MountNews(), RangeNews(), JumpNews()
-        self._jumped_s = -math.inf  # when the apparent target jumped, as far as the tracker knows
+        self._news = TargetNews()
+        self._payload_news, self._jump_news = PayloadNews(tracker), JumpNews()
         self._sensor_status = SensorStatus()
         self._wind = Wind()
         self._mode = self._own_mode = ""
@@ -192,25 +190,13 @@ class StandoffController:
         return announced + commands if announced else commands
 
     def _health_changes(self) -> tuple[StepOutput, ...]:
-        """Return which inputs have changed their state; a payload that agrees again starts a new track."""
+        """Return which inputs have changed their state."""
         health, tracker, now_s = self.health, self.tracker, self.door.clock.now_s
         if now_s == -math.inf:
             return ()
-        had_fault = health.payload_fault
         changes = health.changes(now_s, tracker.ranges, tracker.gimbals, self.door.input_faults)
-        if health.payload.jumped_s > self._jumped_s:  # the target or the payload is another one
-            self._jumped_s = health.payload.jumped_s
-            tracker.restart_delays()
-        if had_fault and not health.payload_fault:
-            tracker.begin_again()
-        elif health.payload_fault and not had_fault:
-            tracker.forget_since(health.payload.wrong_since_s)
         if changes:
             self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
-        yaw_error_rad = health.payload.yaw_error_rad or tracker.yaw_error_rad
-        if yaw_error_rad and tracker.correct_yaw(yaw_error_rad):
-            health.payload.judge_afresh()
-            return (*changes, self._mount_news.found(now_s, tracker.calibration.yaw_bias_rad))
         return changes
 
     def _admitted(self, event: Event) -> tuple[StepOutput, ...]:
@@ -301,39 +287,20 @@ class StandoffController:
         jumped = _JUMPED if self.health.payload.is_suspect(self.time_s) else ""
         return self.health.unknown or self.door.doubt or jumped or unseen
 
-    def _is_sound(self, reading: Reading) -> bool:
-        """Return whether the payload check finds a reading fit to be used."""
-        payload = self.health.payload
-        match reading:
-            case AttitudeReading():
-                payload.attitude(reading)
-            case GimbalReading():
-                self.health.note_gimbal(reading, self.tracker)
-                used = self.tracker.gimbals.chosen
-                # A camera's line of sight is made with its gimbal's.
-                is_used = used is None or reading.source == used or used.message == IMAGE_TRACKER
-                return not (payload.gimbal_fault and is_used)
-            case RangeReading():
-                if self.tracker.ranges.chosen in (None, reading.source):
-                    payload.range(reading)
-                return not payload.laser_fault or reading.source != self.tracker.ranges.chosen
-        return True
-
     def _read(self, reading: Reading) -> None:
-        if not self._is_sound(reading):
-            return
-        self.sighted = self.tracker.add(reading)
+        tracker = self.tracker
+        self.sighted = tracker.add(reading)
         if self.sighted:
-            self.health.payload.sightings(reading.time_s, self.sighted, lambda: self.tracker.unexpected_pitch_rad)
+            jumps_s = tracker.payload.jumps_s
+            self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
             self._jump_news.note(self.sighted)
-        self._sensor_status.note(reading, self.sighted, self.tracker)
+        self._sensor_status.note(reading, self.sighted, tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
     def _position(self, reading: PositionReading) -> tuple[StepOutput, ...]:
         if self.door.place_is_known:
             self._read(reading)
-        self.health.payload.position(reading)
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
         self.time_s, self._height_m = reading.time_s, reading.height_m
@@ -349,9 +316,7 @@ class StandoffController:
             if self.estimate is not None:
                 announced = self._news.announce(self.time_s, self.estimate)
             announced += self._jump_news.announce(self.time_s, before, self.estimate)
-            announced += self._delay_news.announce(self.time_s, self.tracker.delays)
-            announced += self._mount_news.announce(self.time_s, self.tracker.unexpected_yaw_rad)
-            announced += self._range_news.announce(self.time_s, *self.tracker.range_error)
+            announced += self._payload_news.announce(self.time_s)
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:
@@ -574,8 +539,7 @@ class StandoffController:
         if before not in ("", advice.target):
             self._news = TargetNews()
         if advice.turn_payload:
-            self.tracker.restart_delays()
-            self.health.payload.expect_another_target()
+            self.tracker.payload.expect_another_target()
         if not self.phase.in_control:
             return ()
         if advice.role is Role.LEAVE:

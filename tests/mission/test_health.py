@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.payload_fit import PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.health.health import Health
-from sidelong.mission.health.payload_check import PayloadCheck
 from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
 from tests.faults.flight import ERRORS, FaultedFlight, Scenario
 from tests.faults.flight_faults import (
@@ -193,7 +193,7 @@ def test_no_plan_is_made_by_a_target_that_jumped(name):
 
 
 def test_stuck_laser_is_found_while_the_aircraft_flies_straight_past_the_target():
-    payload, laser, gimbal = Health().payload, Source("DISTANCE_SENSOR", 154), Source("GIMBAL", 154)
+    payload, laser, gimbal = PayloadFit(), Source("DISTANCE_SENSOR", 154), Source("GIMBAL", 154)
     found_s = []
     for k in range(150):
         time_s = 0.1 * k
@@ -209,7 +209,7 @@ def test_stuck_laser_is_found_while_the_aircraft_flies_straight_past_the_target(
 
 
 def test_single_readings_with_other_flags_are_outliers():
-    payload, laser, gimbal = Health().payload, Source("DISTANCE_SENSOR", 154), Source("GIMBAL", 154)
+    payload, laser, gimbal = PayloadFit(), Source("DISTANCE_SENSOR", 154), Source("GIMBAL", 154)
     odd = 0
     for k in range(200):
         time_s = 0.1 * k
@@ -226,7 +226,7 @@ def test_single_readings_with_other_flags_are_outliers():
 
 
 def test_reading_before_the_clock_is_known_is_not_silent_indefinitely():
-    health = Health()
+    health = Health(PayloadFit())
     health.received(RangeReading(1.0, 200.0, Source("DISTANCE_SENSOR", 154)), -math.inf)
     assert health.changes(30.0, *selectors()) == ()
 
@@ -290,7 +290,7 @@ def test_undisturbed_flight_raises_no_alarm(seed):
 
 
 def test_age_counts_by_this_computer_while_the_vehicle_clock_stands_still():
-    health = Health()
+    health = Health(PayloadFit())
     health.received(PositionReading(10.0, 0.0, 0.0, 100.0, 15.0, 0.0, 0.0), 10.0)
     states = []
     for second in range(8):
@@ -302,7 +302,7 @@ def test_age_counts_by_this_computer_while_the_vehicle_clock_stands_still():
 
 
 def test_lost_link_is_not_reported_as_silent_inputs():
-    health = Health()
+    health = Health(PayloadFit())
     health.received(ModeReported(10.0, "AUTO", armed=True), 10.0)
     health.link_changed(LinkReported(10.0, connected=False), 10.0)
     for second in range(20):
@@ -313,7 +313,7 @@ def test_lost_link_is_not_reported_as_silent_inputs():
 
 
 def test_lost_link_is_a_state_and_ends_with_the_link():
-    health = Health()
+    health = Health(PayloadFit())
     lost = health.link_changed(LinkReported(10.0, connected=False), 10.0)
     assert lost.text == "link lost: the aircraft goes on circling"
     assert [(one.input, one.state) for one in health.reports] == [(Input.LINK, InputState.STALE)]
@@ -323,7 +323,7 @@ def test_lost_link_is_a_state_and_ends_with_the_link():
 
 
 def test_fleet_that_reports_no_more_is_reported_once():
-    health, texts = Health(), []
+    health, texts = Health(PayloadFit()), []
     health.received(FleetAdvice(10.0, "boat", Role.WANTED, Side.LEFT, None, 100.0, ()), 10.0)
     for second in range(10, 30):
         health.received(ClockTick(float(second), float(second)), float(second))
@@ -387,13 +387,13 @@ def test_what_has_jumped_is_named(change, words):
 @pytest.mark.parametrize(("ground_m", "is_wrong"), [(0.0, False), (-15.0, False), (-35.0, True), (-120.0, True)])
 def test_elevation_data_that_contradicts_laser_and_gimbal_is_reported(ground_m, is_wrong):
     flight = FaultedFlight(Scenario(1, "px4", 90.0))
-    flight.controller.health.payload.stand_on(lambda _east_m, _north_m: ground_m)
+    flight.controller.tracker.payload.ground = lambda _east_m, _north_m: ground_m
     reported = [one.input for _, one in flight.fly().health]
     assert reported == ([Input.TERRAIN] if is_wrong else [])
 
 
 def test_rate_of_each_input_is_known():
-    health, laser = Health(), Source("DISTANCE_SENSOR", 154, 1, 100)
+    health, laser = Health(PayloadFit()), Source("DISTANCE_SENSOR", 154, 1, 100)
     for k in range(200):
         now_s = 0.1 * k
         health.received(RangeReading(now_s, 200.0 + k, laser), now_s)
@@ -405,7 +405,7 @@ def test_rate_of_each_input_is_known():
 
 def circled(target_at, late_s=0.0):
     """Yield time and payload check after each moment of a minute in which the aircraft circles next to a target."""
-    payload, source = Health().payload, Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+    payload, source = PayloadFit(), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     laser = Source("DISTANCE_SENSOR", 154)
     for k in range(600):
         time_s = 0.1 * k
@@ -427,7 +427,7 @@ def circled(target_at, late_s=0.0):
 def test_late_payload_does_not_look_like_a_yaw_error(late_s):
     """By 3 s, the line of sight lags by 43 degrees of the circle."""
     for time_s, payload in circled(lambda time_s: (250.0, time_s), late_s):
-        assert not any(payload.faults().values()), time_s
+        assert not any((payload.laser_fault, payload.gimbal_fault, payload.terrain_fault)), time_s
 
 
 def test_target_that_turns_does_not_look_like_a_wrong_frame():
@@ -438,7 +438,7 @@ def test_target_that_turns_does_not_look_like_a_wrong_frame():
         return 250.0 + 10.0 * math.sin(turn_rad), 8.0 * min(time_s, 25.0) + 10.0 * math.cos(turn_rad)
 
     for time_s, payload in circled(turning):
-        assert not any(payload.faults().values()), time_s
+        assert not any((payload.laser_fault, payload.gimbal_fault, payload.terrain_fault)), time_s
 
 
 @pytest.mark.parametrize("seed", [11, 35, 93])
@@ -511,7 +511,7 @@ def test_large_error_of_the_payload_is_reported_and_corrected(name):
 
 
 def test_a_position_that_serves_two_samples_is_no_motion():
-    check, place = PayloadCheck(), PositionReading(0.0, 0.0, 0.0, 100.0, 15.0, 0.0, 0.0)
+    check, place = PayloadFit(), PositionReading(0.0, 0.0, 0.0, 100.0, 15.0, 0.0, 0.0)
     check.position(place)
     for tick in range(12):
         time_s = 0.5 * tick

@@ -1,0 +1,1258 @@
+"""What is wrong with laser and gimbal: one history of their readings, one set of hypotheses, one verdict.
+
+Each hypothesis is another reading of the payload. The right one lets the apparent target move as targets do; by a
+wrong one it circles with the aircraft.
+
+1. A value that stays the same while the aircraft's motion has to change it: a stuck laser, a frozen gimbal.
+2. Another frame of the gimbal, another unit of the laser, a yaw error of 35 degrees and more: once a second, over
+   12 s in which a target moves straight. After a jump they are compared with the motion before it. The height over
+   the ground is a second witness of the unit.
+3. Delays and smaller errors of yaw and range, over up to 300 s, together with the target's path.
+4. Yaw, range or pitch that drift, and ranges that are wrong at some bearings only, over the last 100 s.
+
+Delays and constant errors of yaw and range are corrected by the tracker, others make the device faulty: its readings
+are not used until it agrees again. An apparent target that jumps farther than it can drive makes the payload suspect
+for ``SUSPECT_S``.
+
+Source: docs/health.md#contradictions-of-the-payload; docs/explanation/filter.md#delays.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+import statistics
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sidelong.estimators.filters.biases import Delays
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.rotations import (
+    Quaternion,
+    Vector,
+    from_roll_pitch_yaw,
+    multiply,
+    rotate,
+    sight_direction,
+)
+from sidelong.estimators.sensing.readings import (
+    IMAGE_TRACKER,
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+)
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.payload_kernel import (
+    MAX_DELAY_S,
+    MIN_DELAY_S,
+    SHARED,
+    FloatArray,
+    Readings,
+    fit_readings,
+    look,
+)
+
+FRAMES = {
+    "earth": "relative to north",
+    "vehicle": "relative to the aircraft's heading",
+    "body": "relative to the airframe",
+}
+FACTORS = {
+    10.0: "a tenth of the distance: decimetres are read as centimetres",
+    0.1: "ten times the distance: decimetres are read as metres",
+    1.0 / 0.3048: "0.3 of the distance: metres are read as feet",
+    0.3048: "3.3 times the distance: feet are read as metres",
+    100.0: "a hundredth of the distance: metres are read as centimetres",
+    0.01: "a hundred times the distance: centimetres are read as metres",
+}
+"""By what a range has to be multiplied, and what is then wrong with it."""
+_STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
+_FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
+_YAW_FROZEN = "its yaw is frozen while the aircraft turns: check its pan motor, its pan limits and its driver"
+
+_ROW_EVERY_S, _GAP_MAX_S = 0.19, 3.0
+_WINDOW_S = 300.0
+# 1. values that repeat
+_SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
+_SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
+_EXACT_M, _SWEPT_RAD = 0.1, 0.3  # an eighth of the angle's square, times the range: 3 m at 300 m
+_MOVES_AGAIN = 3
+_CLOSED_M, _PASSED_RAD = 40.0, 0.25
+_FLYING_M_S = 5.0
+# 2. frames, units, large yaw errors
+SAMPLES_S = 12.0
+"""How far back the verdict on frames and units looks, at two samples a second."""
+_SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
+_SAMPLES, _SAMPLES_MIN, _SPAN_MIN_S = 24, 12, 6.0
+_LASER_SILENT_S = 10.0  # after that, lines of sight are judged without ranges
+_FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
+_CORRECTED_AFTER = 5  # readings in a row
+_WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE, _OWN_SHARE = 8.0, 0.5, 0.7, 0.3
+_JUMP_M, _DRIVES_M_S, _STEPS_MIN, _APPARENT_M_S = 40.0, 15.0, 3, 30.0
+OFTEN, SUSPECT_S = 3, 15.0
+"""How many of the last jumps are remembered; how long the payload is suspect after one."""
+_CHANGED_S, _MARGIN_S = 30.0, 1.0
+_LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
+_CONTINUED_M, _DRIVEN_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
+_TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
+_LEVEL_SHARE, _OFF_LEVEL_SHARE, _LEVEL_LATELY_S = 0.3, 0.5, 60.0  # of the aircraft's height over the ground
+_HEIGHT_MIN_M, _OFF_GROUND_M = 25.0, 25.0  # six times the usual error of elevation data
+_OFF_GROUND = (
+    f"by laser and gimbal the target is more than {_OFF_GROUND_M:.0f} m above or below its ground; "
+    "check the tiles, home, and what the laser meets"
+)
+_PITCH_NOISE_RAD = math.radians(2.0)  # six standard deviations
+_DOWN_MIN, _GROUND_STEPS = 0.02, 4  # how far a line of sight points down, and how its end on hills is found
+_TURN_MIN_RAD = math.radians(35.0)  # smaller ones are found with the delays
+_TURNED_SHARE, _SCALES = 0.25, (0.8, 1.25)  # the hypothesis is fitted, with the length of the line of sight free
+_LATE_S = -1.5, 3.5  # delays that a yaw error is mistaken for on a circle
+_FIT_M, _FIT_SHARE, _DISCRIMINATES = 8.0, 0.01, 2.0
+# 3. delays and smaller errors
+_READINGS_MIN, _FIT_SPAN_MIN_S, _ERRING_SPAN_S = 50, 12.0, 20.0
+_GROWTH, _EVERY_MIN_S, _EVERY_MAX_S = 0.2, 10.0, 60.0  # the next fit comes when the readings span a fifth more
+# Standard deviations stated, of those assumed. Of readings: a target's own motion is not quite the noise that the fit
+# takes it for. Of priors: on a steady circle, a late gimbal differs from a yaw error by the prior of that alone.
+_READINGS_SIGMAS, _PRIORS_SIGMAS = 4.0, 2.0
+_STAMPS_SIGMA_S = 0.02  # of position and attitude: their own stamps are not exact, and err alike all the time
+_RANGE_BIAS_SIGMA_M = 3.0  # holds the error of the target's height, too
+_STARTS_S = (0.0, 0.0), (2.0, 2.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0)  # from the last fit, a lesser minimum may hold
+# Large errors are tried where the fit without them is strained. They have to be far better (evidence: difference of
+# -ln likelihood), and larger than those that a target's own motion looks like.
+_STRAINED, _TURNS_M, _EVIDENCE = 1.5, 0.15, 50.0
+_CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
+_CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1  # the same as evidence of its own, where the ends lie on wrong hills
+_DELAYS_MAX_S = 0.95 * MAX_DELAY_S  # a delay at the end of its range fits nothing
+_YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08
+_RANGE_SHARE_MAX = 0.5  # ranges that shrink to nothing would put the target at the aircraft
+_FACTOR_FROM_M, _FACTOR_BETTER, _FACTOR_STEPS, _FACTORS = 10.0, 10.0, 3, (0.25, 4.0)
+_FACTOR_STARTS = 1.4, 0.7  # from 1, a lesser minimum may hold
+# On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
+# configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
+# The shape of hills may look like a small delay.
+SURE_S = 0.045
+"""Standard deviation of a delay that is known."""
+_EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
+# 4. drifts
+_DRIFT_S, _DRIFT_EVERY_S, _DRIFT_SPAN_MIN_S = 100.0, 10.0, 40.0
+_PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of what is not to be estimated
+_RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
+_DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
+_PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
+_DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
+_YAW_EVIDENCE, _RANGE_EVIDENCE, _DRIFTING_SIGMA_M = 35.0, 45.0, 1.0
+_SECTOR_RAD, _SECTOR_COUNT, _SECTOR_OFF, _ELSEWHERE_OFF = math.radians(15.0), 5, 0.06, 0.02
+_SECTOR_GAIN, _SECTOR_VISITS, _VISIT_S = 0.6, 2, 5.0
+
+GroundHeight = Callable[[float, float], float]
+"""Returns the height of the ground above home at a position (east, north); NaN where unknown."""
+
+
+class Verdict(NamedTuple):
+    """What the motion of some seconds shows to be wrong.
+
+    Attributes:
+        frame: the gimbal's true frame where its flags are wrong, else None.
+        factor: what the range has to be multiplied with, 1 where its unit is right.
+        is_turned: whether the gimbal's yaw has a large constant error.
+    """
+
+    frame: str | None = None
+    factor: float = 1.0
+    is_turned: bool = False
+
+
+SOUND = Verdict()
+TURNED = Verdict(is_turned=True)
+
+
+class Fit(NamedTuple):
+    """What a fit has come to; see :func:`sidelong.estimators.tracking.payload_kernel.fit_readings`."""
+
+    shared: FloatArray
+    scale_m: float
+    information: FloatArray
+    cost: float
+    off_m: FloatArray
+
+
+class _Sample(NamedTuple):
+    """What was received at one time; ``sighted_m`` is the apparent target, by the frame as flagged."""
+
+    time_s: float
+    turned_rad: float
+    own_m: tuple[float, float, float]
+    sighted_m: tuple[float, float, float]
+    attitude: AttitudeReading
+    gimbal: GimbalReading
+    range_m: float
+    off_level: float  # how far the target is off the ground, as a share of the own height over it; NaN: unknown
+
+
+class _Motion(NamedTuple):
+    """A target's position at a time, and its velocity."""
+
+    time_s: float
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+
+
+class _History:
+    """Rows of the latest readings at a time; the first column is that time."""
+
+    def __init__(self, columns: int) -> None:
+        self._rows, self._count = np.empty((2048, columns)), 0
+
+    def add(self, row: tuple[float, ...]) -> None:
+        if self._count == len(self._rows):
+            kept = self.since(row[0] - _WINDOW_S).copy()
+            if len(kept) > len(self._rows) // 2:
+                self._rows = np.empty((2 * len(self._rows), len(row)))
+            self._rows[: len(kept)], self._count = kept, len(kept)
+        self._rows[self._count] = row
+        self._count += 1
+
+    def since(self, time_s: float) -> FloatArray:
+        rows = self._rows[: self._count]
+        return rows[np.searchsorted(rows[:, 0], time_s) :]
+
+    def clear(self) -> None:
+        self._count = 0
+
+
+class _Repeats:
+    """Notices a value that stays the same although the aircraft's motion has to change it."""
+
+    def __init__(self, same: float) -> None:
+        self._same = same
+        self._anchor: tuple[float, ...] = (math.inf,)
+        self._travelled: tuple[float, ...] = ()
+        self.since_s = 0.0
+        self._count = self._moved = 0
+        self.found = False
+
+    def note(self, values: tuple[float, ...], time_s: float, travelled: tuple[float, ...]) -> bool:
+        """Take a value; return whether the finding has changed.
+
+        Args:
+            values: the value, a tuple of numbers.
+            time_s: of the reading.
+            travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
+        """
+        before, same = self.found, self._same
+        for then, now in zip(self._anchor, values, strict=False):
+            if abs(now - then) > same:
+                break
+        else:
+            self._count += 1
+            self._moved = 0
+            if not before and self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S:
+                moves = zip(travelled, self._travelled, strict=True)
+                self.found = any(abs(now - then) >= 1.0 for now, then in moves)
+            return self.found is not before
+        self._moved += 1
+        if not before or self._moved >= _MOVES_AGAIN:
+            self.found = False
+            self._anchor, self.since_s, self._travelled, self._count = values, time_s, travelled, 0
+        return self.found is not before
+
+
+class PayloadFit:
+    """Takes the readings of laser and gimbal as they are used, and finds what is wrong with them.
+
+    Args:
+        settings: noise, priors and configured latencies.
+        parent_from_mount: how the gimbal's base is turned against the airframe.
+
+    Attributes:
+        laser_fault: what is wrong with the laser and what to do, in one sentence; empty while nothing is.
+        gimbal_fault: the same of the gimbal.
+        terrain_fault: how the elevation data contradicts laser and gimbal, while these agree with each other.
+        is_news: whether a fault may have come or gone; whoever reads the faults resets it.
+        is_changed: the same for whoever uses the readings, or there is a new result.
+        wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
+        yaw_error_rad: a large constant error of the gimbal's yaw that is to be corrected; 0: none is known.
+        found: the delays and constant errors by the latest fit; None before, and while they are unknown.
+        is_late: whether the delays of ``found`` are credible, and are to replace those in use.
+        used_s: delays of gimbal and laser that are in use.
+        is_confirmed: whether the fit has a certain result for the payload as it is now.
+        jumped_s: when the apparent target jumped farther than a target can drive, last; -inf: never.
+        jumps_s: when it did so, the last times.
+        ground: the elevation data; None: the ground is flat at the height of home.
+        evidence: by how much the present verdict is better than that nothing is wrong, difference of -ln likelihood.
+    """
+
+    def __init__(
+        self, settings: TrackerSettings | None = None, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    ) -> None:
+        settings = settings or TrackerSettings()
+        self._settings, self._parent_from_mount = settings, parent_from_mount
+        delay_s, yaw_rad = settings.latency_sigma_s, settings.yaw_bias_sigma_rad
+        self._fits_errors, self._may_err = delay_s > 0.0, yaw_rad > 0.0  # or the biases are not estimated
+        priors = delay_s, delay_s, max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M, _PINNED_YAW, _PINNED_RANGE
+        self._sigmas = np.array(priors)
+        self.laser_fault = self.gimbal_fault = self.terrain_fault = ""
+        self.is_news = self.is_changed = False
+        self.wrong_since_s = math.inf
+        self.ground: GroundHeight | None = None
+        self._on_ground = self._on_hills = False  # whether the ranges are those to the ground, and that is hilly
+        self._ground_sigma_m = 0.0
+        self.jumped_s = self._changed_s = self._level_s = -math.inf
+        self.jumps_s: deque[float] = deque(maxlen=OFTEN)
+        self._position: PositionReading | None = None
+        self._attitude: AttitudeReading | None = None
+        self._gimbal: GimbalReading | None = None
+        self._range: RangeReading | None = None
+        self._gimbal_source: Source | None = None
+        self._ranged = (math.nan, math.nan)  # time and slant range, of the laser or to the ground
+        self._travel_from: PositionReading | None = None
+        self._course_rad: float | None = None
+        self._turned_rad = self._closed = self._passed = self._swept_rad = 0.0
+        self._sight: tuple[float, float] | None = None
+        self._range_noted: RangeReading | None = None
+        self._history = _History(17)
+        self._row_s = self._axis_s = self._sampled_s = self._judged_s = self._since_s = -math.inf
+        self._expect_another_laser()
+        self._expect_another_gimbal()
+        self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
+        self._jumped: _Sample | None = None
+        self._before: _Motion | None = None  # until the latest change
+        self._frame = self._flagged = ""
+        self.used_s = settings.latencies_s
+        self._begin_device()
+
+    def _begin_device(self) -> None:
+        """Judge another device, or lines of sight that come without the yaw error from now on."""
+        self._samples.clear()
+        self._since_s = self._device_s = self._row_s
+        self._established = self._verdict = SOUND
+        self._agreeing = self._corrected = self._off_ground = self._fits = self._late_count = 0
+        self._frame_fault = self._unit_fault = self._drift_fault = ""
+        self._drift = self._drift_seen = ""
+        self._drifting = 0
+        self.yaw_error_rad = self._turn_rad = self.evidence = 0.0
+        self._sound: Fit | None = None
+        self._erring: Fit | None = None  # while that explains the readings far better
+        self._factor = 1.0  # of the ranges, in that
+        self.found: Delays | None = None
+        self.is_late = self.is_confirmed = False
+        self.is_changed = True
+        self._fit_s = self._drift_s = -math.inf
+
+    def _expect_another_laser(self) -> None:
+        self._range_repeats, self._range_stays = _Repeats(_SAME_RANGE_M), _Repeats(_EXACT_M)
+
+    def _expect_another_gimbal(self) -> None:
+        self._sight_repeats, self._yaw_repeats = _Repeats(_SAME_SIGHT), _Repeats(_SAME_SIGHT)
+
+    def stand_on(self, hills: bool, sigma_m: float) -> None:
+        """Let lines of sight end on a ground.
+
+        Args:
+            hills: whether it is not flat. A flat one is too high or too low as a whole: that is the ranges' bias.
+            sigma_m: standard deviation of its height.
+        """
+        self._on_hills, self._ground_sigma_m = hills, sigma_m if hills else 0.0
+
+    @property
+    def on_hills(self) -> bool:
+        """Whether the ranges are those at which lines of sight meet hills."""
+        return self._on_ground and self._on_hills
+
+    @property
+    def finds_yaw_error(self) -> bool:
+        """Whether a large yaw error explains the readings far better."""
+        return self._erring is not None
+
+    def is_suspect(self, time_s: float) -> bool:
+        """Return whether the apparent target has jumped lately, and it is not known yet whether there is a fault."""
+        return 0.0 <= time_s - self.jumped_s < SUSPECT_S
+
+    def expect_another_target(self) -> None:
+        """Begin again with another target: the readings until now show the last one."""
+        self._samples.clear()
+        self.restart()
+
+    def restart(self) -> None:
+        """Fit delays, errors and drifts to later readings only."""
+        self._since_s = self._device_s = self._row_s
+        self.is_confirmed = False
+
+    def turned_back(self) -> None:
+        """Begin again with lines of sight that come without the yaw error from now on."""
+        self._begin_device()
+        self._settle()
+
+    # -- readings ------------------------------------------------------------------------------------------
+
+    def position(self, reading: PositionReading) -> None:
+        """Process the aircraft's position."""
+        self._position = reading
+
+    def attitude(self, reading: AttitudeReading) -> None:
+        """Process the aircraft's attitude."""
+        self._attitude = reading
+
+    def range(self, reading: RangeReading) -> None:
+        """Process a range of the laser in use."""
+        if self._range is not None and reading.source != self._range.source:
+            self._expect_another_laser()
+            self._begin_device()
+        self._range = reading
+        self._ranged = reading.time_s, reading.slant_range_m
+        if self._on_ground:
+            self._on_ground, self._since_s = False, self._row_s
+        if not self._row_s <= reading.time_s < self._row_s + _ROW_EVERY_S:
+            self._row(reading.time_s)
+
+    def ground_range(self, time_s: float, slant_range_m: float) -> None:
+        """Process where a line of sight meets the ground, in place of a laser's range."""
+        if not self._on_ground:
+            self._on_ground, self._since_s = True, self._row_s
+        self._ranged = time_s, slant_range_m
+
+    def gimbal_axis(self, reading: GimbalReading) -> None:
+        """Process the axis of a gimbal, which is not the line of sight if a camera tracks a target off it."""
+        turns, passed = self._turned_rad / _TURNED_RAD, self._passed
+        news = self._sight_repeats.note(reading.quaternion_wxyz, reading.time_s, (turns, passed))
+        forward, right, _ = sight_direction(reading.quaternion_wxyz)
+        if self._yaw_repeats.note((math.atan2(right, forward),), reading.time_s, (turns / 2.0, passed / 2.0)) or news:
+            self._settle()
+
+    def gimbal(self, reading: GimbalReading, ends_on_ground: bool = False) -> None:
+        """Process a line of sight in use.
+
+        Args:
+            reading: The line of sight.
+            ends_on_ground: whether it counts without a range, as it ends on known ground.
+        """
+        if reading.source != self._gimbal_source:
+            if self._gimbal_source is not None:
+                self._expect_another_gimbal()
+                self._begin_device()
+            self._gimbal_source = reading.source
+        if self._frame_fault:
+            self._corrected = self._corrected + 1 if reading.frame == self._established.frame else 0
+            if self._corrected >= _CORRECTED_AFTER:  # at once: on a straight leg no motion could show it
+                self._begin_device()
+                self._settle()
+        self._gimbal = reading
+        if reading.frame != self._frame:
+            self._frame, self._since_s = reading.frame, self._row_s
+        if not self._row_s <= reading.time_s < self._row_s + _ROW_EVERY_S:
+            self._row(reading.time_s)
+        if not self._axis_s <= reading.time_s < self._axis_s + _ROW_EVERY_S:
+            self._axis_s = reading.time_s
+            if reading.source.message != IMAGE_TRACKER:
+                self.gimbal_axis(reading)
+        if reading.time_s - self._sampled_s >= _SAMPLE_EVERY_S:
+            self._sample(reading, ends_on_ground)
+
+    def _row(self, now_s: float) -> None:
+        """Take the latest readings of all devices into the history."""
+        if now_s < self._row_s:  # the clock was set back
+            self._history.clear()
+            self._sampled_s = self._judged_s = self._since_s = self._device_s = self._fit_s = (
+                self._drift_s
+            ) = -math.inf
+        self._row_s = now_s
+        if self._since_s == -math.inf:
+            self._since_s = self._device_s = now_s - _ROW_EVERY_S
+        position, attitude, gimbal, ranged = self._position, self._attitude, self._gimbal, self._range
+        if position is None:
+            return
+        self._travel(position)
+        if ranged is not None and ranged is not self._range_noted:
+            self._range_noted = ranged
+            values, time_s = (ranged.slant_range_m,), ranged.time_s
+            travelled = self._turned_rad / _TURNED_RAD, self._closed
+            news = self._range_repeats.note(values, time_s, travelled)
+            if self._range_stays.note(values, time_s, (self._swept_rad / _SWEPT_RAD,)) or news:
+                self._settle()
+        if gimbal is None or not self._fits_errors:
+            return
+        w, x, y, z = gimbal.quaternion_wxyz
+        length2 = w * w + x * x + y * y + z * z
+        if abs(length2 - 1.0) > 0.1:
+            return
+        turned = (
+            (attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else _NO_ATTITUDE
+        )
+        self._history.add(
+            (
+                now_s,
+                position.time_s,
+                position.east_m,
+                position.north_m,
+                position.velocity_east_m_s,
+                position.velocity_north_m_s,
+                position.height_m,
+                *turned,
+                gimbal.time_s,
+                1.0 - 2.0 * (y * y + z * z) / length2,
+                2.0 * (x * y + w * z) / length2,
+                2.0 * (x * z - w * y) / length2,
+                *self._ranged,
+            )
+        )
+
+    def _travel(self, now: PositionReading) -> None:
+        """Add up how far the aircraft has turned, come along the line of sight, and by what angle gone past it."""
+        before, self._travel_from = self._travel_from, now
+        if before is now:
+            return
+        east_m_s, north_m_s = now.velocity_east_m_s, now.velocity_north_m_s
+        if east_m_s * east_m_s + north_m_s * north_m_s < _FLYING_M_S**2:
+            self._course_rad = None
+            return
+        course_rad = math.atan2(east_m_s, north_m_s)
+        if self._course_rad is not None and before is not None:
+            self._turned_rad += abs(wrap_rad(course_rad - self._course_rad))
+            if self._sight is not None and self._range is not None:
+                east_m, north_m, (east, north) = now.east_m - before.east_m, now.north_m - before.north_m, self._sight
+                across_m = north_m * east - east_m * north
+                self._closed += (east_m * east + north_m * north) / _CLOSED_M
+                self._passed += across_m / max(self._range.slant_range_m, 50.0) / _PASSED_RAD
+        self._course_rad = course_rad
+
+    def _sweep(self) -> None:
+        """Add up by what angle the line of sight has turned."""
+        before, self._sight = self._sight, None
+        if self._samples:
+            last = self._samples[-1]
+            range_m = max(math.dist(last.sighted_m, last.own_m), 1.0)
+            east, north = (
+                (there - own) / range_m for there, own in zip(last.sighted_m[:2], last.own_m, strict=False)
+            )
+            self._sight = east, north
+            if before is not None:
+                across, along = before[1] * east - before[0] * north, before[0] * east + before[1] * north
+                self._swept_rad += math.atan2(across, along)
+
+    # -- frames, units and large yaw errors ----------------------------------------------------------------
+
+    def _sample(self, gimbal: GimbalReading, ends_on_ground: bool) -> None:
+        """Take two samples a second, and judge once a second."""
+        position, attitude, now_s = self._position, self._attitude, gimbal.time_s
+        if position is None or attitude is None:
+            return
+        # Angles relative to north need no attitude, and are used while it is silent.
+        if abs(now_s - position.time_s) > _FRESH_S or (
+            gimbal.frame != "earth" and abs(now_s - attitude.time_s) > _FRESH_S
+        ):
+            return
+        slant, slant_range_m = self._range, math.nan
+        if slant is not None and abs(now_s - slant.time_s) <= _FRESH_S:
+            slant_range_m = slant.slant_range_m
+        elif not ends_on_ground or (slant is not None and abs(now_s - slant.time_s) <= _LASER_SILENT_S):
+            return
+        self._sampled_s = now_s
+        if self._is_stuck or self._is_frozen:
+            self._samples.clear()
+        else:
+            self._add_sample(position, attitude, gimbal, slant_range_m)
+            self._sweep()
+        if now_s - self._judged_s >= _JUDGE_EVERY_S:
+            self._judged_s = now_s
+            self._judge(gimbal.frame)
+            if self._fits_errors and not (self._frame_fault or self._unit_fault or self._is_stuck or self._is_frozen):
+                self._judge_errors(now_s)
+            self._settle()
+
+    def _add_sample(
+        self, position: PositionReading, attitude: AttitudeReading, gimbal: GimbalReading, slant_range_m: float
+    ) -> None:
+        own_m, now_s = (position.east_m, position.north_m, position.height_m), position.time_s
+        sighted_m = self._apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
+        is_ranged = not math.isnan(slant_range_m)
+        off_level = self._off_level(own_m, sighted_m) if is_ranged else 0.0
+        samples = self._samples
+        if samples and is_ranged is math.isnan(samples[-1].range_m):
+            samples.clear()
+        sample = _Sample(now_s, self._turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m, off_level)
+        jumped, self._jumped = self._jumped, None
+        self._flagged = self._flagged or gimbal.frame
+        jump_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0
+        # A wrong frame lets it jump on and on.
+        jumps = jump_m > self._jump_m(sample) and abs(now_s - self._changed_s) > SAMPLES_S and self._drove()
+        if jumps or gimbal.frame != self._flagged:
+            if jumped is None or jumped.gimbal.frame != gimbal.frame or jumped.range_m == slant_range_m:
+                self._jumped = sample  # an outlier, unless the next one is like it, with a range of its own
+                return
+            if jump_m > _JUMP_M:
+                self._change(jumped.time_s, jump_m)
+            self._flagged = gimbal.frame
+            samples.clear()  # what was before would hide the change
+            samples.append(jumped)
+        samples.append(sample)
+
+    def _jump_m(self, sample: _Sample) -> float:
+        """Return how far a jump goes: noise of the pitch, too, moves the end of a line of sight on the ground."""
+        if not math.isnan(sample.range_m):
+            return _JUMP_M
+        down_m = max(sample.own_m[2] - sample.sighted_m[2], 1.0)
+        noise_m = _PITCH_NOISE_RAD * math.dist(sample.own_m, sample.sighted_m) ** 2 / down_m
+        return _JUMP_M + noise_m if self.ground is None else math.inf  # on hills it jumps from one to the next
+
+    def _drove(self) -> bool:
+        """Return whether the apparent target moved until now as slowly as one that drives; True: not known."""
+        speeds_m_s = [
+            math.dist(one.sighted_m, then.sighted_m) / (one.time_s - then.time_s)
+            for then, one in itertools.pairwise(self._samples)
+            if one.time_s > then.time_s  # a position may serve two samples
+        ]
+        return len(speeds_m_s) < _STEPS_MIN or statistics.median(speeds_m_s) <= _APPARENT_M_S
+
+    def _change(self, now_s: float, jump_m: float) -> None:
+        """Remember the target's motion until it jumped."""
+        since_s = now_s - self._samples[-1].time_s
+        self._changed_s = now_s
+        if jump_m > _JUMP_M + _DRIVES_M_S * since_s:
+            self.jumped_s = now_s
+            self.jumps_s.append(now_s)
+            self._since_s, self.is_confirmed = self._row_s, False  # the target or the payload is another one
+        lately = [one for one in self._samples if now_s - one.time_s < _LATELY_S]
+        if len(lately) < _LATELY_MIN:  # after dropouts: fewer but older ones
+            lately = [one for one in self._samples if now_s - one.time_s < SAMPLES_S][-_LATELY_MIN:]
+        self._before = _motion(lately) if len(lately) >= _LATELY_MIN else None
+
+    def verdict(self, established: Verdict = SOUND) -> Verdict | None:
+        """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
+
+        Args:
+            established: what was found to be wrong before; it holds until what is reported fits clearly better.
+        """
+        samples = self._samples
+        if established.frame == self._flagged:  # the flags are corrected; until then a wrong target moved
+            established, self._before = SOUND, None
+        is_recent = bool(samples) and samples[-1].time_s - self._changed_s < SAMPLES_S
+        if established == SOUND and is_recent and (found := self._continued()) is not None:
+            return found
+        if (
+            len(samples) < _SAMPLES_MIN
+            or samples[-1].turned_rad - samples[0].turned_rad < _TURNED_RAD
+            or samples[-1].time_s - samples[0].time_s < _SPAN_MIN_S
+        ):
+            return None
+        shares = sorted(one.off_level for one in samples)
+        off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
+        unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > _OFF_LEVEL_SHARE
+        if unit_is_right and not math.isnan(samples[-1].range_m):
+            self._level_s = samples[-1].time_s
+        as_reported_m = self._residual_as_reported_m()
+        if established == SOUND and as_reported_m < _WRONG_M and not unit_is_wrong:
+            return SOUND
+        residual_m, own_residual_m, as_reported_m = self._residuals_of_hypotheses_m(established)
+        if established != SOUND:
+            if established.factor != 1.0 and not math.isnan(off_level):
+                return SOUND if unit_is_right else established
+            return SOUND if as_reported_m < _AS_GOOD_SHARE * residual_m[established] else established
+        if unit_is_wrong:
+            factor = self._unit_by_height(residual_m, own_residual_m)
+            if factor is not None:
+                return Verdict(None, factor)
+        if as_reported_m < _WRONG_M:
+            return SOUND
+        if unit_is_right:
+            residual_m = {verdict: one_m for verdict, one_m in residual_m.items() if verdict.factor == 1.0}
+        best = min(residual_m, key=residual_m.__getitem__)
+        if residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
+            return SOUND
+        return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
+
+    def _continued(self) -> Verdict | None:
+        """Return the reading of the payload by which the target goes on as before the change; None: it is none."""
+        before = self._before
+        if before is None or len(self._samples) < _CONTINUED_MIN:
+            return None
+        times_s, own_m, sighted_m = self._arrays()
+        verdicts, positions_m = self._hypotheses(own_m, sighted_m)
+        since_s = times_s - before.time_s
+        expected_m = before.position_m + since_s[:, None] * before.velocity_m_s
+        off_m = np.median(np.linalg.norm(positions_m - expected_m[:, None, :], axis=2), axis=0)
+        reported_off_m = np.linalg.norm(sighted_m - expected_m, axis=1)
+        reported_m = float(np.median(reported_off_m))
+        best = int(off_m.argmin())
+        near_m = _CONTINUED_M + _DRIVEN_M_S * float(np.median(since_s))
+        if reported_m < near_m:  # outliers, no change
+            self._changed_s = self.jumped_s = -math.inf
+            kept = [one for one, off in zip(self._samples, reported_off_m, strict=True) if off < _JUMP_M]
+            self._samples.clear()
+            self._samples.extend(kept)
+            return None
+        return verdicts[best] if off_m[best] < near_m and reported_m > _DISCONTINUED * near_m else None
+
+    def _arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return times (n,), the aircraft (n, 3) and the apparent target (n, 3) of the samples."""
+        samples = self._samples
+        times_s, own_m = np.array([one.time_s for one in samples]), np.array([one.own_m for one in samples])
+        return times_s, own_m, np.array([one.sighted_m for one in samples])
+
+    def _residual_as_reported_m(self) -> float:
+        """Return the same as ``_residuals_m`` of what was reported, in a third of the time for so few numbers."""
+        samples, count = self._samples, len(self._samples)
+        middle_s = sum([one.time_s for one in samples]) / count
+        since_s = [one.time_s - middle_s for one in samples]
+        spread_s2 = sum(map(operator.mul, since_s, since_s))
+        off_m2 = [0.0] * count
+        for values_m in zip(*(one.sighted_m for one in samples), strict=True):
+            mean_m = sum(values_m) / count
+            speed_m_s = sum(map(operator.mul, values_m, since_s)) / spread_s2
+            off_m2 = [
+                sum_m2 + (off_m := value_m - mean_m - speed_m_s * one_s) * off_m
+                for sum_m2, value_m, one_s in zip(off_m2, values_m, since_s, strict=True)
+            ]
+        return math.sqrt(statistics.median(off_m2))
+
+    def _apparent_m(
+        self, own_m: tuple[float, float, float], range_m: float, direction: tuple[float, float, float]
+    ) -> tuple[float, float, float]:
+        """Return the end of a line of sight (east, north, up), on the ground where there is no range."""
+        east, north, up = direction
+        if math.isnan(range_m):
+            range_m = own_m[2] / max(-up, _DOWN_MIN)
+            if self.ground is not None:
+                for _ in range(_GROUND_STEPS):
+                    ground_m = self.ground(own_m[0] + range_m * east, own_m[1] + range_m * north)
+                    if math.isnan(ground_m):
+                        break
+                    range_m = (own_m[2] - ground_m) / max(-up, _DOWN_MIN)
+        return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
+
+    def _off_level(self, own_m: Sequence[float], target_m: Sequence[float]) -> float:
+        ground_m = 0.0 if self.ground is None else self.ground(target_m[0], target_m[1])
+        over_m = own_m[2] - ground_m
+        return abs(target_m[2] - ground_m) / over_m if over_m >= _HEIGHT_MIN_M else math.nan
+
+    def _unit_by_height(self, residual_m: dict[Verdict, float], own_residual_m: float) -> float | None:
+        """Return the unit that puts the target on the ground and lets it move plausibly; None: there is none."""
+        _, own_m, sighted_m = self._arrays()
+        off_level = {}
+        for factor in FACTORS:
+            target_m = own_m + factor * (sighted_m - own_m)
+            shares = list(map(self._off_level, own_m.tolist(), target_m.tolist()))
+            off_level[factor] = math.inf if any(map(math.isnan, shares)) else statistics.median(shares)
+        factor = min(FACTORS, key=off_level.__getitem__)
+        if not off_level[factor] < _LEVEL_SHARE:
+            return None
+        range_m = factor * float(np.median([one.range_m for one in self._samples]))
+        fits_m = _FIT_M + _FIT_SHARE * range_m
+        # A hill may look like a wrong unit, but not all of a sudden, nor does the target then stand still: with a
+        # wrong factor it moves with a part of the aircraft's own motion, which has to be visible.
+        lately = 0.0 <= self._samples[-1].time_s - self._level_s < _LEVEL_LATELY_S
+        if not lately and abs(factor - 1.0) * own_residual_m < _DISCRIMINATES * fits_m:
+            return None
+        return factor if residual_m[Verdict(None, factor)] < fits_m else None
+
+    def _residuals_of_hypotheses_m(self, established: Verdict) -> tuple[dict[Verdict, float], float, float]:
+        """Return the residual of every other reading of the payload, of the aircraft's motion, and as reported."""
+        times_s, own_m, sighted_m = self._arrays()
+        verdicts, positions_m = self._hypotheses(own_m, sighted_m)
+        scale = 1.0
+        if not established.is_turned:
+            self._turn_rad, scale = _yaw_error_rad(times_s, own_m, sighted_m - own_m)
+        turned_m = own_m + _turned(sighted_m - own_m, -self._turn_rad)
+        others_m = np.stack((turned_m, own_m, sighted_m), axis=1)
+        *residuals_m, turned_residual_m, straight_m, as_reported_m = _residuals_m(
+            times_s, np.concatenate((positions_m, others_m), axis=1)
+        ).tolist()
+        # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
+        residual_m = {
+            verdict: math.inf if verdict.factor < 1.0 and one_m > _OWN_SHARE * straight_m else one_m
+            for verdict, one_m in zip(verdicts, residuals_m, strict=True)
+        }
+        is_turn = established.is_turned or (
+            abs(self._turn_rad) >= _TURN_MIN_RAD
+            and _SCALES[0] <= scale <= _SCALES[1]
+            and turned_residual_m <= _TURNED_SHARE * as_reported_m
+            and not self._may_be_late()
+        )
+        residual_m[TURNED] = turned_residual_m if is_turn else math.inf
+        return residual_m, straight_m, as_reported_m
+
+    def _may_be_late(self) -> bool:
+        """Return whether a delay of the gimbal looks like the yaw error: angles against north lag on a circle."""
+        samples = self._samples
+        turned_rad = np.unwrap([one.attitude.yaw_rad for one in samples])
+        lag_rad = -self._turn_rad * (samples[-1].time_s - samples[0].time_s)
+        least_rad, most_rad = sorted(delay_s * float(turned_rad[-1] - turned_rad[0]) for delay_s in _LATE_S)
+        return self._flagged == "earth" and least_rad <= lag_rad <= most_rad
+
+    def _hypotheses(self, own_m: FloatArray, sighted_m: FloatArray) -> tuple[list[Verdict], FloatArray]:
+        """Return every other reading of the payload, and the targets (n, k, 3) that the samples then show."""
+        verdicts = [Verdict(frame) for frame in FRAMES if frame != self._flagged]
+        positions_m = [
+            np.array(
+                [
+                    self._apparent_m(one.own_m, one.range_m, self._direction(one.attitude, one.gimbal, verdict.frame))
+                    for one in self._samples
+                ]
+            )
+            for verdict in verdicts
+        ]
+        verdicts += [Verdict(None, factor) for factor in FACTORS]
+        positions_m += [own_m + factor * (sighted_m - own_m) for factor in FACTORS]
+        return verdicts, np.stack(positions_m, axis=1)
+
+    def _direction(
+        self, attitude: AttitudeReading, gimbal: GimbalReading, frame: str | None
+    ) -> tuple[float, float, float]:
+        """Return the unit vector (east, north, up) of a line of sight, if its frame is this one."""
+        north, east, down = sight_direction(gimbal.quaternion_wxyz)
+        if frame != "earth":
+            roll_rad, pitch_rad = (attitude.roll_rad, attitude.pitch_rad) if frame == "body" else (0.0, 0.0)
+            aircraft = from_roll_pitch_yaw(roll_rad, pitch_rad, attitude.yaw_rad)
+            north, east, down = rotate(multiply(aircraft, self._parent_from_mount), (north, east, down))
+        return east, north, -down
+
+    def _judge(self, flagged: str) -> None:
+        verdict = self.verdict(self._established)
+        if verdict is None:
+            return
+        self._judge_terrain(sound=verdict == SOUND)
+        # Just after a change half of the samples are older: several judgements have to agree.
+        self._agreeing = self._agreeing + 1 if verdict == self._verdict else 1
+        self._verdict = verdict
+        if verdict == self._established or self._agreeing < (_CLEARED_AFTER if verdict == SOUND else _FOUND_AFTER):
+            return
+        self._established = verdict
+        self._frame_fault = self._unit_fault = ""
+        self.yaw_error_rad = 0.0
+        if verdict.frame is not None:
+            self._frame_fault = (
+                f"its frame flags are wrong: they mean {FRAMES[flagged]}, but the angles are "
+                f'{FRAMES[verdict.frame]}; correct the flags, or set sensors.gimbal_frame = "{verdict.frame}"'
+            )
+        elif verdict.is_turned and flagged != "body":
+            self.yaw_error_rad, self.is_changed = self._turn_rad, True
+        elif verdict.is_turned:  # about which axis is not known
+            self._frame_fault = yaw_fault(self._turn_rad)
+        elif verdict != SOUND:
+            self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"
+
+    def _judge_terrain(self, *, sound: bool) -> None:
+        ground, off_m, before = self.ground, math.nan, self.terrain_fault
+        if sound and ground is not None and not math.isnan(self._samples[-1].range_m):
+            each_m = [abs(one.sighted_m[2] - ground(one.sighted_m[0], one.sighted_m[1])) for one in self._samples]
+            known_m = [one for one in each_m if not math.isnan(one)]
+            off_m = statistics.median(known_m) if 2 * len(known_m) > len(each_m) else math.nan
+        self._off_ground = self._off_ground + 1 if off_m > _OFF_GROUND_M else 0
+        if self._off_ground >= _CLEARED_AFTER:
+            self.terrain_fault = _OFF_GROUND
+        elif not self._off_ground:
+            self.terrain_fault = ""
+        self.is_news |= before != self.terrain_fault
+
+    # -- delays, smaller errors and drifts -----------------------------------------------------------------
+
+    def _judge_errors(self, now_s: float) -> None:
+        """Fit drifts and constant errors from time to time."""
+        if now_s - self._drift_s >= _DRIFT_EVERY_S:
+            self._drift_s = now_s
+            self._judge_drift(now_s)
+        if self._drift_fault or now_s < self._fit_s:
+            return
+        rows = self._history.since(max(now_s - _WINDOW_S, self._since_s))
+        span_s = now_s - float(rows[0, 0]) if len(rows) else 0.0
+        self._fit_s = now_s + min(max(_GROWTH * span_s, _EVERY_MIN_S), _EVERY_MAX_S)
+        self.fit(now_s)
+
+    def _readings(
+        self, now_s: float, window_s: float, delays_s: tuple[float, float], since_s: float | None = None
+    ) -> Readings | None:
+        """Return the readings of the last seconds, stamped without delays; None while there are too few."""
+        rows = self._history.since(max(now_s - window_s, (self._since_s if since_s is None else since_s) + 1e-6))
+        positions, attitudes, sights = _stamped(rows[:, 1:6]), _stamped(rows[:, 7:11]), _stamped(rows[:, 11:15])
+        ranges, frame = _stamped(rows[:, 15:17]), list(FRAMES).index(self._frame)
+        needed = [positions, sights, ranges] + ([attitudes] if frame else [])
+        if min(map(len, needed)) < 2:
+            return None
+        sights[:, 0] -= delays_s[0]
+        ranges[:, 0] -= delays_s[1]
+        first_s = max(float(one[0, 0]) for one in needed) + MAX_DELAY_S
+        last_s = min(float(one[-1, 0]) for one in needed) + MIN_DELAY_S
+        gaps_s = [
+            (one[k, 0] + MIN_DELAY_S, one[k + 1, 0] + MAX_DELAY_S)
+            for one in (positions, *needed[3:])
+            for k in np.flatnonzero(np.diff(one[:, 0]) > _GAP_MAX_S)
+        ]
+        sights, ranges = _between(sights, first_s, last_s, gaps_s), _between(ranges, first_s, last_s, gaps_s)
+        if last_s - first_s < _FIT_SPAN_MIN_S or min(len(sights), len(ranges)) < _READINGS_MIN:
+            return None
+        if frame:
+            sights[:, 1:] = sights[:, 1:] @ np.array([rotate(self._parent_from_mount, axis) for axis in _AXES])
+            attitudes[:, 3] = np.unwrap(attitudes[:, 3])
+        settings = self._settings
+        pitch_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad) if self._on_ground else 0.0
+        noise = settings.yaw_sigma_rad, settings.range_sigma_m, pitch_rad, self._ground_sigma_m
+        return Readings(positions, attitudes, sights, ranges, frame, noise, delays_s)
+
+    def fit(self, now_s: float) -> None:
+        """Fit delays and constant errors to the readings of the last minutes.
+
+        Args:
+            now_s: Time of the latest reading, vehicle's clock, s.
+        """
+        self.found, self.is_late, latencies_s = None, False, self._settings.latencies_s
+        readings = self._readings(now_s, _WINDOW_S, latencies_s)
+        if readings is None:
+            return
+        best, sigmas = self._fit_sound(readings), self._sigmas
+        strained = best.scale_m > _TURNS_M or (abs(best.shared) > _STRAINED * sigmas).any()
+        span_s = float(readings.ranges[-1, 0] - readings.ranges[0, 0])
+        if self._erring is not None or (strained and self._may_err and span_s > _ERRING_SPAN_S):
+            best = self._fit_erring(readings, best)
+        tan_yaw, range_m = best.shared[2:4].tolist()
+        if self._erring is None or self._on_ground:
+            range_m = 0.0  # it may be the target's height
+        if self._erring is not None:  # of an error that is there, nothing is known before
+            sigmas = np.maximum(sigmas, abs(best.shared))
+        information = best.information / _READINGS_SIGMAS**2 + np.diag((_PRIORS_SIGMAS * sigmas) ** -2)
+        known = np.sqrt(np.diag(np.linalg.inv(information[:4, :4]))).tolist()
+        (gimbal_s, range_s), (gimbal_sigma_s, range_sigma_s) = (best.shared[:2] + latencies_s).tolist(), known[:2]
+        gimbal_sigma_s, range_sigma_s = (math.hypot(one, _STAMPS_SIGMA_S) for one in (gimbal_sigma_s, range_sigma_s))
+        if self._on_ground:
+            range_s, range_sigma_s = latencies_s[1], 0.0
+        self.found = Delays(
+            gimbal_s,
+            range_s,
+            gimbal_sigma_s,
+            range_sigma_s,
+            math.atan(tan_yaw),
+            known[2],
+            range_m,
+            known[3],
+            self._factor,
+        )
+        self.is_confirmed, self.is_changed = max(gimbal_sigma_s, range_sigma_s) < SURE_S, True
+        self.is_late = self._is_late(now_s, self.found, best)
+
+    def _is_late(self, now_s: float, found: Delays, best: Fit) -> bool:
+        """Return whether delays are to replace those in use: clearly others, for long enough, and far more likely."""
+        apart_s = found.gimbal_s - self.used_s[0], found.range_s - self.used_s[1]
+        if self.used_s == self._settings.latencies_s:
+            least = _EVIDENT_ON_HILLS if self.on_hills else _EVIDENT
+        else:
+            least = 1.0 if self.is_confirmed else _EVIDENT
+        steps = zip(apart_s, (found.gimbal_sigma_s, found.range_sigma_s), strict=True)
+        if not any(abs(step_s) > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in steps):
+            self._late_count = 0
+            return False
+        self._late_count += 1
+        readings = self._readings(now_s, _WINDOW_S, self.used_s)
+        if readings is None:
+            return False
+        pinned = np.array([_PINNED_S, _PINNED_S, *self._sigmas[2:]])
+        start = np.array([0.0, 0.0, *best.shared[2:]])
+        kept = self._solve(
+            _scaled(readings, self._factor), pinned, start, best.scale_m, erring=self._erring is not None
+        )
+        self.evidence = kept.cost - best.cost
+        return self.evidence > (_GAIN if self._late_count > 1 else _GAIN_AT_ONCE)
+
+    def _solve(
+        self, readings: Readings, sigmas: FloatArray, start: FloatArray, scale_m: float = 0.0, *, erring: bool = False
+    ) -> Fit:
+        return Fit(*fit_readings(readings, sigmas, _ERRING if erring else _SMALL, start, scale_m))
+
+    def _fit_sound(self, readings: Readings) -> Fit:
+        """Return the best fit with errors as small as the priors say."""
+        before, sigmas = self._sound, self._sigmas
+        start = np.array([*_STARTS_S[self._fits % len(_STARTS_S)], *(SHARED - 2) * [0.0]])
+        fits = (
+            self._solve(readings, sigmas, np.zeros(SHARED))
+            if before is None
+            else self._solve(readings, sigmas, before.shared, before.scale_m),
+            self._solve(readings, sigmas, start),
+        )
+        self._sound = min(fits, key=lambda one: one.cost)
+        self._fits += 1
+        return self._sound
+
+    def _fit_erring(self, readings: Readings, sound: Fit) -> Fit:
+        """Return the best fit with large errors; the one without them if that explains the readings as well."""
+        before, range_m = self._erring, float(np.median(readings.ranges[:, 1]))
+
+        def fit(factor: float, start: FloatArray, scale_m: float = 0.1) -> Fit:
+            stiff = 0.0 if scale_m == 0.1 else scale_m
+            return self._solve(_scaled(readings, factor), self._sigmas, start, stiff, erring=True)
+
+        tried = [(self._factor, fit(self._factor, sound.shared))]
+        if before is not None:
+            tried.append((self._factor, fit(self._factor, before.shared, before.scale_m)))
+        elif not self._on_ground:
+            other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
+            tried.append((other, fit(other, sound.shared)))
+        factor, best = min(tried, key=lambda one: one[1].cost)
+        for _ in range(0 if self._on_ground else _FACTOR_STEPS):
+            other = factor - float(best.shared[3]) / range_m
+            if abs(best.shared[3]) < _FACTOR_FROM_M or not _FACTORS[0] < other < _FACTORS[1]:
+                break
+            another = fit(other, best.shared * (1.0, 1.0, 1.0, 0.0, 1.0, 1.0))
+            if another.cost > best.cost - _FACTOR_BETTER:
+                break
+            best, factor = another, other
+        (tan_yaw, bias_m), latest_s = abs(best.shared[2:4]), float(best.shared[:2].max())
+        is_long = not self._on_ground and (bias_m > _RANGE_MIN_M or abs(factor - 1.0) > _FACTOR_MIN)
+        is_large = is_long or tan_yaw > _YAW_MIN_RAD
+        is_possible = latest_s < _DELAYS_MAX_S and bias_m < _RANGE_SHARE_MAX * factor * range_m
+        is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
+        evidence = sound.cost - best.cost
+        is_better = evidence > -_EVIDENCE if before is not None else evidence > _EVIDENCE and is_calmer
+        if self.on_hills:  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
+            is_better |= best.scale_m < _CALM_ON_HILLS_M and best.scale_m < _CALMER_ON_HILLS * sound.scale_m
+        if is_large and is_possible and is_better:
+            self._erring, self._factor, self.evidence = best, factor, evidence
+            return best
+        self._erring, self._factor = None, 1.0
+        return sound
+
+    def _judge_drift(self, now_s: float) -> None:
+        """Compare drifts, and ranges that are wrong at some bearings only, with errors that stay the same."""
+        readings = None
+        if self._may_err and not self._on_ground and not self._late_count:  # a delay looks like many things
+            readings = self._readings(now_s, _DRIFT_S, self.used_s, self._device_s)
+        if readings is None or readings.ranges[-1, 0] - readings.ranges[0, 0] < _DRIFT_SPAN_MIN_S:
+            return
+        found, text = self._drift_of(_scaled(readings, self._factor))
+        self._drifting = self._drifting + 1 if found == self._drift_seen else 1
+        self._drift_seen = found
+        if found and self._drifting >= _DRIFT_FOUND_AFTER and not self._drift:
+            self._drift, self._drift_fault = found, text
+        elif self._drift and not found and self._drifting >= _DRIFT_CLEARED_AFTER:
+            self._drift = self._drift_fault = ""
+            self.restart()
+
+    def _drift_of(self, readings: Readings) -> tuple[str, str]:
+        """Return what drifts, and the fault in words; both empty if nothing does."""
+        sigmas = np.array([_PINNED_S, _PINNED_S, self._sigmas[2], _DRIFTING_SIGMA_M, _PINNED_YAW, _PINNED_RANGE])
+        start, known = np.zeros(SHARED), []  # constant errors that are corrected are no drift
+        if not self.is_confirmed and self._sound is not None:
+            sigmas[:2] = self._sigmas[:2]
+            start[:2] = self._sound.shared[:2] + self._settings.latencies_s - np.array(self.used_s)
+        if self._erring is not None:
+            known, sigmas[3] = [2, 3], self._sigmas[3]
+
+        def fit(rate: int | None = None) -> Fit:
+            one, tails = sigmas.copy(), np.zeros(SHARED, np.bool_)
+            tails[known] = True
+            if rate is not None:
+                tails[[rate - 2, rate]] = True
+                one[[rate - 2, rate]] = self._sigmas[rate - 2], _RATE_SIGMAS[rate - 4]
+            return Fit(*fit_readings(readings, one, tails, start, 0.0))
+
+        sound = fit()
+        sector = self._sector(readings, sound)
+        if sector:
+            return "sector", sector
+        if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
+            return "", ""
+        eased = 0.5 if self._drift else 1.0
+        by_yaw, by_range, (pitch_rad, pitched_rad) = fit(4), fit(5), self._pitch_drift(readings)
+        yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
+        yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
+        limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
+        is_range = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
+        # A pitch error shortens the level range of a target that then seems too low; a range error lengthens it.
+        opposite = is_range and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
+        if (abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range) or opposite:
+            self.evidence = range_gain
+            return "pitch", (
+                f"its pitch drifts and is off by about {math.degrees(pitch_rad):+.0f} degrees: check its gyro and "
+                "its mounting"
+            )
+        if is_range and range_gain > yaw_gain:
+            self.evidence = range_gain
+            return "range", (
+                f"its ranges drift by about {60.0 * by_range.shared[5]:+.0f} m a minute and are off by about "
+                f"{range_m:+.0f} m: check its lens, its temperature and its driver"
+            )
+        if yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD:
+            self.evidence = yaw_gain
+            return "yaw", (
+                f"its yaw drifts by about {math.degrees(60.0 * by_yaw.shared[4]):+.0f} degrees a minute and is off "
+                f"by about {math.degrees(yaw_rad):+.0f} degrees: check its gyro and the aircraft's heading"
+            )
+        return "", ""
+
+    def _pitch_drift(self, readings: Readings) -> tuple[float, float]:
+        """Return the pitch error at the end by the height of the target over the ground, and its change, rad."""
+        looks = np.empty((len(readings.sights), 3))
+        look(readings, 0.0, looks)
+        time_s, slant_m = readings.ranges.T
+        down_rad, bearing = (np.interp(time_s, readings.sights[:, 0], looks[:, k]) for k in (1, 0))
+        rows = self._history.since(time_s[0] - _GAP_MAX_S)
+        height_m = np.interp(time_s, rows[:, 1], rows[:, 6])
+        errors = []
+        for block in np.array_split(np.arange(len(time_s)), _BLOCKS):
+            level_m, off_m = (
+                slant_m[block] * np.cos(down_rad[block]),
+                height_m[block] - slant_m[block] * np.sin(down_rad[block]),
+            )
+            off = float(np.median(off_m))
+            if self.ground is not None:
+                at = block[len(block) // 2]
+                east_m, north_m = (
+                    np.interp(time_s[at], readings.positions[:, 0], readings.positions[:, k]) for k in (1, 2)
+                )
+                level = slant_m[at] * math.cos(down_rad[at])
+                off -= self.ground(east_m + level * math.sin(bearing[at]), north_m + level * math.cos(bearing[at]))
+            errors.append(-off / float(np.median(level_m)))
+        rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS), errors, 1).tolist()
+        return end, rate
+
+    def _sector(self, readings: Readings, fit: Fit) -> str:
+        """Return in words at which bearings alone the ranges are off; empty where they are not."""
+        time_s, slant_m = readings.ranges.T
+        looks = np.empty((len(readings.sights), 3))
+        look(readings, 0.0, looks)
+        bearing_rad = np.interp(time_s, readings.sights[:, 0], np.unwrap(looks[:, 0]))
+        own_s, _, _, east_m_s, north_m_s = readings.positions.T
+        course_rad = np.interp(time_s, own_s, np.unwrap(np.arctan2(east_m_s, north_m_s)))
+        off = -fit.off_m / slant_m  # measured, less what the path explains
+        best, text = _SECTOR_GAIN, ""
+        for whose, angle_rad in (("the nose", bearing_rad - course_rad), ("north", bearing_rad)):
+            bins = np.floor(np.mod(angle_rad, math.tau) / _SECTOR_RAD).astype(int)
+            counts = np.bincount(bins)
+            medians = {k: float(np.median(off[bins == k])) for k in np.flatnonzero(counts >= _SECTOR_COUNT).tolist()}
+            wrong = [k for k, value in medians.items() if abs(value) > _SECTOR_OFF]
+            right = [k for k, value in medians.items() if abs(value) < _ELSEWHERE_OFF]
+            inside, is_off = np.isin(bins, wrong), abs(off) > _SECTOR_OFF
+            if (
+                not wrong
+                or len(right) < len(wrong)
+                or (np.diff(time_s[inside]) > _VISIT_S).sum() < _SECTOR_VISITS - 1
+            ):
+                continue
+            gain = float(is_off[inside].mean() - is_off[~inside].mean())
+            if gain > best:
+                middle_rad = math.atan2(
+                    *(sum(f((k + 0.5) * _SECTOR_RAD) for k in wrong) for f in (math.sin, math.cos))
+                )
+                best, share = gain, 100.0 * float(np.median(off[inside & is_off]))
+                text = (
+                    f"its ranges are off by about {share:+.0f} % where it looks about "
+                    f"{math.degrees(middle_rad) % 360.0:.0f} degrees to the right of {whose}: check its window and "
+                    "what is in its path"
+                )
+        return text
+
+    @property
+    def _is_stuck(self) -> bool:
+        return self._range_repeats.found or self._range_stays.found
+
+    @property
+    def _is_frozen(self) -> bool:
+        return self._sight_repeats.found or self._yaw_repeats.found
+
+    def _settle(self) -> None:
+        """State the faults of laser and gimbal."""
+        before = self.laser_fault, self.gimbal_fault
+        by_laser = self._drift in ("range", "sector")
+        self.laser_fault = _STUCK if self._is_stuck else self._unit_fault or (self._drift_fault if by_laser else "")
+        frozen = _FROZEN if self._sight_repeats.found else _YAW_FROZEN if self._yaw_repeats.found else ""
+        self.gimbal_fault = frozen or self._frame_fault or ("" if by_laser else self._drift_fault)
+        if before != (self.laser_fault, self.gimbal_fault):
+            self.is_news = self.is_changed = True
+        if not any(before) and (self.laser_fault or self.gimbal_fault):
+            repeats = self._range_repeats, self._range_stays, self._sight_repeats, self._yaw_repeats
+            since_s = [one.since_s for one in repeats if one.found]
+            if self._frame_fault or self._unit_fault or self._drift_fault:
+                since_s.append(self._judged_s - SAMPLES_S)
+                if self._judged_s - self._changed_s < _CHANGED_S:
+                    since_s.append(self._changed_s)
+            self.wrong_since_s = min(since_s) - _MARGIN_S
+
+
+_NO_ATTITUDE = 4 * (math.nan,)
+_AXES: tuple[Vector, ...] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_SMALL, _ERRING = np.zeros(SHARED, np.bool_), np.array([False, False, True, True, True, True])
+
+
+def yaw_fault(yaw_error_rad: float) -> str:
+    """Return what is wrong with a gimbal whose yaw is off, and what to do."""
+    return (
+        f"its yaw is off by about {math.degrees(yaw_error_rad):+.0f} degrees: check its mounting and its heading, "
+        "or correct sensors.mount_deg"
+    )
+
+
+def _stamped(rows: FloatArray) -> FloatArray:
+    """Return a copy of the rows whose first column is later than in all rows before."""
+    time_s = rows[:, 0]
+    newest_s = np.fmax.accumulate(time_s)
+    kept = ~np.isnan(rows[:, -1])
+    kept[1:] &= ~(time_s[1:] <= newest_s[:-1])
+    return np.ascontiguousarray(rows[kept])
+
+
+def _between(log: FloatArray, first_s: float, last_s: float, gaps_s: list[tuple[float, float]]) -> FloatArray:
+    """Return the rows between two times and outside gaps."""
+    time_s = log[:, 0]
+    kept = (time_s >= first_s) & (time_s <= last_s)
+    for begin_s, end_s in gaps_s:
+        kept &= (time_s < begin_s) | (time_s > end_s)
+    return log[kept]
+
+
+def _scaled(readings: Readings, factor: float) -> Readings:
+    return readings if factor == 1.0 else readings._replace(ranges=readings.ranges * (1.0, factor))
+
+
+def _motion(samples: Sequence[_Sample]) -> _Motion:
+    """Return the motion between the medians of both halves, so that one outlier in each does no harm."""
+    half = len(samples) // 2
+    first, last = (
+        np.array([(one.time_s, *one.sighted_m) for one in some]) for some in (samples[:half], samples[half:])
+    )
+    (first_s, *first_m), (last_s, *last_m) = np.median(first, axis=0), np.median(last, axis=0)
+    return _Motion(last_s, np.array(last_m), (np.array(last_m) - np.array(first_m)) / max(last_s - first_s, 1.0))
+
+
+def _yaw_error_rad(times_s: FloatArray, own_m: FloatArray, way_m: FloatArray) -> tuple[float, float]:
+    """Return the constant yaw error without which the target moves straightest, and by what the ways then stretch.
+
+    Least squares: own + c * way + s * (way, turned right by 90 degrees) = place + velocity * time.
+
+    Args:
+        times_s: of the samples, (n,).
+        own_m: the aircraft, (n, 3).
+        way_m: from there to the apparent target, (n, 3).
+    """
+    since_s, none = times_s - times_s.mean(), np.zeros(len(times_s))
+    one = none + 1.0
+    east = np.stack([way_m[:, 0], way_m[:, 1], -one, none, -since_s, none], axis=1)
+    north = np.stack([way_m[:, 1], -way_m[:, 0], none, -one, none, -since_s], axis=1)
+    known_m = -own_m[:, :2].T.ravel()
+    (cosine, sine, *_), *_ = np.linalg.lstsq(np.concatenate([east, north]), known_m, rcond=None)
+    return -math.atan2(sine, cosine), math.hypot(cosine, sine)
+
+
+def _turned(way_m: FloatArray, angle_rad: float) -> FloatArray:
+    """Return ways (n, 3), each turned right by an angle about the vertical."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    east_m, north_m, up_m = way_m.T
+    return np.stack([cosine * east_m + sine * north_m, cosine * north_m - sine * east_m, up_m], axis=1)
+
+
+def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:
+    """Return the median distance of positions (n, k, 3) from a straight line in time, for each k.
+
+    The line is fitted twice, the second time without the farthest positions: an outlier at either end tilts it.
+    """
+    weights = np.ones(positions_m.shape[:2])
+    for _ in range(2):
+        total = weights.sum(axis=0)
+        middle_s, middle_m = times_s @ weights / total, np.einsum("nk,nki->ki", weights, positions_m) / total[:, None]
+        since_s, centred_m = times_s[:, None] - middle_s, positions_m - middle_m
+        weighted_s = weights * since_s
+        velocity_m_s = np.einsum("nk,nki->ki", weighted_s, centred_m) / (weighted_s * since_s).sum(axis=0)[:, None]
+        off_m2 = ((centred_m - since_s[:, :, None] * velocity_m_s) ** 2).sum(axis=2)
+        weights = (off_m2 <= np.quantile(off_m2, _TRIM_SHARE, axis=0)).astype(float)
+    distance_m: FloatArray = np.sqrt(np.median(off_m2, axis=0))
+    return distance_m
