@@ -6,8 +6,9 @@ A flight at the message rates of a fast link records the calls of the model; the
 import time
 
 from sidelong.app.simulation.kinematic import LIVE_RATES
+from sidelong.estimators.tracking.payload_fit import PayloadFit
 from sidelong.mission.health.health import Health
-from sidelong.mission.health.payload_check import PayloadCheck
+from sidelong.mission.health.sightings_check import SightingsCheck
 from tests.bench.size import size
 from tests.faults import flight
 from tests.faults.flight import FaultedFlight, Scenario
@@ -16,7 +17,8 @@ ROUNDS, DURATION_S = size(5, 1), float(size(600, 60))
 MOST_US = 2.0
 CALLS = {
     Health: ("received", "changes"),
-    PayloadCheck: ("attitude", "position", "range", "gimbal", "sightings", "is_suspect"),
+    PayloadFit: ("attitude", "position", "range", "gimbal", "is_suspect"),
+    SightingsCheck: ("note",),
 }
 
 
@@ -45,10 +47,9 @@ def recorded(monkeypatch):
 
 
 def repeated_s(calls):
-    health = Health()
-    bound = [
-        (getattr(health if owner is Health else health.payload, name), arguments) for owner, name, arguments in calls
-    ]
+    health = Health(PayloadFit())
+    owners = {Health: health, PayloadFit: health.payload, SightingsCheck: health.sightings}
+    bound = [(getattr(owners[owner], name), arguments) for owner, name, arguments in calls]
     begun_s = time.thread_time()
     for call, arguments in bound:
         call(*arguments)

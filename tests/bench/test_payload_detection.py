@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from sidelong.estimators.sensing.readings import GimbalReading, RangeReading
-from sidelong.mission.health.payload_check import PayloadCheck
+from sidelong.estimators.tracking.payload_fit import PayloadFit
 from tests.bench.size import size
 from tests.faults.flight import FLAVOURS, FaultedFlight, Scenario
 from tests.faults.flight_campaign import REPORTED_WITHIN_S
@@ -63,20 +63,20 @@ def recorded(seed: int) -> list[tuple[str, Any]]:
     log: list[tuple[str, Any]] = []
     with pytest.MonkeyPatch.context() as patch:
         for name in _METHODS:
-            method = getattr(PayloadCheck, name)
+            method = getattr(PayloadFit, name)
 
-            def note(check: PayloadCheck, reading: Any, name: str = name, method: Any = method) -> None:
+            def note(check: PayloadFit, reading: Any, *how: Any, name: str = name, method: Any = method) -> None:
                 log.append((name, reading))
-                method(check, reading)
+                method(check, reading, *how)
 
-            patch.setattr(PayloadCheck, name, note)
+            patch.setattr(PayloadFit, name, note)
         FaultedFlight(Scenario(seed, list(FLAVOURS)[seed % 2], DURATION_S)).fly()
     return log
 
 
 def found_after_s(log: list[tuple[str, Any]], fault: Fault, begin_s: float) -> float:
     """Return how soon a fault of laser or gimbal is found; infinite if not at all."""
-    check, memory, begin_s = PayloadCheck(), [], begin_s + log[0][1].time_s
+    check, memory, begin_s = PayloadFit(), [], begin_s + log[0][1].time_s
     for name, reading in log:
         after_s = reading.time_s - begin_s
         getattr(check, name)(fault(reading, memory) if after_s >= 0.0 else reading)
