@@ -22,7 +22,7 @@ from sidelong.app.payload.address import checked_payload_url
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from sidelong.app.section import Section, validated
-from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.contact import is_contact
 from sidelong.app.text_file import read_toml
 from sidelong.mission.core.feasibility import in_words
@@ -298,7 +298,7 @@ class TerrainSection(Section):
 
 def _address(*schemes: str) -> AfterValidator:
     def check(text: str) -> str:
-        Address.read(text, schemes)
+        NetworkAddress.read(text, schemes)
         return text
 
     return AfterValidator(check)
@@ -309,7 +309,7 @@ def _beacon(text: str) -> str:
     if not is_contact(text):
         if text.lower().startswith(("adsb:", "ais:")):
             raise ValueError(f"{text!r:.80} is not a contact; give one like adsb:4B1234 or ais:211234560")
-        Address.read(text, ("udp",))
+        NetworkAddress.read(text, ("udp",))
     return text
 
 

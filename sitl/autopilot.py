@@ -13,13 +13,13 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
 from sidelong.sitl.protocol.parameters import Parameters
 from sidelong.sitl.protocol.radio import Radio, Signing, Station
-from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, ProtocolQuirks, Store, Transfer
+from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, Store, Transfer, TransferQuirks
 from sidelong.sitl.settings import Settings
 from sidelong.sitl.world.airframe import (
     GRAVITY_M_S2,
-    Airframe,
     AirframeParameters,
-    Place,
+    LocalPosition,
+    SimulatedAirframe,
     quaternion,
     true_over_equivalent_airspeed,
 )
@@ -30,7 +30,7 @@ NAN = math.nan
 Builder = Callable[[], Any]  # a message, a list of messages, or None if there is no data
 
 
-class Telemetry:
+class TelemetryBuilder:
     """Builds messages; ``builders`` maps message ids to functions."""
 
     gps_fix: ClassVar[int]
@@ -39,7 +39,7 @@ class Telemetry:
     home_quaternion: ClassVar[tuple[float, float, float, float]]
     parameter_capability: ClassVar[int]
 
-    def __init__(self, vehicle: Autopilot) -> None:
+    def __init__(self, vehicle: SimulatedAutopilot) -> None:
         self._vehicle = vehicle
         self._craft = vehicle.craft
 
@@ -230,7 +230,7 @@ _TEXT_BYTES = 50
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
 
 
-class Autopilot(ABC):
+class SimulatedAutopilot(ABC):
     """One vehicle: airframe, modes, missions, parameters and links."""
 
     autopilot_id: ClassVar[int]
@@ -248,7 +248,7 @@ class Autopilot(ABC):
     armed_text: ClassVar[str]
     landed_text: ClassVar[str]
     roll_limit_parameter: ClassVar[str]  # degrees
-    quirks: ProtocolQuirks
+    quirks: TransferQuirks
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
         mavlink.MAV_MISSION_TYPE_MISSION,
@@ -265,7 +265,7 @@ class Autopilot(ABC):
         self.settings, self.release = settings, settings.release_or_newest
         self.home = home
         self.plane = HomePlane(home.latitude_deg, home.longitude_deg)
-        self.craft = Airframe(build, settings.wind, heading_rad)
+        self.craft = SimulatedAirframe(build, settings.wind, heading_rad)
         self.parameters = parameters
         signing = Signing(settings.signing_key, self.unsigned_messages)
         self.radio = Radio(settings.system_id, self.default_interval_s, signing, self._unix_s)
@@ -280,7 +280,7 @@ class Autopilot(ABC):
         self.lifting_off = False
         self.height_goal_m = 0.0
         self.roll_goal_rad = 0.0
-        self.roi: Place | None = None  # where the payload has been turned to, until it has been
+        self.roi: LocalPosition | None = None  # where the payload has been turned to, until it has been
         self.gcs_received_s: float | None = None
         self.transfers: dict[int, Transfer] = {}
         self._navigate_s = 0.0
@@ -401,7 +401,7 @@ class Autopilot(ABC):
         """Time since the last message of a ground station, on the station's clock, s; 0 before the first."""
         return 0.0 if self.gcs_received_s is None else (self.now_s - self.gcs_received_s) / self.settings.link_rate
 
-    def landing_height_m(self, spot: Place) -> float:
+    def landing_height_m(self, spot: LocalPosition) -> float:
         """Return where to be on a slope of 1 in 8 that ends below the ground, for a firm touch-down."""
         return min(self.craft.height_m, spot.distance_m(self.craft) / 8.0) - 2.0
 
@@ -414,18 +414,18 @@ class Autopilot(ABC):
 
     # Places.
 
-    def place_of(self, item: Item) -> Place:
+    def place_of(self, item: Item) -> LocalPosition:
         """Return where an item is; one at latitude and longitude 0, or of no height, is where the aircraft is."""
         if item.latitude_e7 == 0 and item.longitude_e7 == 0:
             east_m, north_m = self.craft.east_m, self.craft.north_m
         else:
             east_m, north_m = self.plane.east_north_m(item.latitude_deg, item.longitude_deg)
         height_m = item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - self.home.altitude_m
-        return Place(east_m, north_m, height_m if math.isfinite(height_m) else self.craft.height_m)
+        return LocalPosition(east_m, north_m, height_m if math.isfinite(height_m) else self.craft.height_m)
 
     @property
-    def here(self) -> Place:
-        return Place.of(self.craft)
+    def here(self) -> LocalPosition:
+        return LocalPosition.of(self.craft)
 
     # Talking.
 
@@ -593,7 +593,7 @@ class Autopilot(ABC):
     def _on_roi(self, command: Command) -> int:
         if not (math.isfinite(command.param(5)) and math.isfinite(command.param(6))):
             return DENIED
-        self.roi = Place(*self.plane.east_north_m(command.param(5), command.param(6)), 0.0)
+        self.roi = LocalPosition(*self.plane.east_north_m(command.param(5), command.param(6)), 0.0)
         return ACCEPTED
 
     def mode_of_command(self, command: Command) -> int | None:

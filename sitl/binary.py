@@ -21,9 +21,9 @@ from pathlib import Path
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.devices import Address, device_of, device_port
-from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, Home, PayloadSettings, Settings
+from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, HomePosition, PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.hills import HillsError
 from sidelong.sitl.world.motion import SharedTarget
 
@@ -53,7 +53,7 @@ _PX4_AEROPLANE_AS_IN_1_16 = {
     "EKF2_GPS_DELAY": "0",
     "SIH_T_MAX": "8",
 }
-_CALM = Wind()
+_CALM = WindVector()
 
 
 class BinaryError(Exception):
@@ -82,8 +82,8 @@ def run_of(
     folder: Path,
     instance: int,
     speed: float,
-    home: Home | None,
-    wind: Wind = _CALM,
+    home: HomePosition | None,
+    wind: WindVector = _CALM,
     endurance_s: float = _BATTERY_S,
 ) -> Run:
     """Return the stock command line of an instance that keeps its files, its wind among them, in ``folder``.
@@ -108,7 +108,7 @@ def run_of(
         port = _ARDUPLANE_TCP + 10 * instance
         return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}", instance + 1)
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
-    place = home or Home(DEFAULT_HOMES[flavour].latitude_deg, DEFAULT_HOMES[flavour].longitude_deg, 0.0)
+    place = home or HomePosition(DEFAULT_HOMES[flavour].latitude_deg, DEFAULT_HOMES[flavour].longitude_deg, 0.0)
     start_files = binary.parent.parent / "etc"
     environment = {
         "PX4_SIM_MODEL": "sihsim_airplane",
@@ -183,8 +183,8 @@ def started(
     flavour: Flavour,
     binary: Path,
     speed: float,
-    home: Home | None,
-    wind: Wind = _CALM,
+    home: HomePosition | None,
+    wind: WindVector = _CALM,
     instance: int = 0,
     logs: Path | None = None,
     endurance_s: float = _BATTERY_S,

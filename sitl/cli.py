@@ -40,7 +40,7 @@ from sidelong.sitl.settings import (
     in_a_row,
 )
 from sidelong.sitl.simulation import Simulation
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills, HillsError
 from sidelong.sitl.world.motion import MOTIONS
@@ -162,7 +162,7 @@ def run(
         first = {
             "seed": seed,
             "airspeed_m_s": airspeed,
-            "wind": asdict(Wind.blowing_from(wind_speed, math.radians(wind_from_deg))),
+            "wind": asdict(WindVector.blowing_from(wind_speed, math.radians(wind_from_deg))),
             "targets": [
                 {
                     "motion": motion,

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter
 
 from sidelong.sitl.protocol.link import LinkFaults
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.geodesy import HomePlane
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -47,7 +47,7 @@ OLDEST: dict[Flavour, Release] = {Flavour.ARDUPLANE: (4, 3), Flavour.PX4: (1, 13
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class HomePosition:
     latitude_deg: Annotated[float, Field(gt=-89.0, lt=89.0)]
     longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
     altitude_m: float = 0.0
@@ -55,8 +55,8 @@ class Home:
 
 # The default home positions of the stock simulators.
 DEFAULT_HOMES = {
-    Flavour.ARDUPLANE: Home(-35.3632621, 149.1652370, 584.09),
-    Flavour.PX4: Home(47.3977419, 8.5455938, 489.2),
+    Flavour.ARDUPLANE: HomePosition(-35.3632621, 149.1652370, 584.09),
+    Flavour.PX4: HomePosition(47.3977419, 8.5455938, 489.2),
 }
 
 
@@ -158,8 +158,8 @@ class Settings:
     target_seed: int | None = None
     airspeed_m_s: Annotated[float, Field(ge=5.0, le=60.0)] = 15.0
     endurance_s: Annotated[float, Field(gt=0.0)] = 3.0 * 3600.0
-    wind: Wind = field(default_factory=Wind)
-    home: Home | None = None
+    wind: WindVector = field(default_factory=WindVector)
+    home: HomePosition | None = None
     home_on_ground: bool = False
     home_east_m: float = 0.0
     targets: Annotated[tuple[TargetSettings, ...], Field(min_length=1, max_length=len(STARTS_M))] = (
@@ -179,7 +179,7 @@ class Settings:
     terrain: Path | None = None
 
     @property
-    def home_or_default(self) -> Home:
+    def home_or_default(self) -> HomePosition:
         return self.home or DEFAULT_HOMES[self.flavour]
 
     @property
@@ -233,7 +233,9 @@ def in_a_row(first: Settings, count: int) -> list[Settings]:
             system_id=first.system_id + number,
             seed=first.seed + number,
             target_seed=first.seed,
-            home=Home(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m) if number else home,
+            home=HomePosition(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m)
+            if number
+            else home,
             home_east_m=number * _APART_M,
         )
         for number in range(count)

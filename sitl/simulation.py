@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from sidelong.sitl.arduplane.vehicle import ArduPlane
-from sidelong.sitl.autopilot import Autopilot
+from sidelong.sitl.arduplane.vehicle import SimulatedArduPlane
+from sidelong.sitl.autopilot import SimulatedAutopilot
 from sidelong.sitl.payload.device import Device, Wired
 from sidelong.sitl.payload.devices import device_of
-from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, Payload, Sight
+from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
-from sidelong.sitl.px4.vehicle import Px4
+from sidelong.sitl.px4.vehicle import SimulatedPx4
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.world.hills import Hills
 from sidelong.sitl.world.motion import MOTIONS, Motion, built_in_motion
@@ -46,11 +46,13 @@ class Simulation(Wired):
         seed = settings.seed if settings.target_seed is None else settings.target_seed
         _, sensor_seed = np.random.SeedSequence(settings.seed).spawn(2)
         self.settings = settings
-        self.vehicle: Autopilot = Px4(settings) if settings.flavour == Flavour.PX4 else ArduPlane(settings)
+        self.vehicle: SimulatedAutopilot = (
+            SimulatedPx4(settings) if settings.flavour == Flavour.PX4 else SimulatedArduPlane(settings)
+        )
         self.motions = target_motions(settings.targets, seed, settings.home_east_m)
         self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
-        self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
+        self.payload = SimulatedPayload(settings.payload, sensor_seed) if settings.payload is not None else None
         self._latency_s = 0.0 if settings.payload is None else settings.payload.latency_s
         super().__init__(device_of(settings), round(self._latency_s / STEP_S))
         self._measured: Measurement | None = None
@@ -145,7 +147,7 @@ class Simulation(Wired):
         craft.ground_m = 0.0 if math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M else ground_m
         in_sight = self.hills.sees_target(aircraft_m, target_m)
         # On the ground the payload measures nearby objects, so it always has data.
-        sight = Sight.between(aircraft_m, target_m, in_sight or not craft.flying)
+        sight = TargetGeometry.between(aircraft_m, target_m, in_sight or not craft.flying)
         valid = outlier = False
         self._measured = None
         if self.payload is not None:
@@ -177,7 +179,7 @@ class Simulation(Wired):
         craft, measured = self.vehicle.craft, self._measured
         if measured is not None:
             target_m = self.hills.standing(self.motions[self.looks_at].at(self.time_s))
-            sight = Sight.between((craft.east_m, craft.north_m, craft.height_m), target_m)
+            sight = TargetGeometry.between((craft.east_m, craft.north_m, craft.height_m), target_m)
             self.look(device, sight, measured, craft.heading_rad, craft.roll_rad)
 
     def _target_seen(self) -> tuple[float, float]:
@@ -192,7 +194,7 @@ class Simulation(Wired):
     def _deliver(self, messages: list[Any]) -> None:
         for message in messages:
             self.vehicle.radio.broadcast(message, PAYLOAD)
-            if message.get_type() == "DISTANCE_SENSOR" and isinstance(self.vehicle, Px4):
+            if message.get_type() == "DISTANCE_SENSOR" and isinstance(self.vehicle, SimulatedPx4):
                 self.vehicle.take_range(message)
 
 

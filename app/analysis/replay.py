@@ -39,7 +39,7 @@ from sidelong.mission.exchange.reports import ExchangeEvent, ShutdownRequested, 
 if TYPE_CHECKING:
     from sidelong.app.link.message import Message
     from sidelong.app.link.telemetry import Telemetry
-    from sidelong.app.records.log import Log
+    from sidelong.app.records.log import RecordedLog
 
 _MODE = "as recorded"
 # A set lookup by exact type is enough: only the exchange's own events have derived types.
@@ -121,7 +121,7 @@ def log_events(messages: Iterable[Message], telemetry: Telemetry) -> Iterator[In
     yield from early
 
 
-def require_sightings(sightings: int, log: Log) -> None:
+def require_sightings(sightings: int, log: RecordedLog) -> None:
     """Raise InputError when a log held nothing to see a target by."""
     if sightings == 0:
         raise InputError(f"{log.path}: no target can be seen in it: {log.looked_for()}.")

@@ -25,8 +25,8 @@ from sidelong.app.records.log_context import LogContext
 from sidelong.app.records.mcap import LAYOUT, McapLog
 from sidelong.app.records.mcap_writer import McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
-from sidelong.app.records.track import Flight, Mission
-from sidelong.app.report.sources import Flown, Sink, feed, read_flight
+from sidelong.app.records.track import FlownTrack, Mission
+from sidelong.app.report.sources import FlightRecord, Sink, feed, read_flight
 from sidelong.app.text_file import whole_file
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
@@ -108,7 +108,7 @@ class _Aircraft(NamedTuple):
 
     name: str
     source: Path
-    flown: Flown
+    flown: FlightRecord
     context: LogContext
 
     def feed(self, sink: Sink) -> None:
@@ -152,7 +152,7 @@ def _write_klv(one: _Aircraft, out: Path) -> None:
         one.feed(log)
 
 
-def _flight(one: _Aircraft) -> Flight:
+def _flight(one: _Aircraft) -> FlownTrack:
     history, settings, context = one.flown.history, one.flown.config, one.context
     mission = None
     if history.circles:
@@ -162,7 +162,7 @@ def _flight(one: _Aircraft) -> Flight:
         items = plan_items(last, history.plane, settings.aircraft.height_m, settings.planner.tolerance_m, tracking)
         fences = history.asked.keep_in, history.asked.keep_out
         mission = Mission(items, settings.aircraft.airspeed_m_s, context.autopilot.mav_autopilot, *fences)
-    return Flight(
+    return FlownTrack(
         one.flown.name,
         history.plane,
         history.positions,

@@ -35,7 +35,7 @@ from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
 from sidelong.app.shutdown import heed_interrupts
-from sidelong.app.view.address import Address, free_port, is_desktop, page_address
+from sidelong.app.view.address import PageAddress, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.fleet.flight import FleetEnded
@@ -159,7 +159,7 @@ def launch(
     address = _map_address(view, silent, flown)
     _check_simulated(flown, {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot})
     # The flight modules take a second to load; report a wrong option first.
-    fly: Callable[[float, Path, bool, Address | None], FlightEnded | FleetEnded]
+    fly: Callable[[float, Path, bool, PageAddress | None], FlightEnded | FleetEnded]
     if settings is None:
         _check_fleet(several)
         check_space(out, duration, len(several.aircraft), warn)
@@ -195,7 +195,7 @@ def _checked(settings: Config, speed: float | None, payload_url: str | None) -> 
     return settings
 
 
-def _map_address(view: bool | None, silent: bool, settings: Config) -> Address | None:
+def _map_address(view: bool | None, silent: bool, settings: Config) -> PageAddress | None:
     """Return the address of the map; view None: in a desktop session, on another port if that one is in use."""
     unasked = view is None and is_desktop() and not silent
     port = free_port(settings.display.port) if unasked else None

@@ -16,16 +16,18 @@ from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
 from sidelong.app.flight.life import Life
 from sidelong.app.records.run_folder import FleetFolder
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import served
 
 
-def fly_fleet(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, address: Address | None) -> FleetEnded:
+def fly_fleet(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, address: PageAddress | None) -> FleetEnded:
     """Fly a fleet to its end; address: of the live map. Raises as ``launch`` does."""
     return run_flight(_fly(fleet, duration_s, out, quiet, address))
 
 
-async def _fly(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, address: Address | None) -> FleetEnded:
+async def _fly(
+    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, address: PageAddress | None
+) -> FleetEnded:
     folder = FleetFolder.create(out, datetime.now(UTC))
     with kept_if_armed(folder.path) as begun:
         async with _displayed(fleet, quiet, address) as (panel, view):
@@ -42,7 +44,7 @@ async def _fly(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, addr
 
 @contextlib.asynccontextmanager
 async def _displayed(
-    fleet: FleetFile, quiet: bool, address: Address | None
+    fleet: FleetFile, quiet: bool, address: PageAddress | None
 ) -> AsyncIterator[tuple[FleetPanel, FleetView | None]]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
     with FleetPanel(console, quiet, len(fleet.target) > 1) as panel:

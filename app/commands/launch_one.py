@@ -20,19 +20,19 @@ from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay, served
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.app.view.prompt import keyboard_descriptor
 
 
-def fly_one(config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None) -> FlightEnded:
+def fly_one(config: Config, duration_s: float, out: Path, quiet: bool, address: PageAddress | None) -> FlightEnded:
     """Fly one aircraft to its end; address: of the live map. Raises as ``launch`` does."""
     return run_flight(_recorded(config, duration_s, out, quiet, address))
 
 
 async def _recorded(
-    config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None
+    config: Config, duration_s: float, out: Path, quiet: bool, address: PageAddress | None
 ) -> FlightEnded:
     loop = asyncio.get_running_loop()
     folder = RunFolder.create(out, datetime.now(UTC))
@@ -65,7 +65,7 @@ def _with_records_lost(ended: FlightEnded, lost: str) -> FlightEnded:
 
 
 @contextlib.asynccontextmanager
-async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
+async def _displayed(config: Config, quiet: bool, address: PageAddress | None) -> AsyncIterator[FlightDisplay]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
     with PanelDisplay(console, quiet, keyboard_descriptor(), calm=config.simulation.target == DEMONSTRATION) as panel:
         if address is None:

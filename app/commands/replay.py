@@ -34,7 +34,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
-from sidelong.app.view.address import Address, page_address
+from sidelong.app.view.address import PageAddress, page_address
 from sidelong.app.view.frames import SPEED_MAX, Frames
 from sidelong.app.view.panel import clock
 from sidelong.app.view.state import StateEncoder
@@ -119,7 +119,7 @@ def _show(
     frames: Frames,
     config: Path | None,
     changes: Overrides,
-    address: Address,
+    address: PageAddress,
     speed: float,
 ) -> None:
     """Serve the replay's page until the operator closes it, with what other values would have decided."""

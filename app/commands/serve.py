@@ -20,7 +20,7 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.message import plain
 from sidelong.app.link.transport import checked_url
 from sidelong.app.serve.control_socket import ask, own_path
-from sidelong.app.view.address import Address, page_address
+from sidelong.app.view.address import PageAddress, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.flight.display import FlightDisplay
@@ -81,7 +81,7 @@ def serve(
 
 @contextlib.asynccontextmanager
 async def _on_map(
-    settings: Config, address: Address, log: Callable[[str], object], display: ServiceDisplay
+    settings: Config, address: PageAddress, log: Callable[[str], object], display: ServiceDisplay
 ) -> AsyncIterator[FlightDisplay]:
     """Show a watch on the live map too. A watch goes on without a map that cannot be served."""
     from sidelong.app.view.display import ViewDisplay, served  # noqa: PLC0415  # as above

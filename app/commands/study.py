@@ -49,9 +49,9 @@ from sidelong.app.study.routes import route_next_to
 from sidelong.app.study.settings import (
     LAG_S,
     MISSION_PLANNERS,
-    Hills,
     PlannerName,
     StudySettings,
+    StudyTerrain,
 )
 from sidelong.app.study.store import ResultStore
 from sidelong.app.study.study import Study, StudyResult, is_compiled, table_of
@@ -257,7 +257,7 @@ def _planners(chosen: list[PlannerName] | None, controller: str | None) -> tuple
     return tuple(dict.fromkeys(chosen or (*MISSION_PLANNERS, *own)))
 
 
-def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, fleet: int) -> Hills:
+def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, fleet: int) -> StudyTerrain:
     if fleet > 1 or (planners and set(planners) != {PlannerName.PREDICTIVE}):
         raise InputError("--terrain flies one aircraft by the default planner; leave out --fleet and other planners.")
     home_deg = latitude_longitude_deg("--home", home)

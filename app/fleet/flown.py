@@ -24,7 +24,7 @@ from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.mapped_file import Progress
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.report import html
-from sidelong.app.report.sources import Flown, read_flight, read_summary
+from sidelong.app.report.sources import FlightRecord, read_flight, read_summary
 from sidelong.app.section import validated
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, VehicleReported
@@ -35,7 +35,7 @@ from sidelong.mission.viewpoint.side_policy import side_words
 class AircraftPart(FlownAircraft):
     """One aircraft's part, with its own flight."""
 
-    flown: Flown
+    flown: FlightRecord
 
 
 @dataclass(frozen=True, slots=True, eq=False)

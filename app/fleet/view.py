@@ -9,7 +9,7 @@ from typing import Protocol
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.flight.display import FlightDisplay, Wish
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ShownAircraft, ViewDisplay
 from sidelong.app.view.state import Json
 from sidelong.estimators.frames import LocalPlane
@@ -46,7 +46,7 @@ class FleetView(ViewDisplay):
         self,
         panel: FleetPanel,
         configs: Mapping[str, Config],
-        address: Address,
+        address: PageAddress,
         sides: Mapping[str, Side] = MappingProxyType({}),
     ) -> None:
         self._aircraft = {name: panel.of(name) for name in configs}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from sidelong.app.config import SharingSection
 from sidelong.app.link.message import Message
-from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.beacon import BeaconInput
 from sidelong.app.sharing.contact import ContactBeacon, is_contact
 from sidelong.app.sharing.cot import CotNames, CotOutput
@@ -24,7 +24,7 @@ def check_hosts(sharing: SharingSection) -> None:
     """Raise InputError for a host that is not known, before anything flies."""
     for name, text in ((_COT, sharing.cot), (_FOLLOW_TARGET, sharing.follow_target), (_NMEA, sharing.nmea)):
         if text is not None:
-            Address.read(text, ("udp", "tcp", "tls")).resolved(name)
+            NetworkAddress.read(text, ("udp", "tcp", "tls")).resolved(name)
 
 
 def tls_of(sharing: SharingSection) -> ssl.SSLContext | None:
@@ -48,7 +48,7 @@ def outputs(
     :func:`check_hosts` and :func:`tls_of`.
     """
     if sharing.cot is not None:
-        address = Address.read(sharing.cot, ("udp", "tcp", "tls"))
+        address = NetworkAddress.read(sharing.cot, ("udp", "tcp", "tls"))
         sender: Sender
         if address.scheme == "udp":
             sender = DatagramSender(address, _COT)
@@ -63,10 +63,10 @@ def outputs(
         )
         yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
     if sharing.follow_target is not None:
-        udp = DatagramSender(Address.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)
+        udp = DatagramSender(NetworkAddress.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)
         yield FollowTargetOutput(udp, plane, target_altitude_m, sharing.follow_target_system_id)
     if sharing.nmea is not None:
-        udp = DatagramSender(Address.read(sharing.nmea, ("udp",)), _NMEA)
+        udp = DatagramSender(NetworkAddress.read(sharing.nmea, ("udp",)), _NMEA)
         yield NmeaOutput(udp, plane, target_altitude_m)
 
 
@@ -92,7 +92,7 @@ async def open_beacon(
             listeners.append(lambda message: contact.on_message(message.name, message.fields))
         return None
     beacon = BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, put, announce)
-    await beacon.listen(Address.read(sharing.beacon, ("udp",)))
+    await beacon.listen(NetworkAddress.read(sharing.beacon, ("udp",)))
     return beacon
 
 

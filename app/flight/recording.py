@@ -13,7 +13,7 @@ from sidelong.app.config import Config, config_from
 from sidelong.app.errors import InputError
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.records.tlog import TlogWriter, VehicleTime
+from sidelong.app.records.tlog import TlogClock, TlogWriter
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Event, StepOutput
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
@@ -63,7 +63,7 @@ class Recording:
         self._folder, self._config, self._on_trouble = folder, config, on_trouble
         self._required, self._unwritten = required, ""
         self._tlog: TlogWriter | None = self._opened(lambda: TlogWriter(folder.tlog, on_trouble))
-        self._time = VehicleTime()
+        self._time = TlogClock()
         self._journal: JournalWriter | None = None
         self.begun = False  # the flight, and with it the journal
 

@@ -16,14 +16,14 @@ from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.payload.registry import MAVLINK, kind_by_name
 from sidelong.sitl.settings import (
     Flavour,
-    Home,
+    HomePosition,
     PayloadSettings,
     RunSettings,
     Settings,
     TargetSettings,
     in_a_row,
 )
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.airframe import WindVector
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -71,8 +71,8 @@ class SimulatedVehicles:
         common = Settings(
             flavour=Flavour(simulation.autopilot),
             seed=simulation.seed,
-            wind=Wind.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
-            home=None if simulation.home is None else Home(*simulation.home),
+            wind=WindVector.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
+            home=None if simulation.home is None else HomePosition(*simulation.home),
             home_on_ground=True,
             targets=tuple(replace(one, speed_max_m_s=speed_max_m_s) for one in targets)
             or (TargetSettings(simulation.target, speed_max_m_s),),

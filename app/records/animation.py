@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from sidelong.app.errors import InputError
-from sidelong.app.records.track import Flight
+from sidelong.app.records.track import FlownTrack
 
 _SPEED = 20.0  # flight time over playing time
 _LONGEST_S = 600.0  # the last part of a longer flight is shown
@@ -26,7 +26,7 @@ path, line, circle { fill: none; stroke: currentColor; stroke-linejoin: round }
 """
 
 
-def animated_svg(flights: Sequence[Flight]) -> str:
+def animated_svg(flights: Sequence[FlownTrack]) -> str:
     """Return the picture of the last ten minutes, at 20 times real time. Raises InputError without a target."""
     if not any(flight.estimates for flight in flights):
         raise InputError(f"{flights[0].name} has no target, so there is no animation to export; try --format kml.")
@@ -91,7 +91,7 @@ def _sight(aircraft: np.ndarray, target: np.ndarray, seconds: float) -> Iterator
     yield "</line>"
 
 
-def _circles(flight: Flight, times_s: np.ndarray, seconds: float, placed: Placed, scale: float) -> Iterator[str]:
+def _circles(flight: FlownTrack, times_s: np.ndarray, seconds: float, placed: Placed, scale: float) -> Iterator[str]:
     """Draw the circle that is commanded at each moment: one shape that jumps."""
     begun = [(max(since_s, times_s[0]), one) for since_s, one in flight.circles if since_s < times_s[-1]]
     circles = dict(begun)  # of those from before the first moment, the last

@@ -16,7 +16,7 @@ import numpy as np
 
 from sidelong.app.errors import InputError
 from sidelong.app.records.animation import animated_svg
-from sidelong.app.records.track import ROUTE_POINTS, Flight, Track, ring
+from sidelong.app.records.track import ROUTE_POINTS, FlownTrack, PositionTrack, ring
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT
 from sidelong.mission.upload.mission_item import MissionItem, e7
@@ -48,7 +48,7 @@ MISSIONS = frozenset({Format.PLAN, Format.WAYPOINTS})
 """Of one aircraft each; tracks of several go into one file."""
 
 
-def export(flights: Sequence[Flight], wanted: Format, out: Path) -> None:
+def export(flights: Sequence[FlownTrack], wanted: Format, out: Path) -> None:
     """Write a flight to ``out``, or the tracks of several aircraft that flew together.
 
     Raises InputError when one has nothing to write in this format, OSError when the file cannot be written.
@@ -69,7 +69,7 @@ def export(flights: Sequence[Flight], wanted: Format, out: Path) -> None:
 # -- mission items ------------------------------------------------------------------------------------------
 
 
-def _plan(flight: Flight) -> str:
+def _plan(flight: FlownTrack) -> str:
     mission = flight.mission
     assert mission is not None  # export() looks
     return plan_file(
@@ -83,7 +83,7 @@ def _plan(flight: Flight) -> str:
     )
 
 
-def _waypoints(flight: Flight) -> str:
+def _waypoints(flight: FlownTrack) -> str:
     assert flight.mission is not None  # export() looks
     # Mission Planner treats the first line as home, whatever it contains.
     x, y = e7(flight.degrees(0.0, 0.0))
@@ -103,7 +103,7 @@ def _waypoints(flight: Flight) -> str:
 # -- tables -------------------------------------------------------------------------------------------------
 
 
-def _csv(flights: Sequence[Flight]) -> str:
+def _csv(flights: Sequence[FlownTrack]) -> str:
     """One row a moment; ``what`` is aircraft, target (estimated) or circle (its centre, since then).
 
     Times are each aircraft's own; utc is the same for all.
@@ -117,7 +117,7 @@ def _csv(flights: Sequence[Flight]) -> str:
     return text.getvalue()
 
 
-def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
+def _rows(flight: FlownTrack) -> Iterator[dict[str, Any]]:
     moments: list[tuple[str, float, Any, dict[str, Any]]] = [
         ("circle", since_s, circle, {"clockwise": int(circle.clockwise)}) for since_s, circle in flight.circles
     ]
@@ -146,12 +146,12 @@ def _sigma_m(estimate: TargetEstimate) -> float:
 # -- maps ---------------------------------------------------------------------------------------------------
 
 
-def _geojson(flights: Sequence[Flight]) -> str:
+def _geojson(flights: Sequence[FlownTrack]) -> str:
     features = [feature for flight in flights for feature in _features(flight)]
     return json.dumps({"type": "FeatureCollection", "features": features}, separators=(",", ":")) + "\n"
 
 
-def _features(flight: Flight) -> Iterator[dict[str, Any]]:
+def _features(flight: FlownTrack) -> Iterator[dict[str, Any]]:
     def feature(name: str, kind: str, coordinates: list[Any], **properties: Any) -> dict[str, Any]:
         return {
             "type": "Feature",
@@ -181,7 +181,7 @@ def _features(flight: Flight) -> Iterator[dict[str, Any]]:
         yield feature(flight.named("circle"), "Polygon", [outer], **since, **circled)
 
 
-def _gpx(flights: Sequence[Flight]) -> str:
+def _gpx(flights: Sequence[FlownTrack]) -> str:
     from gpxpy.gpx import GPX, GPXTrack, GPXTrackPoint, GPXTrackSegment  # noqa: PLC0415  # only needed here
 
     document = GPX()
@@ -199,7 +199,7 @@ def _gpx(flights: Sequence[Flight]) -> str:
     return str(document.to_xml()) + "\n"
 
 
-def _kml(flights: Sequence[Flight]) -> str:
+def _kml(flights: Sequence[FlownTrack]) -> str:
     root = Xml.Element("kml", {"xmlns": _KML, "xmlns:gx": _KML_EXTENSION})
     document = _child(root, "Document")
     _child(document, "name", flights[0].name)
@@ -230,7 +230,7 @@ def _kml_mark(document: Xml.Element, style: str, name: str) -> Xml.Element:
     return mark
 
 
-def _kml_track(mark: Xml.Element, flight: Flight, track: Track) -> None:
+def _kml_track(mark: Xml.Element, flight: FlownTrack, track: PositionTrack) -> None:
     """Add a track that can be played back, or a plain line where the time of day is not known."""
     line = _child(mark, "LineString" if flight.booted is None else "gx:Track")
     # Heights are above home: over hills they mean something above the sea only.
@@ -254,8 +254,8 @@ def _child(parent: Xml.Element, tag: str, text: str | None = None, **attributes:
     return child
 
 
-_MISSION_WRITERS: dict[Format, Callable[[Flight], str]] = {Format.PLAN: _plan, Format.WAYPOINTS: _waypoints}
-_TRACK_WRITERS: dict[Format, Callable[[Sequence[Flight]], str]] = {
+_MISSION_WRITERS: dict[Format, Callable[[FlownTrack], str]] = {Format.PLAN: _plan, Format.WAYPOINTS: _waypoints}
+_TRACK_WRITERS: dict[Format, Callable[[Sequence[FlownTrack]], str]] = {
     Format.CSV: _csv,
     Format.GEOJSON: _geojson,
     Format.GPX: _gpx,

@@ -27,7 +27,7 @@ MessageReader = Callable[[Path, Collection[str], Progress], Iterator[Message]]
 
 
 @dataclass(slots=True)
-class Log:
+class RecordedLog:
     """A log of some kind. range_names and gimbal_names: what the kind calls a slant range and a line of sight."""
 
     path: Path
@@ -76,7 +76,7 @@ class Log:
         )
 
 
-def open_log(path: Path) -> Log:
+def open_log(path: Path) -> RecordedLog:
     """Return the log at ``path``, of the kind that its content shows.
 
     Raises InputError when it cannot be read or is no log.
@@ -88,7 +88,7 @@ def open_log(path: Path) -> Log:
             opening = file.read(len(ULOG_MAGIC))
         if not opening:
             raise InputError(f"{path} is empty.")
-        tlog, ulog, dataflash = (Log(path, *of_kind) for of_kind in _KINDS)
+        tlog, ulog, dataflash = (RecordedLog(path, *of_kind) for of_kind in _KINDS)
         if opening == ULOG_MAGIC:
             return ulog
         if opening.startswith(DATAFLASH_MAGIC):

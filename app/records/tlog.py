@@ -43,7 +43,7 @@ class TlogWriter(Appender):
         self.append(_STAMP.pack(round(time_s * 1e6)) + frame)
 
 
-class VehicleTime:
+class TlogClock:
     """Gives each frame, from any thread, the wall's time at the first one carried on by the vehicle's stamps.
 
     ATTITUDE and GLOBAL_POSITION_INT of the autopilot of ``system_id`` (None: of the first that speaks) move it.

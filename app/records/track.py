@@ -31,7 +31,7 @@ class Mission:
     keep_out: Sequence[Outline] = ()
 
 
-class Place(NamedTuple):
+class TrackPoint(NamedTuple):
     """Where something was at a time. height_m: above sea level or, if home's altitude is unknown, above home.
 
     It is empty for a target, which is on the ground.
@@ -43,16 +43,16 @@ class Place(NamedTuple):
     height_m: tuple[float, ...]
 
 
-class Track(NamedTuple):
+class PositionTrack(NamedTuple):
     """A line that was travelled; kind: "aircraft" or "target"."""
 
     kind: str
     name: str
-    places: list[Place]
+    places: list[TrackPoint]
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class FlownTrack:
     """Tracks in order of time, in ``plane``.
 
     circles: (since, circle) as they were flown. booted is when the vehicle's clock was zero, home_altitude_m is
@@ -83,17 +83,17 @@ class Flight:
             found.setdefault(name or "target", []).append(estimate)
         return found
 
-    def tracks(self) -> Iterator[Track]:
+    def tracks(self) -> Iterator[PositionTrack]:
         """Yield the aircraft's track, then those of the targets that were seen."""
         base_m = self.home_altitude_m or 0.0
         flown = [
-            Place(one.time_s, *self.degrees(one.east_m, one.north_m), (round(base_m + one.height_m, 3),))
+            TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), (round(base_m + one.height_m, 3),))
             for one in self.aircraft
         ]
-        yield Track("aircraft", self.named("aircraft"), flown)
+        yield PositionTrack("aircraft", self.named("aircraft"), flown)
         for name, estimates in self.of_targets().items():
-            places = [Place(one.time_s, *self.degrees(one.east_m, one.north_m), ()) for one in estimates]
-            yield Track("target", self.named(name), places)
+            places = [TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), ()) for one in estimates]
+            yield PositionTrack("target", self.named(name), places)
 
     def at(self, time_s: float) -> datetime | None:
         """Return the time of day at a time of the vehicle's clock."""

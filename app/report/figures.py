@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from sidelong.app.analysis.score import Samples, allowed_rad
 from sidelong.app.report import series
-from sidelong.app.report.history import History
+from sidelong.app.report.history import FlightHistory
 from sidelong.app.report.html import Drawing
 from sidelong.app.report.path_map import flown_path_figure
 from sidelong.app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
@@ -27,18 +27,18 @@ _CONSISTENCY_TOP = 2.0  # of the bound: what lies above is drawn at the edge
 _POINTS_MAX = 2000  # more are drawn as an image inside the figure
 
 
-def drawings(history: History) -> Iterator[Drawing]:
+def drawings(history: FlightHistory) -> Iterator[Drawing]:
     """Yield the figures in order, those left out that nothing is known for. Use within ``plot_style.styled()``."""
     watched = _map, _range, _observation, _observation_histogram
     flown = _curvature, _course, _target_speed, _route
-    makers: tuple[Callable[[History], Drawing | None], ...] = *watched, *flown, _errors, _consistency, _uploads
+    makers: tuple[Callable[[FlightHistory], Drawing | None], ...] = *watched, *flown, _errors, _consistency, _uploads
     yield from filter(None, (make(history) for make in makers))
 
 
 # -- where ---------------------------------------------------------------------------------------------------
 
 
-def _map(history: History) -> Drawing:
+def _map(history: FlightHistory) -> Drawing:
     return Drawing(
         "path",
         "Paths over the ground",
@@ -50,7 +50,7 @@ def _map(history: History) -> Drawing:
 # -- how the target was watched ------------------------------------------------------------------------------
 
 
-def _range(history: History) -> Drawing:
+def _range(history: FlightHistory) -> Drawing:
     requirement, judged = history.requirement, history.judged
     made, (axes,) = figure(2.9)
     axes.axhspan(requirement.range_min_m, requirement.range_max_m, color=BAND, lw=0, label="allowed band")
@@ -62,7 +62,7 @@ def _range(history: History) -> Drawing:
     return Drawing("range", "Range to the target", f"Between {min_m:.0f} and {max_m:.0f} m; {asked}", made)
 
 
-def _observation(history: History) -> Drawing:
+def _observation(history: FlightHistory) -> Drawing:
     made, (axes,) = figure(2.9)
     allowed_deg = math.degrees(allowed_rad(history.requirement))
     axes.axhspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
@@ -79,7 +79,7 @@ def _observation(history: History) -> Drawing:
     return Drawing("observation-angle", "Observation angle", caption, made)
 
 
-def _observation_histogram(history: History) -> Drawing | None:
+def _observation_histogram(history: FlightHistory) -> Drawing | None:
     angle_deg = np.degrees(history.judged.observation_rad)
     angle_deg = angle_deg[np.isfinite(angle_deg)]
     if not len(angle_deg):
@@ -101,7 +101,7 @@ def _observation_histogram(history: History) -> Drawing | None:
 # -- how the aircraft flew -----------------------------------------------------------------------------------
 
 
-def _curvature(history: History) -> Drawing:
+def _curvature(history: FlightHistory) -> Drawing:
     made, (axes,) = figure(2.7)
     time_s, curvature_per_m = series.curvature_per_m(history.aircraft)
     axes.plot(time_s - history.start_s, 1e3 * curvature_per_m, color=AIRCRAFT, linewidth=0.9, label="flown")
@@ -116,7 +116,7 @@ def _curvature(history: History) -> Drawing:
     return Drawing("curvature", "Curvature of the flown path", caption, made)
 
 
-def _course(history: History) -> Drawing:
+def _course(history: FlightHistory) -> Drawing:
     made, (axes,) = figure(2.7)
     turns = np.unwrap(history.aircraft.course_rad) / math.tau
     axes.plot(history.aircraft.time_s - history.start_s, turns, color=AIRCRAFT, linewidth=0.9, label="flown")
@@ -124,7 +124,7 @@ def _course(history: History) -> Drawing:
     return Drawing("course", "Course flown", _COURSE_WORDS, made)
 
 
-def _target_speed(history: History) -> Drawing:
+def _target_speed(history: FlightHistory) -> Drawing:
     made, (axes,) = figure(2.7)
     if history.judged_by_truth:
         true = Samples.of(history.moments)
@@ -138,7 +138,7 @@ def _target_speed(history: History) -> Drawing:
     return Drawing("target-speed", "Speed of the target", "Over the ground.", made)
 
 
-def _route(history: History) -> Drawing | None:
+def _route(history: FlightHistory) -> Drawing | None:
     progress = [(time_s, one) for time_s, one in history.progress if time_s >= history.start_s]
     if not progress:
         return None
@@ -161,7 +161,7 @@ def _route(history: History) -> Drawing | None:
 # -- how good the estimate was -------------------------------------------------------------------------------
 
 
-def _errors(history: History) -> Drawing | None:
+def _errors(history: FlightHistory) -> Drawing | None:
     errors = series.estimate_errors(history)
     if errors is None:
         return None
@@ -184,7 +184,7 @@ def _errors(history: History) -> Drawing | None:
     )
 
 
-def _consistency(history: History) -> Drawing | None:
+def _consistency(history: FlightHistory) -> Drawing | None:
     at_s, nis = series.normalised_innovations(history)
     errors = series.estimate_errors(history)
     rows: list[tuple[str, FloatArray, FloatArray, int]] = []
@@ -219,7 +219,7 @@ def _consistency(history: History) -> Drawing | None:
 # -- how the plans got there ---------------------------------------------------------------------------------
 
 
-def _uploads(history: History) -> Drawing | None:
+def _uploads(history: FlightHistory) -> Drawing | None:
     if not history.plan_changes:
         return None
     made, (took, waited) = figure(3.8, 2)
@@ -257,18 +257,18 @@ def _beyond(value: FloatArray, limit: float, unit: str) -> str:
     return f"; {100.0 * above / len(value):.1f} % lie beyond the frame, up to {float(np.nanmax(value)):.0f}{unit}"
 
 
-def _wanted(history: History) -> str:
+def _wanted(history: FlightHistory) -> str:
     requirement = history.requirement
     if requirement.sector is not None:
         return "sector asked for"
     return "either side" if requirement.either_side else f"{requirement.side} side"
 
 
-def _judged(history: History) -> str:
+def _judged(history: FlightHistory) -> str:
     return "by the true target" if history.judged_by_truth else "by the estimate"
 
 
-def _over_time(axes: Axes, history: History, label: str) -> None:
+def _over_time(axes: Axes, history: FlightHistory, label: str) -> None:
     axes.set(xlim=(0.0, history.end_s - history.start_s), xlabel=_TIME, ylabel=label)
     departed_s = [change.departed_s for change in history.plan_changes if change.departed_s is not None]
     for number, at_s in enumerate(departed_s):

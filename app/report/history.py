@@ -64,7 +64,7 @@ class AircraftTrack:
 
 
 @dataclass(frozen=True, slots=True)
-class PlanChange:
+class ReportedChange:
     """How a plan fared: None for what did not happen. failed: why, '' if it did not."""
 
     plan: Plan
@@ -86,7 +86,7 @@ class FlightRequirements:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class History:
+class FlightHistory:
     """A flight or a replayed log. Times are the vehicle's; ``start_s`` is when watching began.
 
     moments: aircraft and target together, by the truth where there is one, by the estimates else.
@@ -106,7 +106,7 @@ class History:
     truth: Truth | None
     plane: LocalPlane
     circles: tuple[tuple[float, Circle], ...]
-    plan_changes: tuple[PlanChange, ...]
+    plan_changes: tuple[ReportedChange, ...]
     requirements: tuple[tuple[float, Requirement], ...]
     announced: tuple[Announce, ...]
     route: Route | None = None
@@ -140,7 +140,7 @@ class HistoryBuilder:
         self._target = ""
         self.sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
-        self._changes: dict[int, PlanChange] = {}
+        self._changes: dict[int, ReportedChange] = {}
         self._wishes: list[OperatorRequest | MissionChange] = []
         self._announced: list[Announce] = []
         self._start_s: float | None = None
@@ -172,7 +172,7 @@ class HistoryBuilder:
         """Take a command."""
         match command:
             case UploadPlan():
-                self._changes[command.number] = PlanChange(command.plan, command.time_s)
+                self._changes[command.number] = ReportedChange(command.plan, command.time_s)
             case Announce():
                 self._announced.append(command)
             case HealthChanged():
@@ -211,7 +211,7 @@ class HistoryBuilder:
             change = replace(change, failed=event.detail or "failed")
         self._changes[event.number] = change
 
-    def build(self, asked: FlightRequirements, plane: LocalPlane, truth: Truth | None) -> History:
+    def build(self, asked: FlightRequirements, plane: LocalPlane, truth: Truth | None) -> FlightHistory:
         """Return the history so far; there must be at least two positions."""
         aircraft = _track(self.positions)
         start_s = self._start_s
@@ -222,7 +222,7 @@ class HistoryBuilder:
         targets = [name or first for name in self._targets]
         end_s = float(aircraft.time_s[-1])
         moments = () if truth is None else tuple(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
-        return History(
+        return FlightHistory(
             asked,
             start_s,
             tuple(self.positions),

@@ -9,13 +9,13 @@ from pathlib import Path
 from sidelong.app.report import html
 from sidelong.app.report.figures import drawings
 from sidelong.app.report.plot_style import styled
-from sidelong.app.report.sources import Flown
+from sidelong.app.report.sources import FlightRecord
 from sidelong.mission.viewpoint.side_policy import side_words
 
 _PNG_DPI = 150
 
 
-def report_page(flown: Flown) -> str:
+def report_page(flown: FlightRecord) -> str:
     """Return the page."""
     with styled():
         figures = "\n".join(html.figure(drawing) for drawing in drawings(flown.history))
@@ -29,7 +29,7 @@ def report_page(flown: Flown) -> str:
     return html.document(f"{flown.name}: flight report", body)
 
 
-def save_png(flown: Flown, folder: Path) -> list[Path]:
+def save_png(flown: FlightRecord, folder: Path) -> list[Path]:
     """Write each figure into ``folder`` (made if missing) and return the files. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
@@ -40,7 +40,7 @@ def save_png(flown: Flown, folder: Path) -> list[Path]:
     return files
 
 
-def _asked(flown: Flown) -> str:
+def _asked(flown: FlightRecord) -> str:
     requirement, airframe = flown.history.requirement, flown.history.asked.airframe
     return (
         f"Asked: watch from the {side_words(requirement)} "
@@ -54,13 +54,13 @@ def _asked(flown: Flown) -> str:
     )
 
 
-def _decisions(flown: Flown) -> str:
+def _decisions(flown: FlightRecord) -> str:
     announced, start_s = flown.history.announced, flown.history.start_s
     rows = [(f"{one.time_s - start_s:.0f} s", one.kind, one.text) for one in announced]
     return _details(f"Decisions and announcements ({len(rows)})", rows) if rows else ""
 
 
-def _configuration(flown: Flown) -> str:
+def _configuration(flown: FlightRecord) -> str:
     sections = flown.config.model_dump(mode="json").items()
     rows = [
         (f"{section}.{key}", str(value))

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from sidelong.app.report.history import History
+from sidelong.app.report.history import FlightHistory
 from sidelong.app.report.plot_style import (
     AIRCRAFT,
     BAD,
@@ -33,7 +33,7 @@ _CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
 _CONTOUR_STEPS_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 
 
-def flown_path_figure(history: History) -> Figure:
+def flown_path_figure(history: FlightHistory) -> Figure:
     """Return the map: paths with a tick every 50 s, joined by the line of sight; circles flown; fences; contours.
 
     Make and save it within ``plot_style.styled()``.

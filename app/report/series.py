@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.report.history import AircraftTrack, History
+from sidelong.app.report.history import AircraftTrack, FlightHistory
 from sidelong.mission.core.path import FloatArray
 
 _CURVATURE_SPAN_S = 1.0
@@ -38,7 +38,7 @@ class EstimateErrors:
     nees: FloatArray
 
 
-def estimate_errors(history: History) -> EstimateErrors | None:
+def estimate_errors(history: FlightHistory) -> EstimateErrors | None:
     """Return the errors where truth and estimate are both known; None without a truth."""
     if history.truth is None:
         return None
@@ -53,7 +53,7 @@ def estimate_errors(history: History) -> EstimateErrors | None:
     return EstimateErrors(*np.array(rows).T) if rows else None
 
 
-def normalised_innovations(history: History) -> tuple[FloatArray, FloatArray]:
+def normalised_innovations(history: FlightHistory) -> tuple[FloatArray, FloatArray]:
     """Return times and the NIS of the sightings that were compared (chi-square, 3), accepted or not, shapes (n,)."""
     compared = [(one.sighting.time_s, one.nis) for one in history.sightings if math.isfinite(one.nis)]
     time_s, nis = np.array(compared).reshape(-1, 2).T

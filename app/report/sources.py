@@ -21,11 +21,11 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import JournalReader
-from sidelong.app.records.log import Log, open_log
+from sidelong.app.records.log import RecordedLog, open_log
 from sidelong.app.records.log_context import LogContext
 from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.run_folder import RunFolder, recording
-from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
+from sidelong.app.report.history import FlightHistory, FlightRequirements, HistoryBuilder
 from sidelong.app.report.series import estimate_errors
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Event, StepOutput
@@ -34,13 +34,13 @@ _SUMMARY = TypeAdapter(Summary)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flown:
+class FlightRecord:
     """A flight to report on."""
 
     name: str
     program: str
     config: Config
-    history: History
+    history: FlightHistory
     summary: Summary
     damaged_lines: int = 0
     context: LogContext | None = None
@@ -55,7 +55,7 @@ def read_flight(
     *,
     target_needed: bool = True,
     warn: Callable[[str], object] = lambda _words: None,
-) -> Flown:
+) -> FlightRecord:
     """Read a run folder or a log; ``truth`` and ``config`` take the place of what a run folder has itself.
 
     ``warn`` receives what keeps a log from being that of one fixed wing's flight, '' if nothing does.
@@ -92,14 +92,14 @@ def _feed_journal(journal: JournalReader, sink: Sink) -> None:
             sink.event(record)
 
 
-def _feed_log(log: Log, telemetry: Telemetry, sink: Sink, progress: Progress = unseen) -> None:
+def _feed_log(log: RecordedLog, telemetry: Telemetry, sink: Sink, progress: Progress = unseen) -> None:
     for message in log.messages(telemetry.wanted, progress):
         event = telemetry.event(message)
         if event is not None:
             sink.event(event)
 
 
-def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress) -> Flown:
+def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress) -> FlightRecord:
     reader = JournalReader(folder.journal, JOURNAL_TYPES, progress)
     if reader.header.plane is None:
         raise InputError(f"{folder.path} holds no flight: it ended before the vehicle's position was known.")
@@ -116,7 +116,7 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     else:
         result = read_summary(folder.read_summary(), str(folder.summary))
     name = folder.path.resolve().name
-    return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
+    return FlightRecord(name, reader.header.program, settings, history, result, reader.damaged_lines)
 
 
 def _log(
@@ -126,7 +126,7 @@ def _log(
     progress: Progress,
     target_needed: bool,
     warn: Callable[[str], object],
-) -> Flown:
+) -> FlightRecord:
     settings = load_config(config)
     telemetry = Telemetry()
     builder = HistoryBuilder(tracker_of(settings))
@@ -136,7 +136,7 @@ def _log(
     if target_needed:
         require_sightings(len(builder.sightings), log)
     history = _built(builder, settings, path, telemetry.plane, truth)
-    return Flown(
+    return FlightRecord(
         path.name, "an autopilot", settings, history, summary_of(history, "recorded log"), context=log.context()
     )
 
@@ -148,7 +148,7 @@ def _built(
     plane: LocalPlane | None,
     truth: Path | None,
     home_deg: tuple[float, float] | None = None,
-) -> History:
+) -> FlightHistory:
     if plane is None or len(builder.positions) < 2:
         raise InputError(f"{path} holds no flight: it contains fewer than two positions of the vehicle.")
     ground = None
@@ -163,7 +163,7 @@ def _built(
     return builder.build(wanted, plane, true)
 
 
-def summary_of(history: History, outcome: str) -> Summary:
+def summary_of(history: FlightHistory, outcome: str) -> Summary:
     """Return the summary of a flight that left none: it was cut off, or it is another system's log."""
     asked, changes = history.requirements, history.plan_changes
     moments = from_band(history.moments, asked)

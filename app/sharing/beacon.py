@@ -27,7 +27,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.allowances import Allowances
 from sidelong.app.errors import InputError, missing_package
-from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.address import NetworkAddress
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source, TargetFixReading
 
@@ -191,7 +191,7 @@ class BeaconInput(asyncio.DatagramProtocol):
         self._announced: set[str] = set()
         self._transport: asyncio.BaseTransport | None = None
 
-    async def listen(self, address: Address) -> None:
+    async def listen(self, address: NetworkAddress) -> None:
         """Begin to listen; a multicast group is joined on each network interface.
 
         Raises:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from sidelong.app.errors import InputError
-from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.address import NetworkAddress
 
 _CONNECT_TIMEOUT_S, _AGAIN_AFTER_S = 10.0, 5.0
 _BACKLOG_MAX_BYTES = 64 << 10
@@ -26,7 +26,7 @@ class Sender(Protocol):
 class DatagramSender:
     """Sends by UDP. Raises InputError, naming ``name``, for a host that is not known."""
 
-    def __init__(self, address: Address, name: str) -> None:
+    def __init__(self, address: NetworkAddress, name: str) -> None:
         self._to = address.resolved(name)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -47,7 +47,11 @@ class StreamSender:
     """
 
     def __init__(
-        self, address: Address, tls: ssl.SSLContext | None, server_name: str | None, announce: Callable[[str], None]
+        self,
+        address: NetworkAddress,
+        tls: ssl.SSLContext | None,
+        server_name: str | None,
+        announce: Callable[[str], None],
     ) -> None:
         self._address, self._tls, self._announce = address, tls, announce
         self._server_name = (server_name or address.host) if tls is not None else None

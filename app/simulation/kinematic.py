@@ -25,11 +25,9 @@ from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.upload.items import circle_item
 from sidelong.mission.upload.mission_item import e7
 from sidelong.sitl import settings as sitl
-from sidelong.sitl.arduplane.vehicle import ArduPlane
-from sidelong.sitl.arduplane.vehicle import Mode as ArduPlaneMode
+from sidelong.sitl.arduplane.vehicle import ArduPlaneMode, SimulatedArduPlane
 from sidelong.sitl.protocol.transfer import Item
-from sidelong.sitl.px4.vehicle import Mode as Px4Mode
-from sidelong.sitl.px4.vehicle import Px4
+from sidelong.sitl.px4.vehicle import Px4Mode, SimulatedPx4
 from sidelong.sitl.world import airframe
 
 STEP_S = 0.1
@@ -87,7 +85,7 @@ class Body:
         )
 
 
-def put_in_flight(craft: airframe.Airframe, state: AircraftState, height_m: float) -> None:
+def put_in_flight(craft: airframe.SimulatedAirframe, state: AircraftState, height_m: float) -> None:
     """Let an airframe fly as ``state`` says, over ground that it cannot touch."""
     craft.flying, craft.ground_m = True, -math.inf
     craft.east_m, craft.north_m, craft.height_m = state.east_m, state.north_m, height_m
@@ -171,19 +169,21 @@ class KinematicVehicle:
         self.craft = self.simulated.craft
         self._station = self.simulated.radio.connect(_ADDRESS, start.boot_s)
 
-    def _in_flight(self, body: Body, wind: Wind) -> ArduPlane | Px4:
+    def _in_flight(self, body: Body, wind: Wind) -> SimulatedArduPlane | SimulatedPx4:
         """Return the simulator's vehicle on its circle, with that as its mission, as an earlier upload left it."""
         autopilot, start = self._autopilot, self._start
         settings = sitl.Settings(
             sitl.Flavour(autopilot.key),
             system_id=self.system_id,
             airspeed_m_s=body.airspeed_m_s,
-            wind=airframe.Wind(wind.east_m_s, wind.north_m_s),
-            home=sitl.Home(start.home.latitude_deg, start.home.longitude_deg, start.home.altitude_m),
+            wind=airframe.WindVector(wind.east_m_s, wind.north_m_s),
+            home=sitl.HomePosition(start.home.latitude_deg, start.home.longitude_deg, start.home.altitude_m),
             payload=None,
         )
         is_px4 = settings.flavour is sitl.Flavour.PX4
-        vehicle: ArduPlane | Px4 = Px4(settings) if is_px4 else ArduPlane(settings)
+        vehicle: SimulatedArduPlane | SimulatedPx4 = (
+            SimulatedPx4(settings) if is_px4 else SimulatedArduPlane(settings)
+        )
         vehicle.parameters.set(_ROLL_LIMIT[autopilot.key], math.degrees(body.bank_max_rad))
         vehicle.now_s, vehicle.armed = start.boot_s, True
         vehicle.craft.build = body.build
@@ -315,7 +315,7 @@ class KinematicVehicle:
             "HEARTBEAT", autopilot=vehicle.autopilot_id, type=1, base_mode=vehicle.base_mode, custom_mode=vehicle.mode
         )
         self._say("GPS_RAW_INT", fix_type=3)
-        if isinstance(vehicle, ArduPlane):
+        if isinstance(vehicle, SimulatedArduPlane):
             from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s))
             self._say("EKF_STATUS_REPORT", flags=_NAVIGATION_GOOD)
             speed_m_s = math.hypot(wind.east_m_s, wind.north_m_s)
@@ -329,15 +329,15 @@ class KinematicVehicle:
         vehicle = self.simulated
         total = len(vehicle.mission.items())
         mission_id = 0
-        if isinstance(vehicle, ArduPlane):
+        if isinstance(vehicle, SimulatedArduPlane):
             total -= 1
         else:
             mission_id = vehicle.mission.mission_id
         self._say("MISSION_CURRENT", seq=vehicle.mission.index, total=total, mission_id=mission_id)
-        if vehicle.mode == (ArduPlaneMode.GUIDED if isinstance(vehicle, ArduPlane) else Px4Mode.HOLD):
+        if vehicle.mode == (ArduPlaneMode.GUIDED if isinstance(vehicle, SimulatedArduPlane) else Px4Mode.HOLD):
             place = vehicle.navigator.goal.ground_m
             x, y = e7(self._start.plane.latitude_longitude_deg(*place))
-            if isinstance(vehicle, ArduPlane):
+            if isinstance(vehicle, SimulatedArduPlane):
                 self._say("POSITION_TARGET_GLOBAL_INT", lat_int=x, lon_int=y)
             elif vehicle.navigator.circle is not None:
                 circle = vehicle.navigator.circle

@@ -18,8 +18,8 @@ from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import RandomTarget, TargetTruth
 from sidelong.app.study.judging import RunResult, judged, judged_log
 from sidelong.app.study.recorded import RecordedTarget
-from sidelong.app.study.scene import Scene, StopWatch, first_circle, payload_of, scene, start_on
-from sidelong.app.study.settings import LAG_S, Hills, PlannerName, StudySettings
+from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
+from sidelong.app.study.settings import LAG_S, PlannerName, StudySettings, StudyTerrain
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
@@ -84,7 +84,7 @@ class StudiedAircraft(ClosedLoop[Message]):
     def __init__(
         self,
         settings: StudySettings,
-        flown: Scene,
+        flown: StudyScene,
         target: OnTicks,
         circle: Circle,
         noise_rng: np.random.Generator,
@@ -148,7 +148,7 @@ class StudiedAircraft(ClosedLoop[Message]):
         if self.controller.changes.moves > len(self.departed_s):
             self.departed_s.append(vehicle.time_s)
 
-    def log(self, flown: Scene) -> FloatArray:
+    def log(self, flown: StudyScene) -> FloatArray:
         """Return time, aircraft and target (east, north), course of the target and height above home, (n, 7)."""
         rows = np.array(self.rows[:-1])  # where each step begins
         truth = flown.target.sampled(rows[:, 0])[:, [0, 1, 4]]
@@ -261,10 +261,10 @@ def _some_place_sees(
     return bool((needed_m[~(np.cos(off_rad) < 0.0)] <= height_m).any())
 
 
-def hills_of(ground: Ground) -> Hills:
+def hills_of(ground: Ground) -> StudyTerrain:
     """Return the ground with its digest."""
     posts = (ground.west_m, ground.south_m, ground.step_east_m, ground.step_north_m, ground.sigma_m)
-    return Hills(ground, hashlib.sha256(repr(posts).encode() + ground.heights_m.tobytes()).hexdigest()[:16])
+    return StudyTerrain(ground, hashlib.sha256(repr(posts).encode() + ground.heights_m.tobytes()).hexdigest()[:16])
 
 
 def _moved(ground: Ground, rng: np.random.Generator) -> Ground:

@@ -20,7 +20,7 @@ from sidelong.app.simulation.target import TargetTruth
 from sidelong.app.study.closed_loop import OnTicks, StudiedAircraft
 from sidelong.app.study.judging import RunResult, judged, shares_of_any
 from sidelong.app.study.laws import SteeredAircraft, fly_steered
-from sidelong.app.study.scene import START_RANGE_M, Scene, StopWatch, first_circle, payload_of, scene
+from sidelong.app.study.scene import START_RANGE_M, StopWatch, StudyScene, first_circle, payload_of, scene
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.sighting import AnySighting
@@ -211,7 +211,7 @@ class FleetRun:
                 self._by_name[command.name].waiting.append(command.event)
 
 
-def _starts(settings: StudySettings, flown: Scene) -> list[tuple[str, float, Circle, np.random.Generator]]:
+def _starts(settings: StudySettings, flown: StudyScene) -> list[tuple[str, float, Circle, np.random.Generator]]:
     """Return name, height, first circle and noise of each aircraft: in turn on the required and the opposite side."""
     requirement, height_m = settings.requirement(), settings.config.aircraft.height_m
     count, found = settings.config.requirement.fleet_size, []

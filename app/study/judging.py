@@ -16,7 +16,7 @@ from sidelong.mission.core.path import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class JudgedTrack:
     """A flown run, sampled each step.
 
     Attributes:
@@ -68,7 +68,7 @@ class RunResult:
     min_clearance_m: float
     time_within_pan_limits: float
     decision_s: npt.NDArray[np.float32]
-    track: Track | None
+    track: JudgedTrack | None
 
 
 def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
@@ -120,7 +120,7 @@ def judged(
         *over_ground,
         _within_pan_limits(settings, log),
         np.asarray(decision_s, np.float32),
-        Track(log[:, 0], log[:, 1:3], log[:, 3:5], steps) if keep_track else None,
+        JudgedTrack(log[:, 0], log[:, 1:3], log[:, 3:5], steps) if keep_track else None,
     )
 
 

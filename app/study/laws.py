@@ -16,7 +16,7 @@ from sidelong.app.simulation.kinematic import STEP_S, Body, put_in_flight
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.study.controller import ExternalController
 from sidelong.app.study.judging import RunResult, judged
-from sidelong.app.study.scene import Scene, StopWatch, first_circle, payload_of, scene, start_on
+from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.readings import (
@@ -58,13 +58,18 @@ class SteeredAircraft:
     """An aircraft that flies commanded curvatures, with a payload and the filter of its sightings."""
 
     def __init__(
-        self, settings: StudySettings, flown: Scene, circle: Circle, height_m: float, noise_rng: np.random.Generator
+        self,
+        settings: StudySettings,
+        flown: StudyScene,
+        circle: Circle,
+        height_m: float,
+        noise_rng: np.random.Generator,
     ) -> None:
         own, wind = settings.aircraft(), settings.wind
         circle_bank_rad = math.atan(own.airspeed_m_s**2 / (GRAVITY_M_S2 * settings.still_air_radius_m))
         self._bank_max_rad = math.atan(_BANK_RESERVE * math.tan(circle_bank_rad))
         body = Body(own.airspeed_m_s, roll_rate_max_rad_s=own.roll_rate_max_rad_s, lag_s=settings.lag_s)
-        self._craft = airframe.Airframe(body.build, airframe.Wind(wind.east_m_s, wind.north_m_s))
+        self._craft = airframe.SimulatedAirframe(body.build, airframe.WindVector(wind.east_m_s, wind.north_m_s))
         put_in_flight(self._craft, start_on(settings, flown, circle), height_m)
         errors, assumed = payload_of(settings)
         self._payload, self._telemetry = Payload(errors, noise_rng), Telemetry(1)
@@ -114,7 +119,7 @@ class SteeredAircraft:
 
 
 def fly_steered(
-    flown: Scene,
+    flown: StudyScene,
     crafts: Sequence[SteeredAircraft],
     estimate: Callable[[float, Sequence[Sequence[AnySighting]]], TargetEstimate | None],
     steer: Callable[[Sequence[AircraftState], TargetEstimate], Sequence[Command]],

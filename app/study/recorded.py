@@ -14,7 +14,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.simulation.target import TargetTruth
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.route.route import Route
-from sidelong.sitl.world.track import Track, read_track
+from sidelong.sitl.world.track import RecordedTrack, read_track
 from sidelong.sitl.world.track_file import TrackError, file_and_name
 
 _STEP_S = 0.5
@@ -93,7 +93,7 @@ class RecordedTarget:
         return TargetTruth(*map(float, self.sampled(np.array([time_s]))[0]))
 
 
-def prepared(name: str, track: Track) -> RecordedTarget:
+def prepared(name: str, track: RecordedTrack) -> RecordedTarget:
     """Resample and smooth a track.
 
     Gaps are bridged; jumps are taken out: what follows is joined to what was before.
@@ -125,7 +125,7 @@ class RecordedTargets:
 def recorded_targets(
     places: list[Path],
     speed_max_m_s: float,
-    route_of: Callable[[Path, Track], Route | None] = lambda _file, _track: None,
+    route_of: Callable[[Path, RecordedTrack], Route | None] = lambda _file, _track: None,
 ) -> RecordedTargets:
     """Read the .csv, .gpx, .kml and .kmz tracks in folders, or single files.
 

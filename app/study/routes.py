@@ -13,7 +13,7 @@ from sidelong.app.study.recorded import RecordedTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.route.route import Route, route_of
-from sidelong.sitl.world.track import Track
+from sidelong.sitl.world.track import RecordedTrack
 
 SIMPLIFIED_M = 5.0
 DISPLACED_M = (3.0, 8.0)
@@ -37,7 +37,7 @@ def _displacement(arc_m: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.stack([size_m * np.sin(turn_rad), size_m * np.cos(turn_rad)], axis=1)
 
 
-def route_next_to(file: Path, track: Track) -> Route | None:
+def route_next_to(file: Path, track: RecordedTrack) -> Route | None:
     """Return the route in NAME.route.csv, .gpx, .geojson or .kml next to a track; None if there is none.
 
     Raises:

@@ -46,7 +46,7 @@ class StopWatch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class StudyScene:
     """The same for every planner."""
 
     name: str
@@ -57,7 +57,7 @@ class Scene:
     route: Route | None = None
 
 
-def scene(settings: StudySettings, number: int) -> Scene:
+def scene(settings: StudySettings, number: int) -> StudyScene:
     """Return the scene of a run, one of ``settings.numbers``."""
     draw, k = divmod(number, settings.runs)
     if not settings.tracks:
@@ -65,19 +65,19 @@ def scene(settings: StudySettings, number: int) -> Scene:
         speed_max_m_s = settings.config.requirement.target_speed_max_m_s
         target = RandomTarget(np.random.default_rng(seeds[0]), settings.duration_s, speed_max_m_s, settings.legs_s)
         start, sensor = np.random.SeedSequence((settings.seed, k, draw)).spawn(2) if draw else seeds[1:]
-        return Scene(
+        return StudyScene(
             f"random {k}", target, settings.duration_s, np.random.default_rng(start), np.random.default_rng(sensor)
         )
     track = settings.tracks[k]
     start, sensor = np.random.SeedSequence((settings.seed, track.key, draw)).spawn(2)
     duration_s = min(track.duration_s, settings.duration_s)
-    return Scene(
+    return StudyScene(
         track.name, track, duration_s, np.random.default_rng(start), np.random.default_rng(sensor), track.route
     )
 
 
 def first_circle(
-    settings: StudySettings, flown: Scene, side: Side | None = None, range_m: float = START_RANGE_M
+    settings: StudySettings, flown: StudyScene, side: Side | None = None, range_m: float = START_RANGE_M
 ) -> Circle:
     """Return the initial circle of a run, to one side of the target; None: the required one."""
     requirement = settings.requirement()
@@ -90,7 +90,7 @@ def first_circle(
     )
 
 
-def start_on(settings: StudySettings, flown: Scene, circle: Circle) -> AircraftState:
+def start_on(settings: StudySettings, flown: StudyScene, circle: Circle) -> AircraftState:
     """Return an aircraft somewhere on a circle."""
     course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
     return AircraftState(

@@ -80,7 +80,7 @@ def studied(**values: Any) -> Config:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hills:
+class StudyTerrain:
     """The ground of a study about home, and a digest of it."""
 
     ground: Ground
@@ -117,7 +117,7 @@ class StudySettings:
     noise_draws: int = 1
     only: tuple[int, ...] = ()
     layer_m: float = 60.0
-    hills: Hills | None = None
+    hills: StudyTerrain | None = None
     terrain: Literal["known", "ignored"] = "known"
     autopilot: str = "arduplane"
     controller: str = ""

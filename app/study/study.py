@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sidelong.app.planners.registry import PLANNER_NAMES, planner_by_name
 from sidelong.app.study.design import Design
-from sidelong.app.study.judging import RunResult, Track
+from sidelong.app.study.judging import JudgedTrack, RunResult
 from sidelong.app.study.parallel import Task, Workers, parallel
 from sidelong.app.study.settings import MISSION_PLANNERS, PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
@@ -154,7 +154,7 @@ def is_compiled(*planners: str) -> bool:
     return is_cached(update) and all(planner_by_name(one).is_compiled() for one in own)
 
 
-def flown_again(flown: RunId, settings: StudySettings) -> Track:
+def flown_again(flown: RunId, settings: StudySettings) -> JudgedTrack:
     """Return the path of a run, which is not kept: the run is flown again."""
     table = table_of(settings) if flown.planner is PlannerName.PREDICTIVE else None
     track = one_flown(settings, flown.planner, flown.number, table, keep_track=True).track

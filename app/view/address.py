@@ -20,7 +20,7 @@ LOOPBACK = ("127.0.0.1", "localhost")
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
+class PageAddress:
     """Address of the page. Any host but loopback requires a token, part of the printed URL. Port 0: any free port.
 
     opens_browser: whether to open a browser on this desktop.
@@ -92,7 +92,7 @@ def free_port(port: int) -> int:
     return port
 
 
-def page_address(view: bool, display: DisplaySection, port: int | None = None) -> Address | None:
+def page_address(view: bool, display: DisplaySection, port: int | None = None) -> PageAddress | None:
     """Return where a command serves its page, None where it shows none; port: instead of the configured one.
 
     Raises InputError.
@@ -103,11 +103,11 @@ def page_address(view: bool, display: DisplaySection, port: int | None = None) -
         return None
     port = display.port if port is None else port
     if display.map_file is None:
-        return Address(display.host, port, display.certificate_file, display.key_file)
+        return PageAddress(display.host, port, display.certificate_file, display.key_file)
     from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need
 
     try:
         under = background(display.map_file, display.map_bounds)
     except InputError as error:
         raise InputError(f"display.map_file: {error}") from error
-    return Address(display.host, port, display.certificate_file, display.key_file, under)
+    return PageAddress(display.host, port, display.certificate_file, display.key_file, under)

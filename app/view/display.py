@@ -18,7 +18,7 @@ from typing import TypeVar
 from sidelong.app.config import Config
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.link.queries import VehicleStatus
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json, StateEncoder, setting
@@ -112,7 +112,7 @@ class ViewDisplay(ShownAircraft):
         self,
         inner: FlightDisplay,
         config: Config,
-        address: Address,
+        address: PageAddress,
         name: str = "",
         fleet: Sequence[str] = (),
     ) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 
 from sidelong.app.errors import InputError
 from sidelong.app.interpreter import helper_command, helper_environment
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json
 
@@ -115,7 +115,7 @@ class Feed:
             self._process.wait()
 
 
-def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()) -> tuple[Feed, str, str]:
+def start_page(address: PageAddress, replay: bool = False, fleet: Sequence[str] = ()) -> tuple[Feed, str, str]:
     """Start the server and wait for it.
 
     Args:
@@ -145,7 +145,7 @@ def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()
     return (feed, f"{url}?token={token}", f"{url}?token={viewer_token}") if token else (feed, url, url)
 
 
-def under_flight(address: Address, shading: Shading | None) -> Json:
+def under_flight(address: PageAddress, shading: Shading | None) -> Json:
     """Return the page's settings for map and ground."""
     under = address.map
     layers = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from sidelong.app.config import Config
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.frames import Frames, Player
 from sidelong.app.view.process import page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
@@ -21,7 +21,7 @@ def serve_replay(
     frames: Frames,
     what_if: Frames | None,
     config: Config,
-    address: Address,
+    address: PageAddress,
     name: str,
     speed: float,
     announce: Callable[[str], object],

@@ -58,7 +58,7 @@ _ALARM = re.compile("[a-z]{1,20}")
 _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 
 
-class History:
+class FrameHistory:
     """Data for a page that is opened during the flight."""
 
     def __init__(self, setting: Json | None = None, aircraft: int = 1) -> None:
@@ -126,7 +126,7 @@ class Server:
         self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet))
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
-        self._history = History(aircraft=max(len(fleet), 1))
+        self._history = FrameHistory(aircraft=max(len(fleet), 1))
         self._pages: dict[asyncio.Queue[bytes | None], str] = {}  # the clients of the streams
         self._requests = Allowances(burst=300.0, rate_s=50.0)
         self._pictures = Allowances(burst=2000.0, rate_s=300.0)
@@ -150,7 +150,7 @@ class Server:
             self._shade = Path(update.pop("shade"))
         states = update.pop("states", None)
         if update.get("restart"):  # a replay has jumped
-            self._history = History(self._history.setting)
+            self._history = FrameHistory(self._history.setting)
             update["series"] = [_sample(state) for state in states]
             self._history.series.extend(update["series"])
         self._history.add(update)

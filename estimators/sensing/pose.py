@@ -17,7 +17,7 @@ T = TypeVar("T", bound=Reading)
 _time_s = attrgetter("time_s")
 
 
-class History(Generic[T]):
+class ReadingHistory(Generic[T]):
     """Readings of one kind in the order of their times (vehicle's clock), of the last ``span_s`` seconds at least.
 
     A second reading of the same time is a duplicate and is dropped.
@@ -81,8 +81,8 @@ class PoseHistory:
     _GAP_MAX_S = 3.0  # between two readings: across more, the aircraft's motion is unknown
 
     def __init__(self) -> None:
-        self.positions: History[PositionReading] = History(self._SPAN_S)
-        self.attitudes: History[AttitudeReading] = History(self._SPAN_S)
+        self.positions: ReadingHistory[PositionReading] = ReadingHistory(self._SPAN_S)
+        self.attitudes: ReadingHistory[AttitudeReading] = ReadingHistory(self._SPAN_S)
 
     def add(self, reading: PositionReading | AttitudeReading) -> None:
         """Store a reading; late ones are inserted in the order of their times."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
 from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
-from sidelong.estimators.sensing.pose import History, PoseHistory
+from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory
 from sidelong.estimators.sensing.readings import IMAGE_TRACKER, GimbalReading, RangeReading
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
@@ -45,8 +45,8 @@ class Pairing:
         self._poses = poses
         self.gimbal_delay_s, self.range_delay_s = settings.latencies_s
         self.range_factor = 1.0
-        self._gimbals: History[GimbalReading] = History(_SPAN_S)
-        self._ranges: History[RangeReading] = History(_SPAN_S)
+        self._gimbals: ReadingHistory[GimbalReading] = ReadingHistory(_SPAN_S)
+        self._ranges: ReadingHistory[RangeReading] = ReadingHistory(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
         self.parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
         self._paired_s, self._begun_s = -math.inf, math.inf
@@ -76,7 +76,7 @@ class Pairing:
 
     def change_gimbals(self, changed: Callable[[GimbalReading], GimbalReading]) -> None:
         """Change the stored lines of sight."""
-        before, self._gimbals = self._gimbals, History(_SPAN_S)
+        before, self._gimbals = self._gimbals, ReadingHistory(_SPAN_S)
         for gimbal in before.since(-math.inf):
             self._gimbals.add(changed(gimbal))
 

@@ -21,7 +21,7 @@ Vector = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class DepartureState:
     """A circle that is flown, now on ``course_rad``, and a target that is taken to keep its velocity.
 
     latency_s: no move can depart earlier.
@@ -77,7 +77,7 @@ class Move:
         return math.hypot(self.east_m, self.north_m)
 
 
-def next_move(situation: Situation, place: Callable[[Vector], Circle], lead_rad: float) -> Move:
+def next_move(situation: DepartureState, place: Callable[[Vector], Circle], lead_rad: float) -> Move:
     """Return the next move to where ``place`` puts the circle for a target, leaving ``lead_rad`` before its bearing.
 
     Where the move leads depends on where the target is by then, and A on where it leads: found by repetition,

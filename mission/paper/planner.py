@@ -27,7 +27,7 @@ from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.switching import must_move, range_after_lap_m
 from sidelong.mission.geometry.transition import abcd, min_move_m
 from sidelong.mission.geometry.wind import LapClock, WindError, path_times_s
-from sidelong.mission.paper.departure import Move, Situation, Vector, next_move
+from sidelong.mission.paper.departure import DepartureState, Move, Vector, next_move
 from sidelong.mission.paper.placement import circle_next_to, shifted
 from sidelong.mission.paper.reference_model import RelativePosition, displacement_m
 from sidelong.mission.paper.stretched_lap import stretched_lap
@@ -95,7 +95,7 @@ class PaperPlanner:
         if now_s < self._decided_until_s:
             return Decision(now_s, None, "decided for this lap")
 
-        situation = Situation(
+        situation = DepartureState(
             present.circle,
             present.circle.course_at(aircraft.east_m, aircraft.north_m),
             clock,
@@ -174,7 +174,7 @@ class PaperPlanner:
             )
         return None
 
-    def _reason_to_place_again(self, situation: Situation, regular: Move, placed: bool) -> str | None:
+    def _reason_to_place_again(self, situation: DepartureState, regular: Move, placed: bool) -> str | None:
         circle, side = situation.circle, self._viewpoint.side
         ends_badly = must_move(regular.range_after_lap_m, self._requirement)
         if circle.clockwise != side.clockwise:
@@ -192,7 +192,7 @@ class PaperPlanner:
         return None
 
     @staticmethod
-    def _range_words(situation: Situation, move: Move) -> str:
+    def _range_words(situation: DepartureState, move: Move) -> str:
         in_s = move.wait_s + situation.clock.lap_s
         return f"in {in_s:.0f} s the target would be {move.range_after_lap_m:.0f} m away"
 
@@ -203,7 +203,7 @@ class PaperPlanner:
 
     # -- where to ------------------------------------------------------------------------------------------
 
-    def _placed_again(self, situation: Situation) -> tuple[Move, Path | None]:
+    def _placed_again(self, situation: DepartureState) -> tuple[Move, Path | None]:
         """Return the move to the circle next to the target, and its path.
 
         None for the line where both ways to a circle of another kind overlap: the autopilot finds its own.
@@ -224,7 +224,7 @@ class PaperPlanner:
         _, move, path = max(tried, key=lambda one: one[0])
         return move, path
 
-    def _at_once(self, situation: Situation) -> tuple[Move, Path | None]:
+    def _at_once(self, situation: DepartureState) -> tuple[Move, Path | None]:
         """Return the move as soon as it can be on board, by the turn that keeps farther from the target."""
         circle, wait_s = situation.circle, situation.latency_s
         turn = 1.0 if circle.clockwise else -1.0

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from sidelong.sitl.protocol.parameters import Parameters
-from sidelong.sitl.world.airframe import Airframe, Place, true_over_equivalent_airspeed
+from sidelong.sitl.world.airframe import LocalPosition, SimulatedAirframe, true_over_equivalent_airspeed
 
 _CAPTURE_MAX = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
 _INTEGRAL_MAX_RAD = 0.1
@@ -29,7 +29,7 @@ class L1Guidance:
         self.on_circle = False
 
     def towards_line(
-        self, craft: Airframe, start_m: tuple[float, float], end_m: tuple[float, float], dt_s: float
+        self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float], dt_s: float
     ) -> float:
         """Return the acceleration that joins and follows the line from start to end (east, north)."""
         self.on_circle = False
@@ -61,7 +61,7 @@ class L1Guidance:
         return self._pursue(aim_rad - course_rad, speed_m_s)
 
     def towards_circle(
-        self, craft: Airframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
+        self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
     ) -> float:
         """Return the acceleration that captures the circle and then holds it."""
         speed_m_s = max(1.0, craft.ground_speed_m_s)
@@ -107,12 +107,12 @@ class Loiter:
 class ArduPlaneNavigator:
     """Where to, from where, and the lateral acceleration that leads there."""
 
-    def __init__(self, craft: Airframe, parameters: Parameters, home_altitude_m: float) -> None:
+    def __init__(self, craft: SimulatedAirframe, parameters: Parameters, home_altitude_m: float) -> None:
         self._craft = craft
         self._parameters = parameters
         self._home_altitude_m = home_altitude_m
         self.guidance = L1Guidance()
-        self.goal = self._origin = Place(0.0, 0.0, 0.0)
+        self.goal = self._origin = LocalPosition(0.0, 0.0, 0.0)
         self.loiter = Loiter(clockwise=True)
         self._on_track = False  # the line from the origin is to be followed, not just its end reached
         self._track_next = False
@@ -127,24 +127,24 @@ class ArduPlaneNavigator:
         """Let the next leg begin here, untracked, as after a takeoff or a change of mode."""
         self._track_next = False
 
-    def go_to(self, goal: Place, then: Place | None, clockwise: bool) -> None:
+    def go_to(self, goal: LocalPosition, then: LocalPosition | None, clockwise: bool) -> None:
         """Make ``goal`` the end of the next leg; ``then`` is what follows it in the mission."""
         if self._track_next:
             self._origin, self._on_track = self.goal, True
         else:
-            self._origin, self._on_track, self._track_next = Place.of(self._craft), False, True
+            self._origin, self._on_track, self._track_next = LocalPosition.of(self._craft), False, True
         self.goal = goal
         if self._behind_goal():
-            self._origin = Place.of(self._craft)
+            self._origin = LocalPosition.of(self._craft)
         self.loiter = Loiter(clockwise)
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
         if then is not None:
             course_rad, next_rad = self._origin.bearing_rad(goal), goal.bearing_rad(then)
             self._turn_ahead_rad = abs(math.remainder(next_rad - course_rad, math.tau))
 
-    def circle(self, centre: Place, clockwise: bool) -> None:
+    def circle(self, centre: LocalPosition, clockwise: bool) -> None:
         """Head straight for a circle, without a line to follow."""
-        self._origin, self.goal, self._on_track = Place.of(self._craft), centre, False
+        self._origin, self.goal, self._on_track = LocalPosition.of(self._craft), centre, False
         self.loiter = Loiter(clockwise)
 
     def fly_leg(self, acceptance_m: float, dt_s: float) -> tuple[str | None, float]:
@@ -162,7 +162,7 @@ class ArduPlaneNavigator:
 
     def fly_line(self, dt_s: float) -> float:
         self._tune()
-        origin = self._origin if self._on_track else Place.of(self._craft)
+        origin = self._origin if self._on_track else LocalPosition.of(self._craft)
         return self.guidance.towards_line(self._craft, origin.ground_m, self.goal.ground_m, dt_s)
 
     def fly_circle(self, radius_m: float, now_s: float, dt_s: float, by_line: bool) -> float:
@@ -177,7 +177,7 @@ class ArduPlaneNavigator:
         if loiter.reached_s is None and (self.guidance.on_circle or self._behind_goal()):
             loiter.reached_s = now_s
         if self.guidance.on_circle or loiter.last_bearing_rad is not None:
-            bearing_rad = Place.of(self._craft).bearing_rad(self.goal)
+            bearing_rad = LocalPosition.of(self._craft).bearing_rad(self.goal)
             if loiter.last_bearing_rad is not None:
                 step_rad = math.remainder(bearing_rad - loiter.last_bearing_rad, math.tau)
                 loiter.turned_rad += step_rad if loiter.clockwise else -step_rad

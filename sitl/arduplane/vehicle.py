@@ -16,13 +16,13 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.arduplane.mission import NAVIGATION, ArduPlaneMission, MissionState
 from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
-from sidelong.sitl.autopilot import NAN, Autopilot, Builder, Telemetry
+from sidelong.sitl.autopilot import NAN, Builder, SimulatedAutopilot, TelemetryBuilder
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, ProtocolQuirks, Store
+from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, Store, TransferQuirks
 from sidelong.sitl.settings import Release, Settings
-from sidelong.sitl.world.airframe import AirframeParameters, Place
+from sidelong.sitl.world.airframe import AirframeParameters, LocalPosition
 
 _SPACING_M = 100
 _ACROSS, _UP, _SQUARE = 8, 7, 4
@@ -129,14 +129,14 @@ DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
 DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
 
-class ArduPlaneTelemetry(Telemetry):
+class ArduPlaneTelemetry(TelemetryBuilder):
     gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
     gps_dilution = (121, 200)
     gps_accuracy_mm = (300, 300, 0)
     home_quaternion = (NAN, NAN, NAN, NAN)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 
-    _vehicle: ArduPlane
+    _vehicle: SimulatedArduPlane
 
     def builders(self) -> dict[int, Builder]:
         builders = super().builders() | {
@@ -168,7 +168,7 @@ class ArduPlaneTelemetry(Telemetry):
             mission.index,
             max(0, len(mission.items()) - 1),
             mission.reported_state,
-            int(self._vehicle.mode == Mode.AUTO),
+            int(self._vehicle.mode == ArduPlaneMode.AUTO),
         )
 
     def _nav_controller_output(self) -> Any:
@@ -187,7 +187,10 @@ class ArduPlaneTelemetry(Telemetry):
 
     def _position_target(self) -> Any:
         plane = self._vehicle
-        if plane.mode not in (Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL) or not plane.armed:
+        if (
+            plane.mode not in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED, ArduPlaneMode.LOITER, ArduPlaneMode.RTL)
+            or not plane.armed
+        ):
             return None
         goal = plane.navigator.goal
         return mavlink.MAVLink_position_target_global_int_message(
@@ -277,7 +280,7 @@ def arduplane_parameters(settings: Settings) -> Parameters:
     return Parameters(table, bytewise=False, former=former)
 
 
-class Mode(IntEnum):
+class ArduPlaneMode(IntEnum):
     MANUAL = 0
     FBWA = 5
     CRUISE = 7
@@ -288,7 +291,13 @@ class Mode(IntEnum):
     GUIDED = 15
 
 
-SELF_FLYING = (Mode.AUTO, Mode.RTL, Mode.LOITER, Mode.TAKEOFF, Mode.GUIDED)
+SELF_FLYING = (
+    ArduPlaneMode.AUTO,
+    ArduPlaneMode.RTL,
+    ArduPlaneMode.LOITER,
+    ArduPlaneMode.TAKEOFF,
+    ArduPlaneMode.GUIDED,
+)
 
 
 # The stock simulator's airframe turns less than its bank would in a coordinated turn. With L1, which has no
@@ -297,7 +306,7 @@ BUILD = AirframeParameters(turn_efficiency=0.78)
 _INITIAL_HEADING_RAD = math.radians(353.0)
 _TAKEOFF_OVERSHOOT_M = 10.0  # the climb is kept up until the height is passed
 _DEFAULT_AIRSPEED = -2.0
-QUIRKS = ProtocolQuirks(
+QUIRKS = TransferQuirks(
     asks_with_int=False,
     retry_s=1.0,
     timeout_s=8.0,
@@ -314,10 +323,10 @@ QUIRKS = ProtocolQuirks(
 )
 
 
-class ArduPlane(Autopilot):
+class SimulatedArduPlane(SimulatedAutopilot):
     autopilot_id = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    modes, first_mode = Mode, Mode.MANUAL
-    taken_over_mode = Mode.FBWA
+    modes, first_mode = ArduPlaneMode, ArduPlaneMode.MANUAL
+    taken_over_mode = ArduPlaneMode.FBWA
     navigation_period_s = 0.1
     receives_once_a_loop = True
     home_known_s = 21.7
@@ -352,8 +361,8 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self._on_set_current,
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
             mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Mode.RTL) else FAILED,
-            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _: ACCEPTED if self.set_mode(Mode.LOITER) else FAILED,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(ArduPlaneMode.RTL) else FAILED,
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _: ACCEPTED if self.set_mode(ArduPlaneMode.LOITER) else FAILED,
             mavlink.MAV_CMD_NAV_TAKEOFF: lambda _: FAILED,  # only for quadplanes
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
@@ -375,22 +384,22 @@ class ArduPlane(Autopilot):
         return main
 
     def set_mode(self, mode: int) -> bool:
-        if mode not in list(Mode):
+        if mode not in list(ArduPlaneMode):
             return False
         if mode == self.mode:
             return True
         self.mission.stop()
-        self.mode = Mode(mode)
+        self.mode = ArduPlaneMode(mode)
         self.lifting_off = False
         self.navigator.start_over()
         match mode:
-            case Mode.AUTO:
+            case ArduPlaneMode.AUTO:
                 self.mission.resume()
-            case Mode.TAKEOFF:
+            case ArduPlaneMode.TAKEOFF:
                 self._begin_takeoff(self.parameters["TKOFF_ALT"])
-            case Mode.RTL:
+            case ArduPlaneMode.RTL:
                 radius_m = self.parameters["RTL_RADIUS"] or self.parameters["WP_LOITER_RAD"]
-                self._circle_at(Place(0.0, 0.0, self.parameters["RTL_ALTITUDE"]), radius_m >= 0)
+                self._circle_at(LocalPosition(0.0, 0.0, self.parameters["RTL_ALTITUDE"]), radius_m >= 0)
             case _:
                 self._guided_radius_m = 0.0
                 self._circle_at(self.here, self.parameters["WP_LOITER_RAD"] >= 0)
@@ -415,7 +424,7 @@ class ArduPlane(Autopilot):
 
     def watch_links(self) -> None:
         enabled = self.parameters["FS_GCS_ENABL"]
-        if not enabled or (enabled == 3 and self.mode != Mode.AUTO) or not self.craft.flying:
+        if not enabled or (enabled == 3 and self.mode != ArduPlaneMode.AUTO) or not self.craft.flying:
             return
         silent_s = self.ground_silent_s
         if silent_s < self.parameters["FS_LONG_TIMEOUT"]:
@@ -424,14 +433,14 @@ class ArduPlane(Autopilot):
             self._failsafe = True
             self.say(mavlink.MAV_SEVERITY_WARNING, "GCS Failsafe On")
             action = self.parameters["FS_LONG_ACTN"]
-            if action == 1 or (action == 0 and self.mode not in (Mode.AUTO, Mode.GUIDED)):
-                self.set_mode(Mode.RTL)
+            if action == 1 or (action == 0 and self.mode not in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED)):
+                self.set_mode(ArduPlaneMode.RTL)
 
     # Navigation.
 
     @property
     def airspeed_goal_m_s(self) -> float:
-        ordered_m_s = self._ordered_airspeed_m_s if self.mode in (Mode.AUTO, Mode.GUIDED) else None
+        ordered_m_s = self._ordered_airspeed_m_s if self.mode in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED) else None
         cruise_m_s = self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
         if self._min_ground_speed_m_s <= 0.0:
             return cruise_m_s
@@ -440,17 +449,17 @@ class ArduPlane(Autopilot):
 
     def navigate(self, dt_s: float) -> float:
         match self.mode:
-            case Mode.AUTO:
+            case ArduPlaneMode.AUTO:
                 return self._navigate_mission(dt_s)
-            case Mode.GUIDED:
+            case ArduPlaneMode.GUIDED:
                 return self._fly_circle(self._guided_radius_m, dt_s, by_line=False)
-            case Mode.LOITER:
+            case ArduPlaneMode.LOITER:
                 return self._fly_circle(0.0, dt_s, by_line=False)
-            case Mode.RTL:
+            case ArduPlaneMode.RTL:
                 return self._fly_circle(abs(self.parameters["RTL_RADIUS"]), dt_s, by_line=False)
-            case Mode.TAKEOFF:
+            case ArduPlaneMode.TAKEOFF:
                 if self._climbed_out():
-                    self.set_mode(Mode.LOITER)
+                    self.set_mode(ArduPlaneMode.LOITER)
                 return 0.0
             case _:  # sticks in the middle
                 return 0.0
@@ -465,7 +474,7 @@ class ArduPlane(Autopilot):
                 if complete
                 else "Aircraft in auto without a running mission",
             )
-            self.set_mode(Mode.RTL)
+            self.set_mode(ArduPlaneMode.RTL)
             return 0.0
         index = self.mission.index
         done, lateral_m_s2 = self._fly_item(item, dt_s)
@@ -506,7 +515,7 @@ class ArduPlane(Autopilot):
             return
         self.say(mavlink.MAV_SEVERITY_INFO, f"Mission: {index} {NAVIGATION[item.command]}")
         if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            self.set_mode(Mode.RTL)
+            self.set_mode(ArduPlaneMode.RTL)
         elif item.command == mavlink.MAV_CMD_NAV_TAKEOFF:
             self._begin_takeoff(self.place_of(item).height_m)
         else:
@@ -518,7 +527,7 @@ class ArduPlane(Autopilot):
             self.navigator.go_to(goal, then, clockwise=math.copysign(1.0, radius) > 0)
 
     def _begin_takeoff(self, height_m: float) -> None:
-        self.navigator.circle(Place(self.craft.east_m, self.craft.north_m, height_m), clockwise=True)
+        self.navigator.circle(LocalPosition(self.craft.east_m, self.craft.north_m, height_m), clockwise=True)
         self.height_goal_m = height_m + _TAKEOFF_OVERSHOOT_M
 
     def _climbed_out(self) -> bool:
@@ -544,7 +553,7 @@ class ArduPlane(Autopilot):
         self.height_goal_m = self.landing_height_m(self.navigator.goal)
         return self.navigator.fly_line(dt_s)
 
-    def _circle_at(self, centre: Place, clockwise: bool) -> None:
+    def _circle_at(self, centre: LocalPosition, clockwise: bool) -> None:
         self.height_goal_m = centre.height_m
         self.navigator.circle(centre, clockwise)
 
@@ -557,7 +566,7 @@ class ArduPlane(Autopilot):
             loiter.clockwise = loiter.clockwise and default_m >= 0
         was_reached = loiter.reached_s is not None
         lateral_m_s2 = self.navigator.fly_circle(radius_m, self.now_s, dt_s, by_line)
-        if self.mode == Mode.GUIDED and loiter.reached_s is not None and not was_reached:
+        if self.mode == ArduPlaneMode.GUIDED and loiter.reached_s is not None and not was_reached:
             self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(0))
         return lateral_m_s2
 
@@ -582,7 +591,7 @@ class ArduPlane(Autopilot):
     def _on_mission_start(self, command: Command) -> int:
         if command.number(1) or command.number(2):
             return DENIED
-        self.set_mode(Mode.AUTO)
+        self.set_mode(ArduPlaneMode.AUTO)
         return ACCEPTED
 
     def _on_reposition(self, command: Command) -> int:
@@ -594,14 +603,14 @@ class ArduPlane(Autopilot):
         if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and math.isfinite(altitude_m)):  # NaN too
             return DENIED
         change_mode = int(command.number(2)) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-        if not change_mode and self.mode != Mode.GUIDED:
+        if not change_mode and self.mode != ArduPlaneMode.GUIDED:
             return FAILED
         height_m = altitude_m if command.frame in RELATIVE_FRAMES else altitude_m - self.home.altitude_m
         if latitude_deg == 0.0 and longitude_deg == 0.0:
             east_m, north_m = self.craft.east_m, self.craft.north_m
         else:
             east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
-        self.set_mode(Mode.GUIDED)
+        self.set_mode(ArduPlaneMode.GUIDED)
         # The sign of the radius is ignored; param 4 sets the direction. Without a valid radius the last one is kept.
         # Releases before 4.5 take NaN for counter-clockwise, those before 4.4 have no radius of its own.
         direction = command.number(4) if self.release >= (4, 5) else command.param(4)
@@ -611,7 +620,7 @@ class ArduPlane(Autopilot):
             self._guided_radius_m = float(math.floor(radius_m))
         else:
             clockwise = clockwise and self.parameters["WP_LOITER_RAD"] >= 0
-        self._circle_at(Place(east_m, north_m, height_m), clockwise)
+        self._circle_at(LocalPosition(east_m, north_m, height_m), clockwise)
         return ACCEPTED
 
     def _on_change_speed(self, command: Command) -> int:

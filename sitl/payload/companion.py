@@ -17,7 +17,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.payload.device import Device, Wired
-from sidelong.sitl.payload.payload import PERIOD_S, Measurement, Payload, Sight
+from sidelong.sitl.payload.payload import PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
 from sidelong.sitl.protocol.radio import signing_time
 from sidelong.sitl.settings import PayloadSettings
 from sidelong.sitl.world.geodesy import HomePlane
@@ -63,7 +63,7 @@ class Companion(Wired):
         _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         super().__init__(device, round(payload.latency_s / _DEVICE_PERIOD_S))
         self._measured: tuple[float, Measurement] | None = None  # time, s
-        self._payload = Payload(payload, sensor_seed)
+        self._payload = SimulatedPayload(payload, sensor_seed)
         self._motion = motion
         self._terrain = terrain
         self._hills: Hills | None = None
@@ -121,7 +121,7 @@ class Companion(Wired):
         target_m = hills.standing(self._motion.at(since_s))
         in_sight = hills.sees_target(aircraft_m, target_m)
         # On the ground the payload is tried out on what is about, as in the simulation of our own.
-        sight = Sight.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
+        sight = TargetGeometry.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
         if self.device is not None and self._measured is not None and since_s - self._measured[0] < PERIOD_S:
             self.look(self.device, sight, self._measured[1], self._heading_rad, self._roll_rad)
             return []
@@ -234,7 +234,7 @@ def _converse(
         now_s = time.monotonic()
         if now_s >= heartbeat_s:
             heartbeat_s = now_s + _HEARTBEAT_S
-            _send(link, Payload.heartbeat())
+            _send(link, SimulatedPayload.heartbeat())
         if now_s >= ask_s:
             ask_s = now_s + _ASK_AGAIN_S
             _ask(companion, link)
@@ -261,7 +261,7 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
         now_s = time.monotonic()
         if now_s >= heartbeat_s:  # over udpout a vehicle answers only known senders
             heartbeat_s = now_s + _HEARTBEAT_S
-            _send(link, Payload.heartbeat())
+            _send(link, SimulatedPayload.heartbeat())
         if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
             settled_s = min(settled_s, now_s + _SETTLING_S)
             received.add(message.get_srcSystem())

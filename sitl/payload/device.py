@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.sitl.payload.payload import Measurement, Sight
+from sidelong.sitl.payload.payload import Measurement, TargetGeometry
 from sidelong.sitl.settings import Quirks
 
 _LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class DeviceView:
     """What laser and gimbal measure now.
 
     Attributes:
@@ -45,20 +45,20 @@ class Device(ABC):
         self._rng = rng
         self._received = bytearray()
 
-    def receive(self, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
+    def receive(self, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
         """Take bytes and return the answers, as they arrive."""
         self._received += data
         return self._carried(self._answers(now_s, seen))
 
-    def stream(self, now_s: float, seen: Seen) -> list[bytes]:
+    def stream(self, now_s: float, seen: DeviceView) -> list[bytes]:
         """Return what is sent unasked at this time, as it arrives; to be called at each step."""
         return self._carried(self._streamed(now_s, seen))
 
     @abstractmethod
-    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
         """Remove whole requests from what was received and return the answers."""
 
-    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         return []
 
     def _carried(self, frames: list[bytes]) -> list[bytes]:
@@ -88,7 +88,7 @@ class Device(ABC):
         """Return a yaw to the right as this device counts it, or the other way round."""
         return -yaw if self.quirks.yaw_mirrored else yaw
 
-    def _echo_m(self, seen: Seen) -> float | None:
+    def _echo_m(self, seen: DeviceView) -> float | None:
         """Return the range within the laser's reach."""
         return seen.range_m if seen.range_m is not None and seen.range_m <= self.quirks.reach_m else None
 
@@ -102,7 +102,7 @@ class Wired(ABC):
     def __init__(self, device: Device | None, latency_looks: int) -> None:
         self.device = device
         self.unplugged = False  # the device neither receives nor answers
-        self._seen: Seen | None = None
+        self._seen: DeviceView | None = None
         self._streamed: list[bytes] = []
         self._slants_m: deque[float] = deque(maxlen=latency_looks + 1)  # true ones
 
@@ -122,10 +122,12 @@ class Wired(ABC):
         streamed, self._streamed = self._streamed, []
         return [] if self.unplugged else streamed
 
-    def look(self, device: Device, sight: Sight, latest: Measurement, heading_rad: float, roll_rad: float) -> None:
+    def look(
+        self, device: Device, sight: TargetGeometry, latest: Measurement, heading_rad: float, roll_rad: float
+    ) -> None:
         """Let the device look along the sight, with the errors of the latest measurement."""
         self._slants_m.append(sight.slant_range_m)
-        self._seen = Seen(
+        self._seen = DeviceView(
             None if latest.range_m is None else self._slants_m[0] + latest.range_error_m,
             sight.bearing_rad + latest.bearing_error_rad - heading_rad,
             sight.elevation_rad + latest.elevation_error_rad,
@@ -134,7 +136,7 @@ class Wired(ABC):
         self._streamed += device.stream(self.time_s, self._seen)
 
 
-def joint_angles_rad(seen: Seen) -> tuple[float, float, float]:
+def joint_angles_rad(seen: DeviceView) -> tuple[float, float, float]:
     """Return yaw, roll and pitch of a gimbal whose joints follow each other in this order, looking along the sight.
 
     With the outer joint at yaw and the middle one at roll, the inner joint's pitch p raises the sight by

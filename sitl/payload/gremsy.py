@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.device import Device, Seen
+from sidelong.sitl.payload.device import Device, DeviceView
 from sidelong.sitl.settings import Quirks
 from sidelong.sitl.world.airframe import quaternion
 
@@ -30,7 +30,7 @@ class SimulatedGremsy(Device):
         self._periods_s: dict[str, float] = {}
         self._next_s = {"range": 0.0, "angles": 0.0, "heartbeat": 0.0}
 
-    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
         answers: list[bytes] = []
         data, self._received = self._received, bytearray()
         for message in self._parser.parse_buffer(data) or ():
@@ -52,7 +52,7 @@ class SimulatedGremsy(Device):
                 self.commanded_deg = math.degrees(math.atan2(right, forward)), math.degrees(-math.asin(down))
         return answers
 
-    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         frames: list[bytes] = []
         if self._is_due("heartbeat", 1.0, now_s):
             for part, kind in ((_PAYLOAD, 0), (_CAMERA, mavlink.MAV_TYPE_CAMERA), (_GIMBAL, mavlink.MAV_TYPE_GIMBAL)):
@@ -69,7 +69,7 @@ class SimulatedGremsy(Device):
         self._next_s[what] = now_s + period_s
         return True
 
-    def _range(self, seen: Seen) -> list[bytes]:
+    def _range(self, seen: DeviceView) -> list[bytes]:
         range_m = self._echo_m(seen) if self._laser_s is not None else None
         if range_m is None:
             if self.quirks.silent_beyond:
@@ -79,7 +79,7 @@ class SimulatedGremsy(Device):
         message = mavlink.MAVLink_param_value_message(b"LRF_RANGE", value, 9, _PARAMETERS, _RANGE_INDEX)
         return [self._packed(_PAYLOAD, message)]
 
-    def _angles(self, now_s: float, seen: Seen) -> bytes:
+    def _angles(self, now_s: float, seen: DeviceView) -> bytes:
         pointing = list(quaternion(seen.lean_rad, seen.elevation_rad, self._signed(seen.bearing_rad)))
         message = mavlink.MAVLink_gimbal_device_attitude_status_message(
             0, 0, round(now_s * 1000.0), _LOCKED, pointing, math.nan, math.nan, math.nan, 0

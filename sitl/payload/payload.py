@@ -31,7 +31,7 @@ _FLAGS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class TargetGeometry:
     """The true line from the laser to the target: bearing and elevation (negative looks down).
 
     clear: no hill is in between.
@@ -45,10 +45,12 @@ class Sight:
     @staticmethod
     def between(
         craft_m: tuple[float, float, float], target_m: tuple[float, float, float], clear: bool = True
-    ) -> Sight:
+    ) -> TargetGeometry:
         east_m, north_m, up_m = (target - craft for target, craft in zip(target_m, craft_m, strict=True))
         level_m = math.hypot(east_m, north_m)
-        return Sight(math.hypot(level_m, up_m), math.atan2(east_m, north_m), math.atan2(up_m, level_m), clear)
+        return TargetGeometry(
+            math.hypot(level_m, up_m), math.atan2(east_m, north_m), math.atan2(up_m, level_m), clear
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ class Measurement:
     elevation_error_rad: float = 0.0
 
 
-class Payload:
+class SimulatedPayload:
     """Measures at the requested times. Each kind of noise has its own random stream."""
 
     def __init__(self, settings: PayloadSettings, seed: np.random.SeedSequence) -> None:
@@ -83,7 +85,7 @@ class Payload:
         )
         self._dropout_begin_s, self._dropout_end_s = self._next_dropout(0.0)
 
-    def measure(self, time_s: float, boot_ms: int, sight: Sight, heading_rad: float) -> Measurement:
+    def measure(self, time_s: float, boot_ms: int, sight: TargetGeometry, heading_rad: float) -> Measurement:
         """heading_rad is the aircraft's, for gimbals that report their yaw relative to it."""
         settings = self._settings
         while time_s >= self._dropout_end_s:

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from sidelong.sitl.payload.device import Device, Seen, joint_angles_rad
+from sidelong.sitl.payload.device import Device, DeviceView, joint_angles_rad
 from sidelong.sitl.settings import Quirks
 
 _STREAM_HZ = (0, 2, 4, 5, 10, 20, 50, 100)
@@ -28,13 +28,13 @@ class SimulatedSiyi(Device):
         self._number = 0
         self._streams_s: dict[int, tuple[float, float]] = {}  # period and next time, by kind
 
-    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
         answers = []
         while (request := self._next_frame(10, _size, _is_whole)) is not None:
             answers += self._answer(request[7], request[8:-2], now_s, seen)
         return answers
 
-    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         frames = []
         for kind, (period_s, next_s) in self._streams_s.items():
             if now_s >= next_s - 1e-9:
@@ -42,7 +42,7 @@ class SimulatedSiyi(Device):
                 frames += self._angles(seen) if kind == _ANGLES else self._laser(seen)
         return frames
 
-    def _answer(self, command: int, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
+    def _answer(self, command: int, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
         if command in _FIXED:
             return [self._frame(command, _FIXED[command])]
         if command == 0x0D:
@@ -60,15 +60,15 @@ class SimulatedSiyi(Device):
             return [self._frame(0x25, data[:1])]
         return []
 
-    def _angles(self, seen: Seen) -> list[bytes]:
+    def _angles(self, seen: DeviceView) -> list[bytes]:
         return [self._frame(0x0D, self._tenths(seen) + bytes(6))]
 
-    def _tenths(self, seen: Seen) -> bytes:
+    def _tenths(self, seen: DeviceView) -> bytes:
         """Return yaw (to the left), pitch and roll in tenths of a degree."""
         yaw, roll, pitch = joint_angles_rad(seen)
         return struct.pack("<hhh", *(round(math.degrees(a) * 10.0) for a in (-self._signed(yaw), pitch, roll)))
 
-    def _laser(self, seen: Seen) -> list[bytes]:
+    def _laser(self, seen: DeviceView) -> list[bytes]:
         range_m, count = self._echo_m(seen), 0
         if range_m is not None and range_m >= _RANGE_MIN_M:
             count = min(round(range_m / (self.quirks.range_unit_m or 0.1)), 65535)

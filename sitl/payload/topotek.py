@@ -8,7 +8,7 @@ import struct
 
 import numpy as np
 
-from sidelong.sitl.payload.device import Device, Seen
+from sidelong.sitl.payload.device import Device, DeviceView
 from sidelong.sitl.settings import Quirks
 
 _FRAME = re.compile(rb"#[Tt][Pp]([A-Z])([A-Z])([0-9A-F])([rw])([A-Z0-9]{3})")
@@ -27,7 +27,7 @@ class SimulatedTopotek(Device):
         self._angles_next_s = self._range_next_s = 0.0
         self._yaw_deg = self._pitch_deg = 0.0
 
-    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
         answers: list[bytes] = []
         while (found := _FRAME.search(received := bytes(self._received))) is not None:
             end = found.start() + _HEAD_BYTES + int(found[3], 16)
@@ -42,7 +42,7 @@ class SimulatedTopotek(Device):
         del self._received[:-100]
         return answers
 
-    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         frames = []
         if now_s <= self._angles_until_s and now_s >= self._angles_next_s - 1e-9:
             self._angles_next_s = now_s + _ANGLES_S
@@ -52,7 +52,7 @@ class SimulatedTopotek(Device):
             frames += self._range(seen)
         return frames
 
-    def _answer(self, command: bytes, control: bytes, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
+    def _answer(self, command: bytes, control: bytes, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
         if command == b"PA2":
             return [_frame(b"G", b"r", b"PA2", b"KHP30S90")]
         if command == b"VSN":
@@ -73,13 +73,13 @@ class SimulatedTopotek(Device):
             self.commanded_deg = self._yaw_deg, self._pitch_deg
         return []
 
-    def _angles(self, seen: Seen) -> bytes:
+    def _angles(self, seen: DeviceView) -> bytes:
         angles = (math.remainder(self._signed(seen.bearing_rad), math.tau), -seen.elevation_rad, seen.lean_rad)
         return _frame(
             b"G", b"r", b"GIA", b"".join(b"%04X" % (round(math.degrees(a) * 100.0) % 65536) for a in angles)
         )
 
-    def _range(self, seen: Seen) -> list[bytes]:
+    def _range(self, seen: DeviceView) -> list[bytes]:
         if (range_m := self._echo_m(seen)) is None:
             return [] if self.quirks.silent_beyond else [_frame(b"M", b"r", b"LRF", b"ERR")]
         return [_frame(b"M", b"r", b"LRF", b"%07.1f" % (range_m / (self.quirks.range_unit_m or 1.0)))]

@@ -9,7 +9,7 @@ from operator import xor
 
 import numpy as np
 
-from sidelong.sitl.payload.device import Device, Seen
+from sidelong.sitl.payload.device import Device, DeviceView
 from sidelong.sitl.settings import Quirks
 
 _STATUS_BYTES = 41
@@ -27,13 +27,13 @@ class SimulatedViewpro(Device):
         self._number = 0
         self._ranging = False
 
-    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
         answers: list[bytes] = []
         while (frame := self._next_frame(6, _size, _is_whole)) is not None:
             answers += self._answer(frame[4], frame[5:-1], seen)
         return answers
 
-    def _answer(self, number: int, data: bytes, seen: Seen) -> list[bytes]:
+    def _answer(self, number: int, data: bytes, seen: DeviceView) -> list[bytes]:
         if number == 0x00:
             return [self._frame(0x40, self._status(seen))]
         if number == 0x01 and data[:1] in _NAMES:
@@ -49,7 +49,7 @@ class SimulatedViewpro(Device):
             self.aircraft_deg = roll, -down, yaw
         return []
 
-    def _status(self, seen: Seen) -> bytes:
+    def _status(self, seen: DeviceView) -> bytes:
         """Return the blocks T1 (22 bytes), F1 (1), B1 (6) and D1 (12)."""
         status = bytearray(_STATUS_BYTES)
         roll = round((math.degrees(seen.lean_rad) + 90.0) * 4095.0 / 180.0)

@@ -150,7 +150,7 @@ def _nan_as_text(values: tuple[float, ...]) -> tuple[float | str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class ProtocolQuirks:
+class TransferQuirks:
     """How this autopilot behaves in the protocol; times in seconds of the stations' clock."""
 
     asks_with_int: bool  # MISSION_REQUEST_INT, or the older MISSION_REQUEST
@@ -195,7 +195,7 @@ class Transfer:
         mission_type: int,
         store: Store,
         radio: Radio,
-        quirks: ProtocolQuirks,
+        quirks: TransferQuirks,
         link_rate: float,
         announce: Callable[[int, str], None],
         transfers: Mapping[int, Transfer],

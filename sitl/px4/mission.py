@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, ItemRefused, Store, checksum
-from sidelong.sitl.settings import Home
+from sidelong.sitl.settings import HomePosition
 from sidelong.sitl.world.geodesy import HomePlane
 
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
@@ -102,7 +102,9 @@ def as_stored(item: Item) -> Item:
     return Item(item.command, frame, params, item.latitude_e7, item.longitude_e7, item.altitude_m, item.autocontinue)
 
 
-def refusal(items: list[Item], home: Home, takeoff_land_required: int, landing_angle_deg: float = 5.0) -> str | None:
+def refusal(
+    items: list[Item], home: HomePosition, takeoff_land_required: int, landing_angle_deg: float = 5.0
+) -> str | None:
     """Return why a mission cannot be flown, by MIS_TKO_LAND_REQ and FW_LND_ANG; None if it can."""
     commands = [item.command for item in items]
     if not any(command in NAVIGATION for command in commands):
@@ -122,7 +124,7 @@ def refusal(items: list[Item], home: Home, takeoff_land_required: int, landing_a
     return None if met else text
 
 
-def _landing_refusal(items: list[Item], index: int, home: Home, landing_angle_deg: float) -> str | None:
+def _landing_refusal(items: list[Item], index: int, home: HomePosition, landing_angle_deg: float) -> str | None:
     """Return why a plane cannot land at item ``index``: what leads there must be flat, and outside of its circle."""
     if index == 0:
         return "Mission rejected: starts with land waypoint."
@@ -148,7 +150,7 @@ def _landing_refusal(items: list[Item], index: int, home: Home, landing_angle_de
     return None
 
 
-def _above_home_m(item: Item, home: Home) -> float:
+def _above_home_m(item: Item, home: HomePosition) -> float:
     return item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - home.altitude_m
 
 

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from sidelong.sitl.protocol.parameters import Parameters
-from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe, Place
+from sidelong.sitl.world.airframe import GRAVITY_M_S2, LocalPosition, SimulatedAirframe
 
 
 class PathFollower:
@@ -20,7 +20,9 @@ class PathFollower:
         self.period_s = period_s
         self.damping = damping
 
-    def towards_line(self, craft: Airframe, start_m: tuple[float, float], end_m: tuple[float, float]) -> float:
+    def towards_line(
+        self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float]
+    ) -> float:
         """Return the acceleration that joins and follows the endless line through start and end (east, north)."""
         tangent_rad = math.atan2(end_m[0] - start_m[0], end_m[1] - start_m[1])
         right_m = (craft.east_m - end_m[0]) * math.cos(tangent_rad) - (craft.north_m - end_m[1]) * math.sin(
@@ -29,7 +31,7 @@ class PathFollower:
         return self._follow(craft, tangent_rad, right_m, curvature_per_m=0.0)
 
     def towards_circle(
-        self, craft: Airframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
+        self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
     ) -> float:
         """Return the acceleration that joins and follows the circle."""
         east_m, north_m = craft.east_m - centre_m[0], craft.north_m - centre_m[1]
@@ -39,7 +41,7 @@ class PathFollower:
         tangent_rad = outward_rad + turn * math.pi / 2
         return self._follow(craft, tangent_rad, -turn * (distance_m - radius_m), turn / max(1.0, distance_m))
 
-    def _follow(self, craft: Airframe, tangent_rad: float, right_m: float, curvature_per_m: float) -> float:
+    def _follow(self, craft: SimulatedAirframe, tangent_rad: float, right_m: float, curvature_per_m: float) -> float:
         """right_m: how far the craft is to the right of the path."""
         speed_m_s = max(1.0, craft.ground_speed_m_s)
         bound_m = speed_m_s * self.period_s * self.damping
@@ -54,7 +56,7 @@ class PathFollower:
         return craft.airspeed_m_s * (gain_per_s * correction + turn_ratio * on_path_rad_s)
 
     @staticmethod
-    def _heading_for(craft: Airframe, course_rad: float) -> tuple[float, float]:
+    def _heading_for(craft: SimulatedAirframe, course_rad: float) -> tuple[float, float]:
         """Return the heading that makes good the course in this wind, and d(heading) / d(course)."""
         wind, airspeed_m_s = craft.wind, craft.airspeed_m_s
         sine, cosine = math.sin(course_rad), math.cos(course_rad)
@@ -65,8 +67,8 @@ class PathFollower:
 
 
 @dataclass(frozen=True, slots=True)
-class Circle:
-    centre: Place
+class LoiterGoal:
+    centre: LocalPosition
     radius_m: float
     clockwise: bool
 
@@ -74,26 +76,28 @@ class Circle:
 class Px4Navigator:
     """Where to, from where, and the lateral acceleration that leads there."""
 
-    def __init__(self, craft: Airframe, parameters: Parameters) -> None:
+    def __init__(self, craft: SimulatedAirframe, parameters: Parameters) -> None:
         self._craft = craft
         self._parameters = parameters
         self.follower = PathFollower()
-        self.goal = Place(0.0, 0.0, 0.0)
-        self._origin: Place | None = None  # of the leg; None: it is flown to straight from wherever the aircraft is
-        self.circle: Circle | None = None
+        self.goal = LocalPosition(0.0, 0.0, 0.0)
+        self._origin: LocalPosition | None = (
+            None  # of the leg; None: it is flown to straight from wherever the aircraft is
+        )
+        self.circle: LoiterGoal | None = None
         self._inside_since_s: float | None = None
 
-    def go_to(self, goal: Place, *, from_here: bool) -> None:
+    def go_to(self, goal: LocalPosition, *, from_here: bool) -> None:
         """Make ``goal`` the end of the leg that begins where the last one ended, or of no leg at all."""
         self._origin = None if from_here else self.goal
         self.goal, self.circle, self._inside_since_s = goal, None, None
 
-    def fly_around(self, centre: Place, signed_radius_m: float = math.nan) -> None:
+    def fly_around(self, centre: LocalPosition, signed_radius_m: float = math.nan) -> None:
         """Circle: positive clockwise; 0 or no number for the parameter's radius."""
         if not math.isfinite(signed_radius_m) or signed_radius_m == 0.0:
             signed_radius_m = self._parameters["NAV_LOITER_RAD"]
         self.goal, self._inside_since_s = centre, None
-        self.circle = Circle(centre, abs(signed_radius_m), signed_radius_m > 0.0)
+        self.circle = LoiterGoal(centre, abs(signed_radius_m), signed_radius_m > 0.0)
 
     def stop(self) -> None:
         self.circle = None
@@ -120,7 +124,7 @@ class Px4Navigator:
         if not self._craft.flying:
             return 0.0
         self._tune()
-        origin = self._origin or Place.of(self._craft)
+        origin = self._origin or LocalPosition.of(self._craft)
         return self.follower.towards_line(self._craft, origin.ground_m, self.goal.ground_m)
 
     def fly_circle(self) -> float:

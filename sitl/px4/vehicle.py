@@ -9,22 +9,22 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.autopilot import NAN, Autopilot, Builder, Telemetry
+from sidelong.sitl.autopilot import NAN, Builder, SimulatedAutopilot, TelemetryBuilder
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Extended, Station
-from sidelong.sitl.protocol.transfer import Item, ProtocolQuirks, Store
+from sidelong.sitl.protocol.transfer import Item, Store, TransferQuirks
 from sidelong.sitl.px4.mission import Px4Mission, refusal
 from sidelong.sitl.px4.navigator import Px4Navigator
 from sidelong.sitl.settings import Settings
-from sidelong.sitl.world.airframe import AirframeParameters, Place
+from sidelong.sitl.world.airframe import AirframeParameters, LocalPosition
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
-class Mode(IntEnum):
+class Px4Mode(IntEnum):
     MANUAL = custom_mode(1)
     ALTCTL = custom_mode(2)
     POSCTL = custom_mode(3)
@@ -43,10 +43,10 @@ _HEALTHY = 0x1320C83F
 _HEALTHY_BEFORE_READY = 0x0320C83F
 
 _STANDARD_MODES: dict[int, int] = {
-    Mode.MISSION: mavlink.MAV_STANDARD_MODE_MISSION,
-    Mode.RTL: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
-    Mode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
-    Mode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
+    Px4Mode.MISSION: mavlink.MAV_STANDARD_MODE_MISSION,
+    Px4Mode.RTL: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    Px4Mode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
+    Px4Mode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
 }
 _DOWNWARD_MAX_M = 100.0
 _DOWNWARD_BEYOND_CM = 65534
@@ -76,14 +76,14 @@ DEFAULT_INTERVAL_S = {
 }
 
 
-class Px4Telemetry(Telemetry):
+class Px4Telemetry(TelemetryBuilder):
     gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
     gps_dilution = (70, 110)
     gps_accuracy_mm = (900, 1780, 400)
     home_quaternion = (1.0, 0.0, 0.0, 0.0)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
-    _vehicle: Px4
+    _vehicle: SimulatedPx4
     _pings = 0
 
     def builders(self) -> dict[int, Builder]:
@@ -117,7 +117,7 @@ class Px4Telemetry(Telemetry):
             px4.mission.index,
             len(px4.mission.items()) or 65535,
             px4.mission_state if px4.release >= (1, 17) else mavlink.MISSION_STATE_UNKNOWN,
-            1 if px4.mode == Mode.MISSION else 2,
+            1 if px4.mode == Px4Mode.MISSION else 2,
         )
         return Extended(base, px4.mission.mission_id, fence_id, rally_id)
 
@@ -229,10 +229,10 @@ def px4_parameters(settings: Settings) -> Parameters:
     return Parameters(table, bytewise=True, reports_errors=release >= (1, 18))
 
 
-BY_PILOT = (Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.STABILIZED)
+BY_PILOT = (Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.STABILIZED)
 
 
-QUIRKS = ProtocolQuirks(
+QUIRKS = TransferQuirks(
     asks_with_int=True,
     retry_s=0.25,
     timeout_s=5.0,
@@ -257,10 +257,10 @@ _SIGNED_RADIUS_PARAM = {
 }
 
 
-class Px4(Autopilot):
+class SimulatedPx4(SimulatedAutopilot):
     autopilot_id = mavlink.MAV_AUTOPILOT_PX4
-    modes, first_mode = Mode, Mode.HOLD
-    taken_over_mode = Mode.POSCTL
+    modes, first_mode = Px4Mode, Px4Mode.HOLD
+    taken_over_mode = Px4Mode.POSCTL
     navigation_period_s = 0.04
     receives_once_a_loop = False
     home_known_s = 3.0
@@ -272,7 +272,7 @@ class Px4(Autopilot):
     armed_text, landed_text = "Armed by external command\t", "Landing detected\t"
     roll_limit_parameter = "FW_R_LIM"
     default_interval_s = DEFAULT_INTERVAL_S
-    unsigned_messages = Autopilot.unsigned_messages | {
+    unsigned_messages = SimulatedAutopilot.unsigned_messages | {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,
         mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
         mavlink.MAVLINK_MSG_ID_COLLISION,
@@ -298,8 +298,8 @@ class Px4(Autopilot):
             mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
             mavlink.MAV_CMD_DO_ORBIT: lambda command: self._hold_around(command, command.param(1)),
             mavlink.MAV_CMD_NAV_TAKEOFF: self._on_takeoff,
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Mode.RTL) else REJECTED,
-            mavlink.MAV_CMD_NAV_LAND: lambda _: ACCEPTED if self.set_mode(Mode.LAND) else REJECTED,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Px4Mode.RTL) else REJECTED,
+            mavlink.MAV_CMD_NAV_LAND: lambda _: ACCEPTED if self.set_mode(Px4Mode.LAND) else REJECTED,
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
         self.attach((self.mission, Store(True), Store(True)), Px4Telemetry(self).builders())
@@ -319,29 +319,29 @@ class Px4(Autopilot):
         return custom_mode(main, sub)
 
     def set_mode(self, mode: int) -> bool:
-        if mode not in list(Mode):
+        if mode not in list(Px4Mode):
             return False
-        if mode == Mode.MISSION and not self._mission_valid:
+        if mode == Px4Mode.MISSION and not self._mission_valid:
             # The change is acknowledged all the same; only the flight shows the failure.
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
-            mode = Mode.HOLD
+            mode = Px4Mode.HOLD
         if mode == self.mode:
             return True
-        self._interrupted = self._interrupted or self.mode == Mode.MISSION
-        self.mode = Mode(mode)
+        self._interrupted = self._interrupted or self.mode == Px4Mode.MISSION
+        self.mode = Px4Mode(mode)
         self.lifting_off = False
         self._item = None
         self._ordered_airspeed_m_s = None
         self.navigator.stop()
         match mode:
-            case Mode.MISSION:
+            case Px4Mode.MISSION:
                 self._begin_mission()
-            case Mode.RTL:
-                home = Place(0.0, 0.0, self.parameters["RTL_RETURN_ALT"])
+            case Px4Mode.RTL:
+                home = LocalPosition(0.0, 0.0, self.parameters["RTL_RETURN_ALT"])
                 self._circle_at(home, self.parameters["RTL_LOITER_RAD"])
-            case Mode.LAND:
-                self.navigator.go_to(Place(self.craft.east_m, self.craft.north_m, 0.0), from_here=True)
-            case Mode.TAKEOFF:
+            case Px4Mode.LAND:
+                self.navigator.go_to(LocalPosition(self.craft.east_m, self.craft.north_m, 0.0), from_here=True)
+            case Px4Mode.TAKEOFF:
                 self._begin_takeoff(self.parameters["MIS_TAKEOFF_ALT"])
             case _:
                 self.height_goal_m = self.craft.height_m
@@ -350,7 +350,7 @@ class Px4(Autopilot):
         return True
 
     def _on_set_mode(self, command: Command) -> int:
-        if self.mode_of_command(command) == Mode.MISSION and not self._mission_valid:
+        if self.mode_of_command(command) == Px4Mode.MISSION and not self._mission_valid:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Switching to Mission is currently not available\t")
             return REJECTED
         return super()._on_set_mode(command)
@@ -365,9 +365,9 @@ class Px4(Autopilot):
         elif not self._link_lost:
             self._link_lost = True
             self.say(mavlink.MAV_SEVERITY_WARNING, "Connection to ground station lost\t")
-            self.set_mode(Mode.HOLD)
+            self.set_mode(Px4Mode.HOLD)
         elif action == 2 and lost_for_s > self.parameters["COM_FAIL_ACT_T"]:
-            self.set_mode(Mode.RTL)
+            self.set_mode(Px4Mode.RTL)
 
     # Navigation.
 
@@ -380,22 +380,22 @@ class Px4(Autopilot):
         del dt_s  # the follower has no integral
         self._repeat_reached()
         match self.mode:
-            case Mode.MISSION:
+            case Px4Mode.MISSION:
                 return self._navigate_mission()
-            case Mode.TAKEOFF:
+            case Px4Mode.TAKEOFF:
                 if self._climbed_out():
                     goal = self.navigator.goal
-                    self.set_mode(Mode.HOLD)
+                    self.set_mode(Px4Mode.HOLD)
                     self._circle_at(goal)
                 return 0.0
-            case Mode.LAND:
+            case Px4Mode.LAND:
                 return self._descend()
-            case Mode.HOLD | Mode.RTL:
+            case Px4Mode.HOLD | Px4Mode.RTL:
                 return self.navigator.fly_circle()
             case _:  # sticks in the middle
                 return 0.0
 
-    def _circle_at(self, centre: Place, signed_radius_m: float = math.nan) -> None:
+    def _circle_at(self, centre: LocalPosition, signed_radius_m: float = math.nan) -> None:
         self.height_goal_m = centre.height_m
         self.navigator.fly_around(centre, signed_radius_m)
 
@@ -431,7 +431,7 @@ class Px4(Autopilot):
                 return done, self.navigator.fly_circle()
 
     def _begin_takeoff(self, height_m: float) -> None:
-        self.navigator.go_to(Place(self.craft.east_m, self.craft.north_m, height_m), from_here=True)
+        self.navigator.go_to(LocalPosition(self.craft.east_m, self.craft.north_m, height_m), from_here=True)
         self.height_goal_m = height_m + _CLIMB_OVER_M
 
     def _climbed_out(self) -> bool:
@@ -456,7 +456,7 @@ class Px4(Autopilot):
             return int(mavlink.MISSION_STATE_NO_MISSION)
         if self._finished:
             return int(mavlink.MISSION_STATE_COMPLETE)
-        if self.mode == Mode.MISSION:
+        if self.mode == Px4Mode.MISSION:
             return int(mavlink.MISSION_STATE_ACTIVE)
         return int(mavlink.MISSION_STATE_PAUSED if self._interrupted else mavlink.MISSION_STATE_NOT_STARTED)
 
@@ -465,13 +465,13 @@ class Px4(Autopilot):
         was_rejected = self._refusal is not None and self._refusal.startswith("Mission rejected")
         self._finished = self._interrupted = False
         self._check_mission(was_rejected)
-        if self.mode != Mode.MISSION:
+        if self.mode != Px4Mode.MISSION:
             return
         if self._refusal is None:
             self._start_item(self.mission.index, from_here=True)
         else:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
-            self.set_mode(Mode.HOLD)
+            self.set_mode(Px4Mode.HOLD)
 
     @property
     def _take_off_and_landing(self) -> int:
@@ -509,7 +509,7 @@ class Px4(Autopilot):
         if flown is None:
             self._finished = True
             self.say(mavlink.MAV_SEVERITY_INFO, "Mission finished, loitering\t")
-            self.set_mode(Mode.HOLD)
+            self.set_mode(Px4Mode.HOLD)
             return
         item = items[flown]
         self.mission.index, self._item = flown, item
@@ -517,7 +517,7 @@ class Px4(Autopilot):
         place = self.place_of(item)
         self.height_goal_m = place.height_m
         if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            self.set_mode(Mode.RTL)
+            self.set_mode(Px4Mode.RTL)
         elif item.command == mavlink.MAV_CMD_NAV_TAKEOFF:
             self._begin_takeoff(place.height_m)
         elif item.command in _SIGNED_RADIUS_PARAM:
@@ -552,7 +552,7 @@ class Px4(Autopilot):
             return False
         if index != self.mission.index:
             self.mission.index, self._finished = index, False
-            if self.mode == Mode.MISSION:
+            if self.mode == Px4Mode.MISSION:
                 self._start_item(index, from_here=True)
         return True
 
@@ -564,7 +564,7 @@ class Px4(Autopilot):
             return DENIED
         if not self.armed and self.arm() != ACCEPTED:
             return REJECTED
-        return ACCEPTED if self.set_mode(Mode.MISSION) else REJECTED
+        return ACCEPTED if self.set_mode(Px4Mode.MISSION) else REJECTED
 
     def _on_reposition(self, command: Command) -> int:
         if int(command.number(2)) != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
@@ -579,15 +579,15 @@ class Px4(Autopilot):
         if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
             east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
         height_m = altitude_m - self.home.altitude_m if math.isfinite(altitude_m) else here.height_m
-        self.set_mode(Mode.HOLD)
+        self.set_mode(Px4Mode.HOLD)
         if self.craft.flying:
-            self._circle_at(Place(east_m, north_m, height_m), signed_radius_m)
+            self._circle_at(LocalPosition(east_m, north_m, height_m), signed_radius_m)
         return ACCEPTED
 
     def _on_takeoff(self, command: Command) -> int:
         if self.craft.flying:
             return REJECTED
-        self.set_mode(Mode.TAKEOFF)
+        self.set_mode(Px4Mode.TAKEOFF)
         altitude_m = command.param(7)
         if math.isfinite(altitude_m):
             self._begin_takeoff(altitude_m - self.home.altitude_m)

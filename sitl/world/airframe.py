@@ -18,15 +18,15 @@ def _bounded(value: float, least: float, greatest: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Wind:
+class WindVector:
     """The air's motion over the ground (where it blows *to*)."""
 
     east_m_s: float = 0.0
     north_m_s: float = 0.0
 
     @staticmethod
-    def blowing_from(speed_m_s: float, from_rad: float) -> Wind:
-        return Wind(-speed_m_s * math.sin(from_rad), -speed_m_s * math.cos(from_rad))
+    def blowing_from(speed_m_s: float, from_rad: float) -> WindVector:
+        return WindVector(-speed_m_s * math.sin(from_rad), -speed_m_s * math.cos(from_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +43,10 @@ class AirframeParameters:
     turn_efficiency: float = 1.0
 
 
-class Airframe:
+class SimulatedAirframe:
     """State and motion. airspeed_m_s is true airspeed; heading_rad is where the nose points, without sideslip."""
 
-    def __init__(self, build: AirframeParameters, wind: Wind, heading_rad: float = 0.0) -> None:
+    def __init__(self, build: AirframeParameters, wind: WindVector, heading_rad: float = 0.0) -> None:
         self.build = build
         self.wind = wind
         self.east_m = self.north_m = self.height_m = self.ground_m = 0.0
@@ -121,7 +121,7 @@ class Airframe:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class LocalPosition:
     """Height is above home."""
 
     east_m: float
@@ -129,17 +129,17 @@ class Place:
     height_m: float
 
     @staticmethod
-    def of(craft: Airframe) -> Place:
-        return Place(craft.east_m, craft.north_m, craft.height_m)
+    def of(craft: SimulatedAirframe) -> LocalPosition:
+        return LocalPosition(craft.east_m, craft.north_m, craft.height_m)
 
     @property
     def ground_m(self) -> tuple[float, float]:
         return self.east_m, self.north_m
 
-    def distance_m(self, craft: Airframe) -> float:
+    def distance_m(self, craft: SimulatedAirframe) -> float:
         return math.hypot(self.east_m - craft.east_m, self.north_m - craft.north_m)
 
-    def bearing_rad(self, other: Place) -> float:
+    def bearing_rad(self, other: LocalPosition) -> float:
         """Return the bearing of ``other`` from here."""
         return math.atan2(other.east_m - self.east_m, other.north_m - self.north_m)
 

@@ -30,7 +30,7 @@ _Timed = tuple[float, float, float, int]  # time, east, north, line of the file
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class RecordedTrack:
     """Points with strictly rising times, relative to the first; at least two.
 
     origin_deg: latitude and longitude of east and north zero; None where the file is in metres. note: what of the
@@ -61,7 +61,9 @@ class Track:
 class TrackMotion:
     """Moves along the track, in step with it, but never faster than ``speed_max_m_s``: jumps are walked."""
 
-    def __init__(self, track: Track, start_m: tuple[float, float], speed_max_m_s: float, skip_s: float) -> None:
+    def __init__(
+        self, track: RecordedTrack, start_m: tuple[float, float], speed_max_m_s: float, skip_s: float
+    ) -> None:
         self._track = track
         self._skip_s = skip_s
         self._speed_max_m_s = speed_max_m_s
@@ -88,7 +90,7 @@ class TrackMotion:
         )
 
 
-def read_track(path: Path) -> Track:
+def read_track(path: Path) -> RecordedTrack:
     """Read a track: see :mod:`sidelong.sitl.world.track_file`. FILE#NAME selects one of several.
 
     Points come in the order of time, relative to the first; spikes of the receiver are left out. Times are judged by
@@ -99,7 +101,7 @@ def read_track(path: Path) -> Track:
     """
     file, name = file_and_name(path)
     lines, geodetic = read_lines(file)
-    tracks: list[tuple[Line, Track]] = []
+    tracks: list[tuple[Line, RecordedTrack]] = []
     refused = "holds 0 usable points with times; a track needs two"
     for line in lines:
         try:
@@ -120,7 +122,7 @@ def read_track(path: Path) -> Track:
     return replace(track, note="; ".join(filter(None, (note, track.note))))
 
 
-def _judged(line: Line, geodetic: bool) -> Track:
+def _judged(line: Line, geodetic: bool) -> RecordedTrack:
     """Return a line as a track, by the speeds that its times imply.
 
     - Times of day in ms, microseconds, ns or 100 ns are recognised by their size, others by speeds too slow to be any
@@ -162,7 +164,7 @@ def _judged(line: Line, geodetic: bool) -> Track:
         )
     time_s, east_m, north_m, _ = zip(*points, strict=True)
     origin_deg = (plane.latitude_deg, plane.longitude_deg) if plane else None
-    return Track([t - time_s[0] for t in time_s], east_m, north_m, origin_deg, "; ".join(notes))
+    return RecordedTrack([t - time_s[0] for t in time_s], east_m, north_m, origin_deg, "; ".join(notes))
 
 
 def _in_seconds(points: list[_Timed]) -> list[_Timed]:

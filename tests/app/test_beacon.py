@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sidelong.app.errors import InputError
 from sidelong.app.sharing import beacon as beacon_module
-from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.beacon import BeaconInput, decode
 from sidelong.app.sharing.cot import CotNames, target_event
 from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput
@@ -201,7 +201,7 @@ def test_a_multicast_group_is_joined(free_port):
     async def run() -> TargetFixReading:
         got: asyncio.Queue[TargetFixReading] = asyncio.Queue()
         beacon, port = BeaconInput(PLANE, None, 5.0, lambda: 500.0, got.put_nowait, lambda _: None), free_port()
-        await beacon.listen(Address("udp", "239.2.3.1", port))
+        await beacon.listen(NetworkAddress("udp", "239.2.3.1", port))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
@@ -217,7 +217,7 @@ def test_a_group_that_cannot_be_joined_is_refused(free_port, monkeypatch):
     monkeypatch.setattr(socket, "if_nameindex", lambda: [(9999, "none")])
     beacon = BeaconInput(PLANE, None, 5.0, lambda: 500.0, print, print)
     with pytest.raises(InputError, match=r"239\.2\.3\.1:\d+ cannot be listened to \(No such device\)"):
-        asyncio.run(beacon.listen(Address("udp", "239.2.3.1", free_port())))
+        asyncio.run(beacon.listen(NetworkAddress("udp", "239.2.3.1", free_port())))
 
 
 def test_two_beacons_without_a_name_are_both_left():
@@ -273,13 +273,13 @@ def test_it_listens_by_udp(free_port):
         got: asyncio.Queue[TargetFixReading] = asyncio.Queue()
         beacon = BeaconInput(PLANE, None, 5.0, lambda: 500.0, got.put_nowait, lambda _: None)
         port = free_port()
-        await beacon.listen(Address("udp", "127.0.0.1", port))
+        await beacon.listen(NetworkAddress("udp", "127.0.0.1", port))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.sendto(follow_target(100.0, -50.0), ("127.0.0.1", port))
         fix = await asyncio.wait_for(got.get(), 20.0)
         with pytest.raises(InputError, match="cannot be listened to"):
             await BeaconInput(PLANE, None, 5.0, lambda: 0.0, got.put_nowait, print).listen(
-                Address("udp", "127.0.0.1", port)
+                NetworkAddress("udp", "127.0.0.1", port)
             )
         beacon.stop()
         return [fix]
@@ -291,7 +291,7 @@ def test_it_listens_by_udp(free_port):
 
 
 def sender_to(receiver: socket.socket) -> DatagramSender:
-    return DatagramSender(Address("udp", *receiver.getsockname()), "test")
+    return DatagramSender(NetworkAddress("udp", *receiver.getsockname()), "test")
 
 
 def over_hills(east_m: float, north_m: float) -> float:

@@ -18,7 +18,7 @@ import pytest
 
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
-from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, target_event
 from sidelong.app.sharing.senders import DatagramSender, StreamSender, tls_context
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -56,7 +56,7 @@ def test_the_type_is_neutral_and_the_event_goes_stale():
 
 
 def output_to(receiver: socket.socket) -> CotOutput:
-    return CotOutput(DatagramSender(Address("udp", *receiver.getsockname()), "sharing.cot"), PLANE)
+    return CotOutput(DatagramSender(NetworkAddress("udp", *receiver.getsockname()), "sharing.cot"), PLANE)
 
 
 def waiting(receiver: socket.socket) -> list[bytes]:
@@ -197,7 +197,7 @@ async def announced_to(server: Server, snapshot, tls_server=None, **sender) -> l
         port = listening.sockets[0].getsockname()[1]
         scheme = "tcp" if tls_server is None else "tls"
         connection = StreamSender(
-            Address(scheme, "127.0.0.1", port), sender.get("tls"), sender.get("server_name"), announce
+            NetworkAddress(scheme, "127.0.0.1", port), sender.get("tls"), sender.get("server_name"), announce
         )
         output = CotOutput(connection, PLANE)
         await asyncio.wait_for(settled.wait(), 20.0)

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from sidelong.app.commands import launch as command
 from sidelong.app.view import address, display
-from sidelong.app.view.address import Address, free_port, is_desktop
+from sidelong.app.view.address import PageAddress, free_port, is_desktop
 from sidelong.app.view.panel import PanelDisplay, target_motion
 from sidelong.mission.core.events import Announce
 
@@ -64,7 +64,9 @@ def test_the_browser_is_opened_at_the_page(monkeypatch, opens):
 
     opened = []
     monkeypatch.setattr(display.webbrowser, "open", opened.append)
-    view = display.ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), Address(port=0, opens_browser=opens))
+    view = display.ViewDisplay(
+        PanelDisplay(Console(), quiet=True), Config(), PageAddress(port=0, opens_browser=opens)
+    )
 
     async def shown() -> str:
         async with display.served(view, lambda _text: None) as page:

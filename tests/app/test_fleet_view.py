@@ -15,7 +15,7 @@ from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
 from sidelong.app.link.queries import VehicleStatus
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
@@ -38,7 +38,7 @@ def snapshot(flight):
 def view():
     """Return a fleet's map without a page, and the wishes that reach each aircraft."""
     panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    made = FleetView(panel, CONFIGS, Address(port=0))
+    made = FleetView(panel, CONFIGS, PageAddress(port=0))
     wishes: dict[str, list] = {name: [] for name in NAMES}
     for name in NAMES:
         made.of(name).begin(PLANE, wishes[name].append)
@@ -156,7 +156,7 @@ def test_the_map_draws_the_others_with_their_circles(page, snapshot):
 
 def test_of_several_targets_the_page_names_each_and_whose_decisions_are_reported(snapshot):
     panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    shown = FleetView(panel, CONFIGS, Address(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
+    shown = FleetView(panel, CONFIGS, PageAddress(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
     for name, target in zip(NAMES, ("boat", "bike"), strict=True):
         shown.of(name).begin(PLANE, lambda _wish: None)
         shown.of(name).show(replace(snapshot, target=target))
@@ -177,7 +177,7 @@ def on_route(snapshot, target, east_m):
 def test_the_map_draws_the_route_of_each_target_once(browser, snapshot):
     names = ("plane", "wing", "kite")
     shown = FleetView(
-        FleetPanel(Console(file=io.StringIO()), quiet=True), dict.fromkeys(names, Config()), Address(port=0)
+        FleetPanel(Console(file=io.StringIO()), quiet=True), dict.fromkeys(names, Config()), PageAddress(port=0)
     )
     with shown:
         for name, target, east_m in zip(names, ("boat", "bike", "bike"), (0.0, 70.0, 70.0), strict=True):

@@ -14,7 +14,7 @@ from sidelong.app.study.laws import run_law
 from sidelong.app.study.recorded import prepared, recorded_targets
 from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import PlannerName, StudySettings
-from sidelong.sitl.world.track import Track, read_track
+from sidelong.sitl.world.track import RecordedTrack, read_track
 
 TARGETS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 MEASURES = (
@@ -40,7 +40,9 @@ def eastward(speed_m_s, duration_s=120):
 
 
 def of_track(time_s, east_m, north_m=None):
-    return prepared("x", Track(list(time_s), list(east_m), list(north_m if north_m is not None else 0.0 * east_m)))
+    return prepared(
+        "x", RecordedTrack(list(time_s), list(east_m), list(north_m if north_m is not None else 0.0 * east_m))
+    )
 
 
 def test_every_recorded_target_is_reported_and_those_too_fast_are_skipped(command, tmp_path):

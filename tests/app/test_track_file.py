@@ -19,7 +19,7 @@ from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.route_file import read_route
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.sitl.world.track import Track, read_track
+from sidelong.sitl.world.track import RecordedTrack, read_track
 from sidelong.sitl.world.track_file import TrackError
 
 BEGIN = datetime(2025, 5, 4, 9, tzinfo=UTC)
@@ -53,12 +53,12 @@ def gpx(*tracks: tuple[str, float, Stamp], count: int = 120) -> str:
     return f'<gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1">{"".join(points)}</gpx>'
 
 
-def track_of(folder: Path, name: str, content: str | bytes, selected: str = "") -> Track:
+def track_of(folder: Path, name: str, content: str | bytes, selected: str = "") -> RecordedTrack:
     (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
     return read_track(folder / (name + selected))
 
 
-def assert_walk(track: Track, count: int = 120, every_s: float = 1.0) -> None:
+def assert_walk(track: RecordedTrack, count: int = 120, every_s: float = 1.0) -> None:
     """Assert that it is the walk to the north at 1.33 m/s."""
     assert len(track.time_s) == count
     np.testing.assert_allclose(np.diff(track.time_s), every_s, atol=1e-3)

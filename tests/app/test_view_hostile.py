@@ -23,7 +23,7 @@ from sidelong.app.allowances import Allowances
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.view.access import Access
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.guard import Listener
 from sidelong.app.view.panel import PanelDisplay
@@ -35,13 +35,13 @@ NOT_LOOPBACK_NAME = "127.0.0.2"  # of this machine, but served as to a network: 
 GROWTH_MAX_KB = 8192
 
 
-def display_at(address: Address) -> ViewDisplay:
+def display_at(address: PageAddress) -> ViewDisplay:
     return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), address)
 
 
 @pytest.fixture(scope="module")
 def shown(flight):
-    with display_at(Address("127.0.0.1", 0)) as display:
+    with display_at(PageAddress("127.0.0.1", 0)) as display:
         display.engage(100.0, None)
         for _, _, controller in flight(20.0):
             display.show(controller.snapshot())
@@ -50,7 +50,7 @@ def shown(flight):
 
 @pytest.fixture(scope="module")
 def guarded():
-    with display_at(Address(NOT_LOOPBACK_NAME, 0)) as display:
+    with display_at(PageAddress(NOT_LOOPBACK_NAME, 0)) as display:
         yield display
 
 
@@ -310,7 +310,7 @@ def certificate(tmp_path_factory):
 
 
 def test_the_page_is_served_by_tls_and_its_cookie_goes_nowhere_else(certificate):
-    with display_at(Address(NOT_LOOPBACK_NAME, 0, *certificate)) as display:
+    with display_at(PageAddress(NOT_LOOPBACK_NAME, 0, *certificate)) as display:
         assert display.url.startswith("https://")
         trusting = HTTPSHandler(context=ssl.create_default_context(cafile=certificate[0]))
         jar = HTTPCookieProcessor()
@@ -326,7 +326,7 @@ def test_a_certificate_that_is_none_is_reported(tmp_path):
         (tmp_path / name).write_text("no certificate")
     with (
         pytest.raises(InputError, match="certificate or its key cannot be used"),
-        display_at(Address("127.0.0.1", 0, tmp_path / "cert.pem", tmp_path / "key.pem")),
+        display_at(PageAddress("127.0.0.1", 0, tmp_path / "cert.pem", tmp_path / "key.pem")),
     ):
         pytest.fail("it came up")
 
@@ -344,11 +344,11 @@ def test_a_certificate_that_is_none_is_reported(tmp_path):
 )
 def test_an_address_that_cannot_be_is_reported(options):
     with pytest.raises(InputError, match=r"display.host|display.certificate_file|PEM"):
-        Address(**options)
+        PageAddress(**options)
 
 
 def test_connections_without_a_handshake_are_counted(certificate):
-    with display_at(Address(NOT_LOOPBACK_NAME, 0, *certificate)) as display:
+    with display_at(PageAddress(NOT_LOOPBACK_NAME, 0, *certificate)) as display:
         idle = [
             socket.create_connection((NOT_LOOPBACK_NAME, port_of(display)), 5.0, ("127.0.1.9", 0)) for _ in range(60)
         ]
@@ -383,7 +383,7 @@ def test_a_connection_without_a_handshake_is_closed_in_time(monkeypatch):
 
 
 def test_the_right_token_does_not_pass_while_guesses_are_spent(certificate):
-    with display_at(Address(NOT_LOOPBACK_NAME, 0)) as display:
+    with display_at(PageAddress(NOT_LOOPBACK_NAME, 0)) as display:
         host = display.url.split("/")[2]
         for number in range(12):
             answered(display, get(host, f"/?token={number}"))

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from sidelong.app.config import Config
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.estimators.frames import LocalPlane
@@ -41,7 +41,7 @@ TRIES = 6
 
 @pytest.fixture
 def display(flight):
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), Address(port=0)) as display:
+    with ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), PageAddress(port=0)) as display:
         display.begin(LocalPlane(47.4, 8.5), lambda _request: None)
         display.engage(100.0, None)
         for _, _, controller in flight(110.0):

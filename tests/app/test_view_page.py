@@ -17,7 +17,7 @@ from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
 from sidelong.app.link.queries import VehicleStatus
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay, clock
 from sidelong.estimators.estimate import TrackQuality
@@ -58,7 +58,7 @@ def snapshots(flight):
 @contextmanager
 def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, Address(port=0)) as display:
+    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, PageAddress(port=0)) as display:
         display.connected(lambda: STATUS)
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
@@ -290,7 +290,7 @@ def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
 
 def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(browser, snapshots):
     config = Config.model_validate({"link": {"urls": [f"serial:///dev/serial/by-id/{'usb-radio-' * 12}:57600"]}})
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, Address(port=0)) as display:
+    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, PageAddress(port=0)) as display:
         display.note("connecting")
         display.pump()
         page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
@@ -306,7 +306,7 @@ def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(brows
 @pytest.mark.parametrize("width", [1400, 390])
 def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, width):
     names = ("north-survey-plane", "a-wing-with-a-long-name")
-    view = FleetView(FleetPanel(Console(), quiet=True), dict.fromkeys(names, Config()), Address(port=0))
+    view = FleetView(FleetPanel(Console(), quiet=True), dict.fromkeys(names, Config()), PageAddress(port=0))
     with view:
         for name in names:
             view.of(name).connected(lambda: VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))

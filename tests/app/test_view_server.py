@@ -16,7 +16,7 @@ from rich.console import Console
 
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay, served
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.app.view.server import button_of
@@ -29,7 +29,7 @@ OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address tha
 
 
 def display_at(host: str) -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), Address(host, 0))
+    return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), PageAddress(host, 0))
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +223,7 @@ def test_a_port_in_use_is_reported(shown):
         ViewDisplay(
             PanelDisplay(Console(), quiet=True),
             Config(),
-            Address("127.0.0.1", taken.getsockname()[1]),
+            PageAddress("127.0.0.1", taken.getsockname()[1]),
         ),
     ):
         pytest.fail("it came up")

@@ -34,7 +34,7 @@ from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.background import Background, background
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay
@@ -55,7 +55,7 @@ FLAGS = (
 
 
 def shown(under: Background | None = None) -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), quiet=True), CONFIG, Address(port=0, map=under))
+    return ViewDisplay(PanelDisplay(Console(), quiet=True), CONFIG, PageAddress(port=0, map=under))
 
 
 def test_a_map_of_100_mb_is_served_without_growth_of_memory(tmp_path):

@@ -17,8 +17,8 @@ from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.waypoints import lay_out
 from sidelong.sitl.arduplane.navigator import L1Guidance
 from sidelong.sitl.px4.navigator import PathFollower
-from sidelong.sitl.world.airframe import Airframe, AirframeParameters
-from sidelong.sitl.world.airframe import Wind as Air
+from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe
+from sidelong.sitl.world.airframe import WindVector as Air
 
 arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
@@ -29,9 +29,9 @@ _BANK_MAX_RAD = math.radians(45.0)
 Point = tuple[float, float]
 
 
-def airframe_at_start(path: Path, tracking: LineTracking) -> Airframe:
+def airframe_at_start(path: Path, tracking: LineTracking) -> SimulatedAirframe:
     wind, course_rad, airspeed_m_s = tracking.wind, float(path.course_rad[0]), tracking.airspeed_m_s
-    craft = Airframe(AirframeParameters(), Air(wind.east_m_s, wind.north_m_s))
+    craft = SimulatedAirframe(AirframeParameters(), Air(wind.east_m_s, wind.north_m_s))
     across_m_s = wind.east_m_s * math.cos(course_rad) - wind.north_m_s * math.sin(course_rad)
     along_m_s = wind.east_m_s * math.sin(course_rad) + wind.north_m_s * math.cos(course_rad)
     speed_m_s = along_m_s + math.sqrt(airspeed_m_s**2 - across_m_s**2)
@@ -45,7 +45,7 @@ def airframe_at_start(path: Path, tracking: LineTracking) -> Airframe:
 
 
 def fly(
-    craft: Airframe,
+    craft: SimulatedAirframe,
     autopilot: str,
     present: Circle,
     waypoints: tuple[Point, ...],

@@ -13,7 +13,7 @@ from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
 from sidelong.sitl.arduplane.navigator import L1Guidance
 from sidelong.sitl.px4.navigator import PathFollower
-from sidelong.sitl.world.airframe import Airframe, AirframeParameters, Wind
+from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe, WindVector
 
 STEP_S, GRAVITY_M_S2, AIRSPEED_M_S, RADIUS_M = 0.02, 9.80665, 15.0, 70.0
 BANK_MAX_RAD = math.radians(45.0)
@@ -30,7 +30,7 @@ def state_of(craft, time_s):
 def fly(plan, autopilot, wind):
     """Return the flown places, and the circles that were commanded."""
     path = plan.transition
-    craft = Airframe(AirframeParameters(), wind)
+    craft = SimulatedAirframe(AirframeParameters(), wind)
     craft.flying, craft.airspeed_m_s, craft.height_m = True, AIRSPEED_M_S, 100.0
     course_rad = float(path.course_rad[0])
     across_m_s = wind.east_m_s * math.cos(course_rad) - wind.north_m_s * math.sin(course_rad)
@@ -73,7 +73,7 @@ def plans():
     yield Plan(far, turn_straight_turn(start, far, RADIUS_M), 0.0)
 
 
-@pytest.mark.parametrize("wind", [Wind(), Wind(3.0, -2.0)])
+@pytest.mark.parametrize("wind", [WindVector(), WindVector(3.0, -2.0)])
 @pytest.mark.parametrize("autopilot", ["arduplane", "px4"])
 @pytest.mark.parametrize("plan", list(plans()), ids=["abcd", "stretched", "turns"])
 def test_the_flown_line_stays_next_to_the_plan_and_ends_on_its_circle(plan, autopilot, wind):

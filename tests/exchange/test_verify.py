@@ -12,7 +12,7 @@ from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, DecisionRecord, OperatorRequest, UploadPlan, Yield
 from sidelong.mission.exchange.reports import ShutdownRequested
-from sidelong.sitl.arduplane.vehicle import Mode
+from sidelong.sitl.arduplane.vehicle import ArduPlaneMode
 
 _DECIDED = DecisionRecord, UploadPlan, ActivatePlan, Yield
 
@@ -56,7 +56,7 @@ def test_a_last_digit_is_no_other_decision(in_the_air):
 def test_the_recorded_results_of_the_exchange_lead_to_the_same_decisions(in_the_air):
     flight = in_the_air("arduplane")
     flight.run(40.0)
-    flight.autopilot.set_mode(Mode.FBWA)
+    flight.autopilot.set_mode(ArduPlaneMode.FBWA)
     assert flight.run(3.0, lambda: flight.core.controller.phase is Phase.YIELDED)
     flight.put(OperatorRequest(flight.telemetry.now_s, "resume"))
     flight.take_over(flight.core.controller.snapshot().mode)

@@ -38,9 +38,9 @@ from sidelong.sitl.settings import (
     TargetSettings,
     in_a_row,
 )
-from sidelong.sitl.settings import Home as SitlHome
+from sidelong.sitl.settings import HomePosition as SitlHome
 from sidelong.sitl.simulation import Simulation
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.motion import MOTIONS
 from sidelong.sitl.world.truth import TruthRow
 from tests.sitl_vehicle import RATES_HZ, SitlVehicle
@@ -189,7 +189,7 @@ def _until(crafts: list[Craft], keep_up, seconds: float) -> Iterator[None]:
 def _settings(number: int, rng: np.random.Generator) -> Settings:
     flavour = tuple(Flavour)[number % 2]
     motion = str(rng.choice(list(MOTIONS))) if rng.random() < 0.7 else _TRACKS[rng.integers(len(_TRACKS))]
-    wind = Wind.blowing_from(float(rng.uniform(0.0, _WIND_MAX_M_S)), float(rng.uniform(-math.pi, math.pi)))
+    wind = WindVector.blowing_from(float(rng.uniform(0.0, _WIND_MAX_M_S)), float(rng.uniform(-math.pi, math.pi)))
     payload = PayloadSettings(
         gimbal_frame=GimbalFrame(str(rng.choice([GimbalFrame.EARTH, GimbalFrame.VEHICLE]))),
         range_message=RangeMessage.DISTANCE_SENSOR,

@@ -12,7 +12,7 @@ from pymavlink.generator.mavcrc import x25crc
 from sidelong.app.payload.driver import DriverSettings, Measured, RangeMeasured
 from sidelong.app.payload.gremsy import GremsyDriver
 from sidelong.app.payload.registry import kind_by_name
-from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.device import DeviceView
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import SIYI_REQUESTS
@@ -32,7 +32,7 @@ def damaged_stream(kind: str, size: int, seed: int) -> bytes:
     stream, now_s = bytearray(), 0.0
     while len(stream) < size:
         now_s += 0.1
-        seen = Seen(float(rng.uniform(20.0, 900.0)), float(rng.uniform(-math.pi, math.pi)), -0.4)
+        seen = DeviceView(float(rng.uniform(20.0, 900.0)), float(rng.uniform(-math.pi, math.pi)), -0.4)
         for frame in [*device.receive(_REQUESTS[kind], now_s, seen), *device.stream(now_s, seen)]:
             stream += _damaged(frame, rng)
     return bytes(stream[:size])

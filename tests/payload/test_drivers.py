@@ -10,7 +10,7 @@ import pytest
 from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, RangeMeasured
 from sidelong.app.payload.registry import kind_by_name
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.device import DeviceView
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
 from tests.payload.wiring import Wired, looking
@@ -47,5 +47,5 @@ def test_measurements_agree_with_what_the_gimbal_sees(
 def test_gimbal_is_pointed(kind):
     gimbal = DEVICES[kind](Quirks(), np.random.default_rng(1))
     for command in kind_by_name(kind).make(DriverSettings()).point(math.radians(-30.0), math.radians(200.0)):
-        gimbal.receive(command, 0.0, Seen(300.0, 0.0, 0.0))
+        gimbal.receive(command, 0.0, DeviceView(300.0, 0.0, 0.0))
     assert gimbal.commanded_deg == pytest.approx((-160.0, -30.0), abs=0.01)

@@ -10,7 +10,7 @@ import pytest
 
 from sidelong.app.payload.driver import RangeMeasured
 from sidelong.app.payload.messages import COMPONENT, fields_of
-from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.device import DeviceView
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
 from tests.faults.flight import ERRORS, STEP_S, FaultedFlight, Scenario
@@ -45,14 +45,14 @@ class Device(FaultyPayload):
     def __init__(self, rng, loop: DeviceLoop) -> None:
         super().__init__(ERRORS, rng)
         self._loop = loop
-        self._before: tuple[float, Seen] | None = None
+        self._before: tuple[float, DeviceView] | None = None
 
     def measure(self, time_s, boot_ms, east_m, north_m, up_m, **how):
         gimbal, *laser = super().measure(time_s, boot_ms, east_m, north_m, up_m, **how)
         loop, aircraft = self._loop, self._loop.simulated.aircraft
         w, x, y, z = gimbal.fields["q"]
         forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-        seen = Seen(
+        seen = DeviceView(
             laser[0].fields["current_distance"] / 100.0 if laser else None,
             math.remainder(math.atan2(right, forward) - loop.simulated.heading_rad, math.tau),
             math.asin(-down),
@@ -73,10 +73,10 @@ class Device(FaultyPayload):
         return messages
 
 
-def _between(a: Seen, b: Seen, share: float) -> Seen:
+def _between(a: DeviceView, b: DeviceView, share: float) -> DeviceView:
     """Return what is seen between two moments; the laser's latest echo is that of the earlier."""
     turned_rad = math.remainder(b.bearing_rad - a.bearing_rad, math.tau)
-    return Seen(
+    return DeviceView(
         a.range_m,
         a.bearing_rad + share * turned_rad,
         a.elevation_rad + share * (b.elevation_rad - a.elevation_rad),

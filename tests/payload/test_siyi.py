@@ -9,7 +9,7 @@ import pytest
 from sidelong.app.payload.driver import AnglesMeasured, DriverSettings
 from sidelong.app.payload.siyi import SiyiDriver, encode
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.device import DeviceView
 from sidelong.sitl.payload.siyi import SimulatedSiyi
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import SIYI_CAPTURED, SIYI_REQUESTS
@@ -35,7 +35,7 @@ def test_requests_are_those_of_the_manual(command, data, sequence, frame):
 def test_requests_of_the_manual_are_understood_by_the_simulated_gimbal():
     gimbal = SimulatedSiyi(Quirks(), np.random.default_rng(1))
     wanted = b"".join(bytes.fromhex(frame) for *_, frame in SIYI_REQUESTS)
-    answers = gimbal.receive(wanted, 0.0, Seen(300.0, 0.0, -0.3))
+    answers = gimbal.receive(wanted, 0.0, DeviceView(300.0, 0.0, -0.3))
     assert [one[7] for one in answers] == [0x01, 0x02, 0x0A, 0x0D, 0x15]
 
 
@@ -120,7 +120,7 @@ def test_a8_has_no_laser_and_is_not_asked_for_ranges():
 def test_time_of_measurement_is_estimated_to_a_few_milliseconds(streams):
     wired = Wired("siyi", Quirks(streams=streams), delay_s=0.06)
 
-    def turning(now_s: float) -> Seen:
+    def turning(now_s: float) -> DeviceView:
         return looking(300.0, bearing_deg=20.0 * now_s - 60.0, elevation_deg=-20.0)(now_s)
 
     late_s = []
@@ -138,5 +138,5 @@ def test_gimbal_is_pointed_within_its_limits():
     one = driver()
     one.receive(answer(0x02, b"73".ljust(12, b"\0")), 0.0)
     for command in one.point(math.radians(-30.0), math.radians(200.0)):
-        gimbal.receive(command, 0.0, Seen(300.0, 0.0, 0.0))
+        gimbal.receive(command, 0.0, DeviceView(300.0, 0.0, 0.0))
     assert gimbal.commanded_deg == pytest.approx((-135.0, -30.0))

@@ -8,7 +8,7 @@ import pytest
 from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, DriverSettings, RangeMeasured
 from sidelong.app.payload.viewpro import ViewproDriver, encode, wrapped
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.device import DeviceView
 from sidelong.sitl.payload.viewpro import SimulatedViewpro
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import VIEWPRO_ATTITUDE, VIEWPRO_CAPTURED, VIEWPRO_FRAMES, VIEWPRO_OVER_TCP
@@ -70,7 +70,7 @@ def test_aircraft_attitude_is_sent_as_ardupilot_sends_it():
     gimbal = SimulatedViewpro(Quirks(), np.random.default_rng(1))
     pose = AircraftPose(0.3, -0.1, 4.0, 47.4, 8.5, 520.0, 100.0, 10.0, -11.0, 0.5)
     for frame in driver().aircraft(pose, 0.0):
-        gimbal.receive(frame, 0.0, Seen(300.0, 0.0, 0.0))
+        gimbal.receive(frame, 0.0, DeviceView(300.0, 0.0, 0.0))
     assert gimbal.aircraft_deg == pytest.approx(
         (math.degrees(0.3), math.degrees(-0.1), math.degrees(4.0 - math.tau)), abs=0.01
     )

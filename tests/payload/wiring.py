@@ -12,7 +12,7 @@ import numpy as np
 from sidelong.app.payload.driver import DriverSettings, Measured
 from sidelong.app.payload.registry import kind_by_name
 from sidelong.app.payload.session import PayloadSession
-from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.device import DeviceView
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
 
@@ -22,7 +22,7 @@ _STEP_S = 0.01
 
 def looking(range_m: float | None, bearing_deg: float, elevation_deg: float, lean_deg: float = 0.0):
     """Return what a payload sees at any time."""
-    seen = Seen(range_m, math.radians(bearing_deg), math.radians(elevation_deg), math.radians(lean_deg))
+    seen = DeviceView(range_m, math.radians(bearing_deg), math.radians(elevation_deg), math.radians(lean_deg))
     return lambda _now_s: seen
 
 
@@ -60,7 +60,7 @@ class Wired:
         """Switch the payload off and on: it knows nothing of what it was asked before."""
         self.device = DEVICES[self._kind](self._quirks, np.random.default_rng(self._seed))
 
-    def step(self, seen: Seen) -> list[Measured]:
+    def step(self, seen: DeviceView) -> list[Measured]:
         """Go on by 10 ms and return what was measured."""
         self._steps += 1
         self.now_s = self._steps * _STEP_S
@@ -78,7 +78,7 @@ class Wired:
                 measured += self.session.receive(frame, self.now_s)
         return measured
 
-    def run(self, duration_s: float, sees: Callable[[float], Seen]) -> list[Measured]:
+    def run(self, duration_s: float, sees: Callable[[float], DeviceView]) -> list[Measured]:
         """Go on for a while and return what was measured."""
         return [one for _ in range(round(duration_s / _STEP_S)) for one in self.step(sees(self.now_s + _STEP_S))]
 

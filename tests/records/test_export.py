@@ -16,7 +16,7 @@ from shapely.geometry import shape
 
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format, export
-from sidelong.app.records.track import Flight, Mission
+from sidelong.app.records.track import FlownTrack, Mission
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading
@@ -25,7 +25,7 @@ from sidelong.mission.upload.items import circle_item
 
 PLANE = LocalPlane(47.4, 8.5)
 CIRCLES = [(12.0, Circle(100.0, 50.0, 80.0, clockwise=True)), (40.0, Circle(300.0, 50.0, 60.0, clockwise=False))]
-FLIGHT = Flight(
+FLIGHT = FlownTrack(
     name="a flight <&>",
     plane=PLANE,
     aircraft=[PositionReading(10.0 + i, 10.0 * i, -5.0 * i, 120.0, 10.0, -5.0, 0.0) for i in range(50)],
@@ -47,7 +47,7 @@ FLIGHT = Flight(
 
 @pytest.fixture
 def written(tmp_path):
-    def write(wanted: Format, flight: Flight = FLIGHT) -> str:
+    def write(wanted: Format, flight: FlownTrack = FLIGHT) -> str:
         export([flight], wanted, tmp_path / "out")
         return (tmp_path / "out").read_text()
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 import pytest
 from pymavlink import mavutil
 
-from sidelong.app.records.tlog import TlogWriter, VehicleTime
+from sidelong.app.records.tlog import TlogClock, TlogWriter
 
 WALL_S = 1.7e9
 
 
 def stamps_s(frames_at: list[tuple[bytes, float]], system_id: int | None = None) -> list[float]:
-    time = VehicleTime()
+    time = TlogClock()
     time.system_id = system_id
     return [time.stamp_s(frame, WALL_S + wall_s) - WALL_S for frame, wall_s in frames_at]
 
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_a_log_of_a_fast_simulation_is_as_long_as_the_flight(tmp_path, sender, version):
-    pack, time = sender(version=version), VehicleTime()
+    pack, time = sender(version=version), TlogClock()
     with TlogWriter(tmp_path / "flight.tlog", pytest.fail) as log:
         for tick in range(2001):  # 200 s of the vehicle's in 20 s
             for frame in (pack.attitude(5000 + 100 * tick), pack.text("something")):

@@ -33,7 +33,7 @@ from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve import control_socket
 from sidelong.app.serve.resident import Resident, ServiceDisplay, State, feed_watchdog, notify
 from sidelong.app.serve.standby import Standby, Triggers
-from sidelong.app.view.address import Address
+from sidelong.app.view.address import PageAddress
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.core.events import Announce, ModeReported
@@ -581,7 +581,7 @@ def test_a_watch_goes_on_without_a_map_that_cannot_be_served(free_port):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port()))
         taken.listen()
-        assert asyncio.run(show(Address("127.0.0.1", taken.getsockname()[1]))) is display
+        assert asyncio.run(show(PageAddress("127.0.0.1", taken.getsockname()[1]))) is display
     (text,) = announced
     assert text.startswith("the watch goes on without the live map: the page cannot be shown on 127.0.0.1:")
 

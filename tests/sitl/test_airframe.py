@@ -6,14 +6,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sidelong.sitl.world.airframe import Airframe, AirframeParameters, Wind, true_over_equivalent_airspeed
+from sidelong.sitl.world.airframe import (
+    AirframeParameters,
+    SimulatedAirframe,
+    WindVector,
+    true_over_equivalent_airspeed,
+)
 from sidelong.sitl.world.geodesy import HomePlane
 
 DT_S = 0.02
 
 
 def airborne(wind=None, speed_m_s=15.0, **build):
-    craft = Airframe(AirframeParameters(**build), wind or Wind())
+    craft = SimulatedAirframe(AirframeParameters(**build), wind or WindVector())
     craft.flying, craft.height_m, craft.airspeed_m_s = True, 100.0, speed_m_s
     return craft
 
@@ -62,14 +67,14 @@ def test_airspeed_is_reached_with_a_limited_acceleration():
 
 
 def test_wind_carries_the_craft():
-    craft = airborne(Wind.blowing_from(4.0, math.radians(90.0)))
+    craft = airborne(WindVector.blowing_from(4.0, math.radians(90.0)))
     fly(craft, 10.0)
     assert craft.velocity_east_m_s == pytest.approx(-4.0)
     assert craft.velocity_north_m_s == pytest.approx(15.0)
 
 
 def test_it_lifts_off_into_the_wind_with_airspeed_not_ground_speed():
-    craft = Airframe(AirframeParameters(), Wind(0.0, -5.0))
+    craft = SimulatedAirframe(AirframeParameters(), WindVector(0.0, -5.0))
     while not craft.flying:
         craft.roll_on_ground(DT_S, 13.0)
     assert craft.airspeed_m_s == pytest.approx(13.0, abs=0.2)

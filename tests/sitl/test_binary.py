@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from sidelong.sitl.binary import BinaryError, run_of, started
-from sidelong.sitl.settings import Flavour, Home
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.settings import Flavour, HomePosition
+from sidelong.sitl.world.airframe import WindVector
 
 ARDUPLANE, PX4 = Flavour.ARDUPLANE, Flavour.PX4
-HOME = Home(47.0, 8.0, 400.0)
+HOME = HomePosition(47.0, 8.0, 400.0)
 
 
 def program(path, text):
@@ -57,7 +57,7 @@ def test_px4_before_1_16_takes_parameters_and_home_from_a_file_in_its_path(tmp_p
 
 
 def test_the_wind_is_given_as_each_program_takes_it(tmp_path):
-    wind = Wind.blowing_from(4.0, math.radians(270.0))
+    wind = WindVector.blowing_from(4.0, math.radians(270.0))
     arduplane = run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, wind)
     assert arduplane.command[-2:] == ["--defaults", str(tmp_path / "own.parm")]
     assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 30000\nSIM_WIND_SPD 4\nSIM_WIND_DIR 270\n"

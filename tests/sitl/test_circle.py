@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.settings import Flavour
-from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.airframe import WindVector
 
 CENTRE_M = (500.0, 300.0)
 HEIGHT_M = 120.0
@@ -37,7 +37,7 @@ def test_the_least_circle_of_arduplane_at_22_m_s_is_about_50_m(simulate, station
 
 
 def test_arduplane_in_wind_breathes_by_some_metres(simulate, station):
-    _, mean_m, min_m, max_m = flown(simulate, station, 100, airspeed_m_s=22.0, wind=Wind(5.0, 0.0))
+    _, mean_m, min_m, max_m = flown(simulate, station, 100, airspeed_m_s=22.0, wind=WindVector(5.0, 0.0))
     assert mean_m == pytest.approx(116.0, abs=2.0)
     assert 6.0 < max_m - min_m < 14.0
 
@@ -57,7 +57,7 @@ def test_px4_silently_flies_the_least_radius_its_roll_limit_allows(simulate, sta
 
 
 def test_px4_holds_its_circle_in_wind(simulate, station):
-    _, mean_m, min_m, max_m = flown(simulate, station, 80, flavour=Flavour.PX4, wind=Wind(3.0, -2.0))
+    _, mean_m, min_m, max_m = flown(simulate, station, 80, flavour=Flavour.PX4, wind=WindVector(3.0, -2.0))
     assert mean_m == pytest.approx(80.0, abs=0.5)
     assert max_m - min_m < 3.0
 

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, _send, accompany
 from sidelong.sitl.payload.devices import DEVICES
-from sidelong.sitl.payload.payload import Payload
+from sidelong.sitl.payload.payload import SimulatedPayload
 from sidelong.sitl.protocol.radio import signing_time
 from sidelong.sitl.settings import PayloadSettings, Quirks, TargetSettings
 from sidelong.sitl.simulation import target_motion
@@ -186,7 +186,7 @@ def test_its_signatures_follow_the_clock(monkeypatch):
     mav, begun_s = mavlink.MAVLink(io.BytesIO(), 1, 154), 1.8e9
     mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = bytes(32), True, signing_time(begun_s)
     monkeypatch.setattr("sidelong.sitl.payload.companion.time", SimpleNamespace(time=lambda: begun_s + 120.0))
-    _send(SimpleNamespace(mav=mav), Payload.heartbeat())
+    _send(SimpleNamespace(mav=mav), SimulatedPayload.heartbeat())
     stamp = int.from_bytes(mav.file.getvalue()[-12:-6], "little")
     assert stamp == signing_time(begun_s + 120.0)
 

@@ -15,9 +15,9 @@ from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
 from sidelong.sitl.arduplane.vehicle import BUILD as ARDUPLANE_BUILD
 from sidelong.sitl.arduplane.vehicle import arduplane_parameters
 from sidelong.sitl.px4.navigator import Px4Navigator
-from sidelong.sitl.px4.vehicle import Px4, px4_parameters
+from sidelong.sitl.px4.vehicle import SimulatedPx4, px4_parameters
 from sidelong.sitl.settings import Flavour, Settings
-from sidelong.sitl.world.airframe import Airframe, Place, Wind
+from sidelong.sitl.world.airframe import LocalPosition, SimulatedAirframe, WindVector
 
 with Path(__file__).with_name("flown_moves.csv").open(newline="") as file:
     MOVES = [
@@ -30,7 +30,7 @@ HOME_ALTITUDE_M = 584.09
 
 
 def craft_of(move, build):
-    craft = Airframe(build, Wind(move["wind_east_m_s"], move["wind_north_m_s"]))
+    craft = SimulatedAirframe(build, WindVector(move["wind_east_m_s"], move["wind_north_m_s"]))
     craft.flying, craft.height_m, craft.roll_rad = True, HEIGHT_M, move["roll_rad"]
     craft.velocity_east_m_s, craft.velocity_north_m_s = move["velocity_east_m_s"], move["velocity_north_m_s"]
     through_air = (craft.velocity_east_m_s - craft.wind.east_m_s, craft.velocity_north_m_s - craft.wind.north_m_s)
@@ -42,16 +42,16 @@ def arduplane(move):
     craft = craft_of(move, ARDUPLANE_BUILD)
     parameters = arduplane_parameters(Settings(airspeed_m_s=22.0))
     navigator = ArduPlaneNavigator(craft, parameters, HOME_ALTITUDE_M)
-    navigator.circle(Place(move["centre_east_m"], move["centre_north_m"], HEIGHT_M), clockwise=True)
+    navigator.circle(LocalPosition(move["centre_east_m"], move["centre_north_m"], HEIGHT_M), clockwise=True)
     radius_m = move["radius_m"]
     return craft, 5, math.radians(65.0), lambda: navigator.fly_circle(radius_m, 0.0, 0.1, by_line=False)
 
 
 def px4(move):
-    simulated = Px4(Settings(flavour=Flavour.PX4))
+    simulated = SimulatedPx4(Settings(flavour=Flavour.PX4))
     craft = craft_of(move, simulated.craft.build)
     navigator = Px4Navigator(craft, px4_parameters(Settings(flavour=Flavour.PX4)))
-    navigator.fly_around(Place(move["centre_east_m"], move["centre_north_m"], HEIGHT_M), move["radius_m"])
+    navigator.fly_around(LocalPosition(move["centre_east_m"], move["centre_north_m"], HEIGHT_M), move["radius_m"])
     return craft, 2, math.radians(50.0), navigator.fly_circle
 
 

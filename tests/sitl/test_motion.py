@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sidelong.sitl.world.motion import MOTIONS, built_in_motion
-from sidelong.sitl.world.track import Track, TrackMotion, read_track
+from sidelong.sitl.world.track import RecordedTrack, TrackMotion, read_track
 from sidelong.sitl.world.track_file import TrackError
 
 START_M = (250.0, 300.0)
@@ -71,7 +71,7 @@ def test_the_same_seed_walks_the_same_way():
 
 def track(*points):
     time_s, east_m, north_m = zip(*points, strict=True)
-    return Track(time_s, east_m, north_m)
+    return RecordedTrack(time_s, east_m, north_m)
 
 
 def test_a_gap_is_bridged_and_a_jump_is_walked():

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.payload import Payload, Sight
+from sidelong.sitl.payload.payload import SimulatedPayload, TargetGeometry
 from sidelong.sitl.settings import Flavour, GimbalFrame, PayloadSettings, RangeMessage
 
-LOG_SIGHT = Sight(233.642, math.radians(-132.4020), -math.asin(120.03 / 233.642))
+LOG_SIGHT = TargetGeometry(233.642, math.radians(-132.4020), -math.asin(120.03 / 233.642))
 
 
 def measurements(settings, count, sight=LOG_SIGHT, heading_rad=0.0, seed=1):
-    payload = Payload(settings, np.random.SeedSequence(seed))
+    payload = SimulatedPayload(settings, np.random.SeedSequence(seed))
     return [payload.measure(0.1 * i, 100 * i, sight, heading_rad) for i in range(count)]
 
 
@@ -40,7 +40,7 @@ def test_a_gimbal_waits_at_its_stop_for_a_target_beyond_its_pan_limits():
     exact = PayloadSettings(gimbal_sigma_deg=0.0, gimbal_yaw_bias_deg=0.0, dropout_fraction=0.0)
     settings = replace(exact, pan_limit_deg=math.degrees(2.0))
     for pan_rad, yaw_rad in ((1.9, 1.9), (-1.9, -1.9), (2.1, 2.0), (-2.1, -2.0)):
-        sight = Sight(300.0, 0.8 + pan_rad, -0.3)
+        sight = TargetGeometry(300.0, 0.8 + pan_rad, -0.3)
         (measured,) = measurements(settings, 1, sight, heading_rad=0.8)
         (gimbal,) = of_kind([measured], "GIMBAL_DEVICE_ATTITUDE_STATUS")
         assert math.remainder(yaw_pitch_rad(gimbal)[0] - 0.8 - yaw_rad, math.tau) == pytest.approx(0.0, abs=1e-5)
@@ -99,7 +99,7 @@ def test_a_change_of_one_noise_leaves_the_dropouts_alone(change):
 @pytest.mark.parametrize(("range_m", "received"), [(654.0, True), (660.0, False), (0.5, False)])
 def test_the_laser_ends_where_its_message_ends(range_m, received):
     exact = PayloadSettings(range_sigma_m=0.0, outlier_fraction=0.0, dropout_fraction=0.0)
-    measured = measurements(exact, 10, Sight(range_m, 0.0, 0.0))
+    measured = measurements(exact, 10, TargetGeometry(range_m, 0.0, 0.0))
     assert bool(of_kind(measured, "DISTANCE_SENSOR")) is received
     assert len(of_kind(measured, "GIMBAL_DEVICE_ATTITUDE_STATUS")) == 10
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.payload import Payload, Sight
+from sidelong.sitl.payload.payload import SimulatedPayload, TargetGeometry
 from sidelong.sitl.settings import NEWEST, Flavour, GimbalFrame, PayloadSettings
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
@@ -134,10 +134,10 @@ def test_arduplane_offers_terrain_reports_on_their_own_from_4_6(simulate, statio
 
 
 def test_a_mount_of_4_4_names_no_frame_of_its_yaw():
-    sight = Sight(200.0, 1.0, -0.4)
+    sight = TargetGeometry(200.0, 1.0, -0.4)
     flags = {}
     for frame in GimbalFrame:
-        payload = Payload(PayloadSettings(gimbal_frame=frame), np.random.SeedSequence(1))
+        payload = SimulatedPayload(PayloadSettings(gimbal_frame=frame), np.random.SeedSequence(1))
         (message,) = (
             one for one in payload.measure(10.0, 10_000, sight, 0.7).messages if one.get_type().startswith("GIMBAL")
         )

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from sidelong.sitl.settings import Flavour, Home, TargetSettings
+from sidelong.sitl.settings import Flavour, HomePosition, TargetSettings
 from sidelong.sitl.world.truth import HEADER, TruthFile
 
 
@@ -132,7 +132,7 @@ def test_a_reboot_can_be_ordered_on_the_ground_only(simulate, station):
 
 @pytest.mark.parametrize("flavour", list(Flavour))
 def test_home_can_be_anywhere(simulate, station, flavour):
-    ground = station(simulate(flavour=flavour, home=Home(-75.0, 179.999, 3000.0)))
+    ground = station(simulate(flavour=flavour, home=HomePosition(-75.0, 179.999, 3000.0)))
     ground.fly(ground.takeoff(80.0), ground.loiter(300.0, 0.0, 80.0, 80.0))
     ground.run(60.0)
     position = ground.last("GLOBAL_POSITION_INT")

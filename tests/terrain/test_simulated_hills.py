@@ -14,7 +14,7 @@ from sidelong.app.analysis.truth import read_truth
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.sitl.payload.companion import Companion
-from sidelong.sitl.settings import Home, PayloadSettings, Settings, TargetSettings
+from sidelong.sitl.settings import HomePosition, PayloadSettings, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation, target_motion
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills, HillsError
@@ -101,7 +101,7 @@ def test_damaged_tiles_are_reported(tmp_path: Path) -> None:
 def simulated(hills_folder: Path, target_m: tuple[float, float]) -> tuple[list[TruthRow], list[str]]:
     """Forty seconds of an aircraft put into the air over home."""
     settings = Settings(
-        home=Home(*HOME_DEG, 450.0),
+        home=HomePosition(*HOME_DEG, 450.0),
         targets=(TargetSettings(motion="still", start_m=target_m),),
         terrain=hills_folder,
         payload=Settings().payload,

@@ -17,7 +17,7 @@ from sidelong.app.flight.preflight import checks
 from sidelong.app.flight.terrain_server import TerrainServer, answers
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.sitl.settings import Home, Settings
+from sidelong.sitl.settings import HomePosition, Settings
 from sidelong.sitl.simulation import Simulation
 from tests.messages import latest, message
 
@@ -91,7 +91,7 @@ def test_a_plane_without_heights_asks_and_then_reports_the_ground_below(hills_fo
     """The simulated ArduPlane asks for what is below it; its report agrees with the tiles, and is checked by them."""
     data = ElevationData(hills_folder)
     home_m = data.height_above_sea_m(*HOME_DEG)
-    simulation = Simulation(Settings(home=Home(*HOME_DEG, home_m), terrain=hills_folder, payload=None))
+    simulation = Simulation(Settings(home=HomePosition(*HOME_DEG, home_m), terrain=hills_folder, payload=None))
     simulation.connect("ground")
     received, speaks = mavlink.MAVLink(None), mavlink.MAVLink(None, 255, 190)
     stream = mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_EXTRA3, 2, 1)
