@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import defaultdict, deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,24 +53,28 @@ class Session:
         """The decoder of the vehicle's messages, from the connection to the end of the flight."""
         return self.inputs.telemetry
 
-    @contextlib.contextmanager
-    def for_a_flight(self) -> Iterator[None]:
-        """Let one of several flights over this connection begin with nothing known of the one before."""
+    @contextlib.asynccontextmanager
+    async def for_a_flight(self) -> AsyncIterator[None]:
+        """Let one of several flights over this connection begin without what is left of the one before."""
         vehicle, outer = self.vehicle, self.inputs
-        lists: tuple[list[Any], ...] = (vehicle.listeners, vehicle.bystanders, vehicle.texts.listeners)
-        before = [[*listeners] for listeners in lists]
         outer.close()
-        self.senders.forget()
+        lists: tuple[list[Any], ...] = (vehicle.listeners, vehicle.bystanders, vehicle.texts.listeners)
+        before, tasks = [[*listeners] for listeners in lists], {*self.background}
         self.inputs = VehicleInputs(vehicle)
         self.senders.judge(self.inputs)
         vehicle.latest.pop("HOME_POSITION", None)  # requested again
         try:
             yield
         finally:
+            ended = self.background - tasks
+            for task in ended:
+                task.cancel()
+            await asyncio.gather(*ended, return_exceptions=True)
             for listeners, kept in zip(lists, before, strict=True):
-                listeners[:] = kept
+                listeners[:] = [one for one in listeners if one in kept]
             self.inputs = outer
             self.senders.judge(outer)
+            outer.listen()
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
         """Run some work in the background, until the connection ends at the latest."""
@@ -166,7 +170,11 @@ class VehicleInputs:
         self.telemetry, self.plausibility = Telemetry(vehicle.system_id), Plausibility()
         self.listeners: list[Callable[[Message, Event | None, Event | None], object]] = []
         self._vehicle = vehicle
-        vehicle.listen(self._message, "GLOBAL_POSITION_INT")  # the clock and the plane, from the start
+        self.listen()
+
+    def listen(self) -> None:
+        """Take the vehicle's messages from now on, and the clock and the plane of the last one."""
+        self._vehicle.listen(self._message, "GLOBAL_POSITION_INT")
 
     def close(self) -> None:
         """Listen no more: the control step runs."""
@@ -184,10 +192,6 @@ class SenderCheck:
 
     def __init__(self) -> None:
         self._inputs: VehicleInputs | None = None
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin again."""
         self._last: dict[int, int] = {}  # by system: which one is meant is known later
         self._back: defaultdict[int, deque[bool]] = defaultdict(lambda: deque(maxlen=_FRAMES))
         self._kinds: list[tuple[int, int]] = []

@@ -93,7 +93,7 @@ async def fly_single(
                     settling_s=SETTLING_S if link.connections else 0.0,
                 )
             )
-        stack.enter_context(session.for_a_flight())
+        await stack.enter_async_context(session.for_a_flight())
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         recording.follow(session.vehicle.system_id)
         simulated_url = None if simulated is None else simulated.payload_url

@@ -213,7 +213,8 @@ class Vehicle(VehicleMessages):
         try:
             yield queue
         finally:
-            self.listeners.remove(on_message)
+            with contextlib.suppress(ValueError):  # a flight that ends takes its listeners with it
+                self.listeners.remove(on_message)
 
     async def received(self, name: str, timeout_s: float) -> Message | None:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.config import config_from
 from sidelong.app.errors import FlightError
+from sidelong.app.flight.life import Life
 from sidelong.app.serve import resident as service
 from sidelong.app.serve.resident import Resident, State
 from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
@@ -51,7 +52,8 @@ class Watching:
     def __init__(self):
         self.begun = self.lasting = 0
 
-    async def __call__(self, _config, _duration_s, _folder, _recording, _display, _sharing, life, *_rest):
+    async def __call__(self, *given):
+        (life,) = (one for one in given if isinstance(one, Life))
         self.begun, self.lasting = self.begun + 1, self.lasting + 1
         await life.stopped.wait()
         self.lasting -= 1
@@ -151,12 +153,16 @@ def test_what_is_requested_at_any_time_is_what_is_done(vehicle_of, tmp_path, mon
     async def pressed():
         vehicle = vehicle_of(flavour, speed=2.0)
         async with serving(vehicle, tmp_path, monkeypatch, aux_function=FUNCTION) as (resident, watching, station):
+            taken, request = [], resident.request
+            monkeypatch.setattr(resident, "request", lambda *given: taken.append(given) or request(*given))
             for steps in range(6):
                 for apart_s in (0.0, 0.1 * steps, 0.9 * steps):
                     await come(lambda: resident.status.state in (State.READY, State.FAULT))
+                    taken.clear()
                     station.press(HIGH)
                     await asyncio.sleep(apart_s)
                     station.press(LOW)
+                    await come(lambda: len(taken) == 2)
                     await come(lambda: resident._display is None and not resident._wanted)
                     assert watching.lasting == 0
             begun = watching.begun
