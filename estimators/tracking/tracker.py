@@ -31,7 +31,7 @@ from sidelong.estimators.sensing.readings import (
 from sidelong.estimators.sensing.sighting import AnySighting, Fix, Sighting, SightingOutcome
 from sidelong.estimators.settings import SourceChoice, TrackerSettings
 from sidelong.estimators.tracking.pairing import Pairing
-from sidelong.estimators.tracking.payload_fit import SURE_S, PayloadFit
+from sidelong.estimators.tracking.payload_fit import PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.estimators.tracking.track import Track
 
@@ -410,14 +410,11 @@ class Tracker:
     def unexpected_yaw_rad(self) -> float:
         """The gimbal's yaw error, if it is far beyond what the settings expect; else 0.
 
-        Unknown, hence 0, while the delays are: until the circle changes, one looks like the other.
+        Until the circle changes, a delay looks like it: the standard deviation of the fit shows how far.
         """
-        known, delays = self.calibration, self.delays
-        if delays is not None and max(delays.gimbal_sigma_s, delays.range_sigma_s) >= SURE_S:
-            return 0.0
-        limit_rad = max(
-            _YAW_UNEXPECTED_RAD, _YAW_SIGMAS * max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad)
-        )
+        known, fitted = self.calibration, 0.0 if self.delays is None else self.delays.yaw_sigma_rad
+        sigma_rad = max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad, fitted)
+        limit_rad = max(_YAW_UNEXPECTED_RAD, _YAW_SIGMAS * sigma_rad)
         return known.yaw_bias_rad if abs(known.yaw_bias_rad) > limit_rad else 0.0
 
 
