@@ -53,6 +53,7 @@ _PITCH_SIGMAS = 3.0
 # Of a laser; smaller errors are the filter's alone. Fitted together with a target that turns, they are less sure.
 _RANGE_UNEXPECTED_M, _RANGE_SIGMAS, _FACTOR_STEP = 10.0, 8.0, 0.03
 _STEP_LARGE_S = 0.3  # of a delay: the sightings until then show another place
+_RANGE_FOUND_SHARE = 0.04  # the filter knows the error less well than the fit, which sees minutes
 _RANGE_SIGMA_SHARE = 0.1  # an error may grow with the range, or be the pitch's
 
 
@@ -204,7 +205,7 @@ class Tracker:
         mean[0], covariance[0, 0] = found.yaw_bias_rad, min(variance, sigma_rad**2)
         if abs(found.range_bias_m) > _RANGE_UNEXPECTED_M:
             mean[2] = found.range_bias_m
-            covariance[2, 2] += (_RANGE_SIGMA_SHARE * found.range_bias_m) ** 2
+            covariance[2, 2] += (_RANGE_FOUND_SHARE * found.range_bias_m) ** 2
         return Biases(mean, covariance)
 
     @property
