@@ -46,6 +46,9 @@ _CLOCK = re.compile(
 )
 _NO_TIME = re.compile(r"[\d\s:.,/TZ+-]+")
 _SEXAGESIMAL = re.compile(r"([NSEW]?)\s*([\d.]+)[°\s]*(?:([\d.]+)['\s]*)?(?:([\d.]+)[\"\s]*)?([NSEW]?)")
+_CELL_MAX = 64  # characters of a time or coordinate: the expressions above take long for more
+    r"([NSEW]?)\s*([\d.]{1,20})[°\s]*(?:([\d.]{1,20})['\s]*)?(?:([\d.]{1,20})[\"\s]*)?([NSEW]?)"
+)
 # Columns by what their names may be, the best first; words are joined by "_".
 _TIMES = (
     *("t_s", "time_s", "seconds_elapsed", "timestamp", "time", "t", "datetime", "date_time", "basedatetime"),
@@ -226,6 +229,8 @@ def _seconds(stamp: object) -> float:
     if isinstance(stamp, int | float):
         return float(stamp)
     text = str(stamp or "").strip()
+    if len(text) > _CELL_MAX:
+        raise ValueError(f"{text!r:.40} is neither seconds nor a time of ISO 8601")
     parts = _COMPACT.fullmatch(text)
     if parts is None:
         with suppress(ValueError):
@@ -583,7 +588,7 @@ def _stamp(time: str, date: str) -> float:
 def _coordinate(word: str) -> float:
     """Return a coordinate in degrees; it may have a decimal comma, minutes, and N, S, E or W. Raises ValueError."""
     word = word.replace(",", ".").rstrip("° ")
-    parts = _SEXAGESIMAL.fullmatch(word)
+    parts = _SEXAGESIMAL.fullmatch(word) if len(word) <= _CELL_MAX else None
     if parts is None or not parts[1] + parts[5]:
         return float(word)
     degrees, minutes, seconds = (float(part or 0.0) for part in parts.groups()[1:4])

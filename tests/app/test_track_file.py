@@ -341,6 +341,8 @@ def test_legal_variants_of_a_route_are_read(tmp_path: Path, name: str) -> None:
         ("a.kmz", kmz()[:80], "is not a readable track or route"),
         ("a.kmz", b"PK\x03\x04", "is not a readable track or route"),
         ("a.json", "[" * 2_000_001, "too many parts"),
+        ("a.csv", f"lat,lon\n{'9' * 50_000}x,8\n", "could not convert string to float"),
+        ("a.csv", f"time,lat,lon\n9:00{' ' * 100_000}x,47,8\n", "is neither seconds nor a time"),
         ("a.kml", "<kml>" + "<a/>" * 2_000_001, "too many parts"),
     ],
 )
