@@ -47,8 +47,6 @@ _CLOCK = re.compile(
 _NO_TIME = re.compile(r"[\d\s:.,/TZ+-]+")
 _SEXAGESIMAL = re.compile(r"([NSEW]?)\s*([\d.]+)[°\s]*(?:([\d.]+)['\s]*)?(?:([\d.]+)[\"\s]*)?([NSEW]?)")
 _CELL_MAX = 64  # characters of a time or coordinate: the expressions above take long for more
-    r"([NSEW]?)\s*([\d.]{1,20})[°\s]*(?:([\d.]{1,20})['\s]*)?(?:([\d.]{1,20})[\"\s]*)?([NSEW]?)"
-)
 # Columns by what their names may be, the best first; words are joined by "_".
 _TIMES = (
     *("t_s", "time_s", "seconds_elapsed", "timestamp", "time", "t", "datetime", "date_time", "basedatetime"),
