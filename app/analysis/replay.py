@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from sidelong.app.link.message import Message
     from sidelong.app.link.telemetry import Telemetry
     from sidelong.app.records.log import RecordedLog
+    from sidelong.estimators.tracking.tracker import Tracker
 
 _MODE = "as recorded"
 # A set lookup by exact type is enough: only the exchange's own events have derived types.
@@ -121,10 +122,22 @@ def log_events(messages: Iterable[Message], telemetry: Telemetry) -> Iterator[In
     yield from early
 
 
-def require_sightings(sightings: int, log: RecordedLog) -> None:
-    """Raise InputError when a log held nothing to see a target by."""
-    if sightings == 0:
-        raise InputError(f"{log.path}: no target can be seen in it: {log.looked_for()}.")
+def require_sightings(tracker: Tracker, telemetry: Telemetry, log: RecordedLog) -> None:
+    """Raise InputError, with the reason, when a log held nothing to see a target by."""
+    if tracker.sightings:
+        return
+    reasons = []
+    for kind, selector in (("range", tracker.ranges), ("gimbal", tracker.gimbals)):
+        never = {one: why for one in selector.seen if (why := selector.why_never(one, f"sensors.{kind}_component"))}
+        if len(never) < len(selector.seen):
+            continue  # one of them was used
+        reasons += [f"the only {kind} {why.removeprefix('it ')}" for why in dict.fromkeys(never.values())]
+        reasons += [
+            f"{one.message} of component {one.component_id} was received {count} times, but {why}"
+            for (of, one, why), count in telemetry.unusable.items()
+            if of == kind
+        ]
+    raise InputError(f"{log.path}: no target can be seen in it: {'; '.join(reasons) or log.looked_for()}.")
 
 
 def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:

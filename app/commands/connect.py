@@ -183,8 +183,8 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             of_kind = [rate for rate in rates if rate.kind == kind]
             described = describe_use(config, kind, [rate.source for rate in of_kind])
             for rate in of_kind:
-                uses[str(rate)] = described[rate.source]
-                say(f"{kind}: {rate}: {described[rate.source]}")
+                uses[str(rate)] = "not used: it holds no reading" if rate.fault else described[rate.source]
+                say(f"{kind}: {rate}: {uses[str(rate)]}")
         for line in () if status is None else payload_lines(config.payload.kind, status):
             say(line)
         for words in filter(None, (*pan_words(pan_rad), contradiction(config.aircraft.pan_limit_deg, pan_rad))):

@@ -175,7 +175,7 @@ def _replay_log(
         replayed = Proposals(controller).follow(itertools.chain(first, events))
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     warn_of_log(path, log.context().warning)
-    require_sightings(controller.tracker.sightings, log)
+    require_sightings(controller.tracker, telemetry, log)
     result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))
     say(f"plans proposed: {result.uploads}; a log of another program flies none of them")

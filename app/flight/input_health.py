@@ -52,7 +52,7 @@ class InputHealth:
     def _take(self, event: Event, admitted: Event | None) -> None:
         door, tracker = self._inputs.plausibility, self._tracker
         now_s = door.clock.now_s
-        due = self._health.received(event, now_s)
+        due = self._health.received(event, now_s, tracker.ranges)
         if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
             tracker.add(admitted)
         if due and now_s > -math.inf:
@@ -65,5 +65,6 @@ class InputHealth:
             yaw_error_rad = self._tracker.calibration.yaw_bias_rad
             wrong.append((Input.GIMBAL, f"the gimbal: {yaw_fault(yaw_error_rad)}; a flight corrects it"))
         if not wrong:
-            return (Check("inputs", True, "fresh, and without contradiction"),)
+            judged = ", ".join(one.input for one in self._health.reports) or "none received"
+            return (Check("inputs", True, f"{judged}: fresh, and without contradiction"),)
         return tuple(Check(f"input {one}", False, text, before_take_off=one in _OF_PAYLOAD) for one, text in wrong)

@@ -13,7 +13,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopi
 from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.flight.source_rates import SourceRate
+from sidelong.app.flight.source_rates import SourceRate, why_unused
 from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import FAILSAFE, RECOVERY_MODES, TYPE_FIXED_WING, has_fix
 from sidelong.app.link.vehicle import Vehicle
@@ -250,7 +250,8 @@ def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:
 def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
     """Require laser and gimbal messages, unless a beacon or the camera reports the target's position."""
     received = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
-    paired = all(any(rate.rate_hz >= _MIN_RATE_HZ for rate in received[kind]) for kind in ("range", "gimbal"))
+    usable = {kind: [rate for rate in of_kind if _is_usable(config, rate)] for kind, of_kind in received.items()}
+    paired = bool(usable["range"] and usable["gimbal"])
     if received["target"] and not paired:
         return (Check("target source", True, "; ".join(map(str, received["target"]))),)
     if config.sharing.beacon is not None and not paired:
@@ -258,23 +259,27 @@ def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check
             f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
         )
         return (Check("target source", False, "neither a beacon nor a laser with a gimbal", remedy, True),)
-    if config.terrain.is_known and config.sensors.angles_alone and not received["range"]:
-        return (
-            Check("range source", True, "none: the line of sight is cut with the ground"),
-            _rate_check("gimbal", received["gimbal"], "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
-        )
-    return tuple(
-        _rate_check(kind, received[kind], remedy)
-        for kind, remedy in (
-            ("range", "send DISTANCE_SENSOR or RANGEFINDER from the laser"),
-            ("gimbal", "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
-        )
-    )
+    gimbal = _rate_check(config, "gimbal", received["gimbal"], "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal")
+    if config.terrain.is_known and config.sensors.angles_alone and not usable["range"]:
+        return Check("range source", True, "none: the line of sight is cut with the ground"), gimbal
+    remedy = "send DISTANCE_SENSOR or RANGEFINDER from the laser"
+    if any(rate.fault for rate in received["range"]):
+        remedy = "let the laser look at something within its reach"
+    return _rate_check(config, "range", received["range"], remedy), gimbal
 
 
-def _rate_check(kind: str, rates: list[SourceRate], remedy: str) -> Check:
-    received = [rate for rate in rates if rate.rate_hz >= _MIN_RATE_HZ]
-    return Check(f"{kind} source", bool(received), "; ".join(map(str, received)) or "none received", remedy, True)
+def _is_usable(config: Config, rate: SourceRate) -> bool:
+    return rate.rate_hz >= _MIN_RATE_HZ and not rate.fault and not why_unused(config, rate.kind, rate.source)
+
+
+def _rate_check(config: Config, kind: str, rates: list[SourceRate], remedy: str) -> Check:
+    """Require a source that is used; of others, state why they are not."""
+    usable = [str(rate) for rate in rates if _is_usable(config, rate)]
+    others = [
+        f"{rate}, not used: {why}" if (why := why_unused(config, kind, rate.source)) else f"received: {rate}"
+        for rate in rates
+    ]
+    return Check(f"{kind} source", bool(usable), "; ".join(usable or others) or "none received", remedy, True)
 
 
 def _number(value: float | None) -> str:

@@ -23,20 +23,32 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
-from sidelong.estimators.tracking.sources import LOOKS_DOWN, Rank, range_rank, sight_rank
+from sidelong.estimators.tracking.sources import Rank, SourceSelector, range_rank, sight_rank
 
 _ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only counted
 
 
 @dataclass(frozen=True, slots=True)
 class SourceRate:
-    """How often a range or gimbal source speaks."""
+    """How often a range or gimbal source speaks.
+
+    Attributes:
+        kind: range, gimbal or target.
+        source: Who sends.
+        rate_hz: Messages per second of the vehicle's clock.
+        fault: Why none of them holds a reading, '' if they do.
+    """
 
     kind: str
     source: Source
     rate_hz: float
+    fault: str = ""
 
     def __str__(self) -> str:
+        return self._spoken + (f", but {self.fault}" if self.fault else "")
+
+    @property
+    def _spoken(self) -> str:
         if self.source.message in BEACON_MESSAGES:
             return f"{self.source.message} of a beacon at {self.rate_hz:.1f} Hz"
         where = f"component {self.source.component_id} id {self.source.sensor_id}"
@@ -86,9 +98,11 @@ class SourceRates:
         # A simulation may run faster than the clock on the wall.
         by_vehicle_s, by_wall_s = self._telemetry.now_s - self._first_s, time.time() - self._begun_s
         duration_s = next((s for s in (by_vehicle_s, by_wall_s) if 0.0 < s < math.inf), wall_s)
+        counts = {(*received, ""): number for received, number in self._counts.items()}
+        counts |= {key: number for key, number in self._telemetry.unusable.items() if key[:2] not in self._counts}
         rates = tuple(
-            SourceRate(kind, source, number / duration_s)
-            for (kind, source), number in sorted(self._counts.items(), key=lambda item: (item[0][0], -item[1]))
+            SourceRate(kind, source, number / duration_s, fault)
+            for (kind, source, fault), number in sorted(counts.items(), key=lambda item: (item[0][0], -item[1]))
         )
         self.begin()
         return rates
@@ -109,6 +123,15 @@ class SourceRates:
         self._counts["target", reading.source] += 1
 
 
+def why_unused(config: Config, kind: str, source: Source) -> str:
+    """Return why a source of a kind (range, gimbal, target) is never used, and what would use it; '' if it may be."""
+    if kind == "target":
+        return ""
+    settings = tracker_settings(config.sensors, config.planner.lost_after_s)
+    rank, choice = (range_rank, settings.range_source) if kind == "range" else (sight_rank, settings.gimbal_source)
+    return SourceSelector(rank, choice).why_never(source, f"sensors.{kind}_component")
+
+
 def describe_use(config: Config, kind: str, received: Sequence[Source]) -> dict[Source, str]:
     """Return what becomes of each source of a kind: range, gimbal, or target (a camera's own tracker)."""
     settings = tracker_settings(config.sensors, config.planner.lost_after_s)
@@ -124,18 +147,19 @@ def describe_use(config: Config, kind: str, received: Sequence[Source]) -> dict[
     key = f"sensors.{kind}_component"
     if choice is not None:
         return {
-            source: f"used: {key} names it" if choice.matches(source) else f"not used: {key} names another"
+            source: f"not used: {why}" if (why := why_unused(config, kind, source)) else f"used: {key} names it"
             for source in received
         }
     ranks = {source: own for source in received if (own := rank(source)) is not None}
     best = min(ranks.values(), default=None)
     first = [source for source, own in ranks.items() if own == best]
-    return {source: _words(source, key, ranks, first) for source in received}
+    return {
+        source: f"not used: {why}" if (why := why_unused(config, kind, source)) else _words(source, key, ranks, first)
+        for source in received
+    }
 
 
 def _words(source: Source, key: str, ranks: dict[Source, int], first: Sequence[Source]) -> str:
-    if source not in ranks:
-        return f"not used: {'it looks down' if source.orientation == LOOKS_DOWN else 'a sensor of the autopilot'}"
     if source in first:
         if len(first) > 1:
             return f"used if it is received first; select one with {key}"

@@ -7,6 +7,7 @@ This module only checks the sender: position, wind, GPS and EKF status are accep
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from typing import Any, Literal
@@ -81,6 +82,7 @@ class Telemetry:
     """Turns one vehicle's messages into events.
 
     plane is set by the first position fix, and again while the first few are far apart;
+    unusable counts the payload's messages without a reading, by kind ("range", "gimbal"), source and reason;
     system_id by the first autopilot heartbeat, unless given.
     now_s is the vehicle's clock: its latest time stamp, -inf before the first; a single outlying stamp does not
     change it.
@@ -89,6 +91,7 @@ class Telemetry:
     def __init__(self, system_id: int | None = None) -> None:
         self.system_id = system_id
         self.plane: LocalPlane | None = None
+        self.unusable: Counter[tuple[str, Source, str]] = Counter()
         self._clock = VehicleClock()
         self._wrapped_s = 0.0
         self._yaw_rad: float | None = None
@@ -227,20 +230,29 @@ class Telemetry:
 
     # -- the payload ---------------------------------------------------------------------------------------
 
+    def _note_unusable(self, kind: str, source: Source, why: str) -> None:
+        """Count a message of the payload that holds no reading."""
+        self.unusable[kind, source, why] += 1
+
     def _distance_sensor(self, message: Message) -> Event | None:
         fields = message.fields
-        distance_m = fields["current_distance"] * 1e-2
+        distance_m, orientation = fields["current_distance"] * 1e-2, int(fields["orientation"])
+        source = _source(message.name, message.component_id, int(fields["id"]), orientation)
         min_m, max_m = fields["min_distance"] * 1e-2, fields["max_distance"] * 1e-2
         signal = int(fields.get("signal_quality") or 0)  # 0: unknown; absent in MAVLink 1
         if not 0.0 < distance_m < max_m or distance_m < min_m or signal == _SIGNAL_INVALID:
-            return None  # what is beyond the reach, or has no echo, is often sent as the greatest distance
+            why = "no echo"  # what is beyond the reach, or has no echo, is often sent as the greatest distance
+            if signal != _SIGNAL_INVALID and distance_m > 0.0:
+                near = distance_m < min_m
+                why = f"nearer than its least range of {min_m:g} m" if near else f"no echo within its {max_m:g} m"
+            self._note_unusable("range", source, why)
+            return None
         covariance_cm2 = fields["covariance"]
-        orientation = int(fields["orientation"])
         quaternion = fields.get("quaternion") if orientation == _ORIENTATION_CUSTOM else None
         return RangeReading(
             time_s=self._payload_seconds(fields["time_boot_ms"]),
             slant_range_m=distance_m,
-            source=_source(message.name, message.component_id, int(fields["id"]), orientation),
+            source=source,
             sigma_m=math.sqrt(covariance_cm2) * 1e-2 if 0 < covariance_cm2 < 255 else None,
             quality=signal / 100.0 if signal else None,
             min_range_m=min_m,
@@ -249,23 +261,24 @@ class Telemetry:
         )
 
     def _rangefinder(self, message: Message) -> Event | None:
-        distance_m = message.fields["distance"]
+        distance_m, source = message.fields["distance"], _source(message.name, message.component_id)
         if not _finite(distance_m) or distance_m <= 0.0:
+            self._note_unusable("range", source, "no echo")
             return None
-        return RangeReading(self.now_s, distance_m, _source(message.name, message.component_id))
+        return RangeReading(self.now_s, distance_m, source)
 
     def _gimbal(self, message: Message) -> Event | None:
         fields = message.fields
         quaternion = _quaternion(fields["q"])
+        source = _source(message.name, message.component_id, int(fields.get("gimbal_device_id") or 0))
         if quaternion is None:
+            self._note_unusable("gimbal", source, "no orientation")
             return None
         frame = gimbal_frame(int(fields["flags"]))
         delta_yaw_rad = fields.get("delta_yaw")
         if frame == "vehicle" and delta_yaw_rad and self._is_heading(delta_yaw_rad):
             # The gimbal's own heading, of the moment of the measurement: the aircraft's need not be interpolated.
             quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
-        device_id = int(fields.get("gimbal_device_id") or 0)
-        source = _source(message.name, message.component_id, device_id)
         self._sight = GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
         return self._sight
 

@@ -18,7 +18,8 @@ _JUMP_US = 60_000_000
 _RESTARTED_US = 10_000_000  # a clock that is that much earlier has started again
 _CREDIBLE = 10  # entries this many together are no damage
 _STRETCH = 20_000
-_LATEST_US = 10**13  # no vehicle has been up for longer than four months
+_WRAP_US = 2**32 * 1000  # time_boot_ms of MAVLink has 32 bits: 49.7 days
+_FIRST_US = 1_000_000  # the first stamp of such a log: 0 is that of a sender which does not know the time
 
 
 class Entry(NamedTuple):
@@ -63,8 +64,8 @@ def _sorted(entries: list[Entry]) -> list[Entry]:
     These logs have no checksums: a damaged stamp shows only in standing alone or with few, a minute or more from all
     others.
     """
-    ordered = sorted((entry for entry in entries if 0 <= entry.time_us < _LATEST_US), key=lambda entry: entry.time_us)
-    jumps = np.diff([entry.time_us for entry in ordered], prepend=0) > _JUMP_US
+    ordered = sorted((entry for entry in entries if entry.time_us >= 0), key=lambda entry: entry.time_us)
+    jumps = np.diff(np.array([entry.time_us for entry in ordered], float), prepend=0.0) > _JUMP_US
     periods = zip(ordered, np.cumsum(jumps).tolist(), strict=True)
     groups = [[entry for entry, _ in group] for _, group in groupby(periods, key=lambda pair: pair[1])]
     enough = min(_CREDIBLE, max(map(len, groups), default=0))
@@ -90,6 +91,8 @@ def global_position(
 class Translator:
     """Turns entries in order of time into the messages the autopilot would send; ``makers`` go by the entries' names.
 
+    A clock that was set counts from 1970. Its stamps are reduced to the 32 bits of milliseconds that MAVLink has, in
+    such a way that they do not wrap within the flight.
     A maker that learns when the vehicle's clock was zero, in seconds since 1970, sets ``_boot_s``; until then the
     messages' received_s counts from boot.
     """
@@ -97,6 +100,7 @@ class Translator:
     def __init__(self, makers: Mapping[str, Callable[[Entry], Made]]) -> None:
         self._makers = makers
         self._boot_s = 0.0
+        self._base_us: int | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -109,9 +113,12 @@ class Translator:
         TypeError: a damaged definition may make text of a number.
         """
         for entry in entries:
+            if self._base_us is None:
+                self._base_us = entry.time_us - _FIRST_US if entry.time_us >= _WRAP_US else 0
+            boot_ms = (entry.time_us - self._base_us) % _WRAP_US * 1e-3
             with suppress(KeyError, ValueError, ArithmeticError, TypeError):
                 for name, fields in self._makers[entry.name](entry):
                     if any(_ABSURD < abs(value) < math.inf for value in fields.values() if isinstance(value, float)):
                         continue  # damaged: no unit here makes a flight's number that great
-                    stamped = {"time_boot_ms": entry.time_us * 1e-3, **fields}
+                    stamped = {"time_boot_ms": boot_ms, **fields}
                     yield Message(name, 1, 1, stamped, self._boot_s + entry.time_us * 1e-6)

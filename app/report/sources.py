@@ -129,12 +129,13 @@ def _log(
 ) -> FlightRecord:
     settings = load_config(config)
     telemetry = Telemetry()
-    builder = HistoryBuilder(tracker_of(settings))
+    tracker = tracker_of(settings)
+    builder = HistoryBuilder(tracker)
     log = open_log(path)
     _feed_log(log, telemetry, builder, progress)
     warn(log.context().warning)
     if target_needed:
-        require_sightings(len(builder.sightings), log)
+        require_sightings(tracker, telemetry, log)
     history = _built(builder, settings, path, telemetry.plane, truth)
     return FlightRecord(
         path.name, "an autopilot", settings, history, summary_of(history, "recorded log"), context=log.context()

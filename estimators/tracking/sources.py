@@ -67,6 +67,31 @@ class SourceSelector:
     _ranks: dict[Source, int | None] = field(default_factory=dict)
     _agrees_since_s: dict[Source, float] = field(default_factory=dict)  # of refused sources
 
+    @property
+    def seen(self) -> tuple[Source, ...]:
+        """Every source that was received."""
+        return tuple(self._ranks)
+
+    def may_use(self, source: Source) -> bool:
+        """Return whether a source is in use, or could be: it is judged, and counts as received."""
+        if self.chosen is not None:
+            return source is self.chosen or source == self.chosen
+        return self._rank_of(source) is not None
+
+    def why_never(self, source: Source, key: str) -> str:
+        """Return why a source is never used, and what would use it; '' for one that may be used.
+
+        Args:
+            source: who sent it.
+            key: the configuration key that selects the sources of this kind by their component.
+        """
+        if self._rank_of(source) is not None:
+            return ""
+        if self.choice is not None:
+            return f"it is not what {key} names"
+        why = "it looks down" if source.orientation == LOOKS_DOWN else "it is a sensor of the autopilot"
+        return f"{why}; {key} = {source.component_id} would use it"
+
     def accepts(self, source: Source, time_s: float, agrees: Callable[[], bool] = lambda: True) -> bool:
         """Return whether to use a reading of this source.
 

@@ -332,7 +332,7 @@ class Tracker:
 
     def _add_range(self, reading: RangeReading) -> None:
         payload = self.payload
-        if self.ranges.chosen is None or reading.source == self.ranges.chosen:
+        if self.ranges.may_use(reading.source):
             payload.range(reading)
             if payload.is_changed:
                 self._follow_payload(reading.time_s)

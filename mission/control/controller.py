@@ -178,7 +178,7 @@ class StandoffController:
         announced: tuple[StepOutput, ...]
         admitted, announced = self.door.admit(event)
         self.admitted = admitted
-        if self.health.received(event, self.door.clock.now_s):
+        if self.health.received(event, self.door.clock.now_s, self.tracker.ranges):
             announced += self._health_changes()
             self.door.vehicle_silent = self.health.silent_s >= _SILENT_S
         if admitted is None:

@@ -103,19 +103,24 @@ class Health:
         self._is_news = True  # whether the reports have to be made again
         self._refused: set[Source] = set()
 
-    def received(self, event: Event, now_s: float) -> bool:
+    def received(self, event: Event, now_s: float, lasers: SourceSelector | None = None) -> bool:
         """Note that an event came, whatever its content; return whether the states are due to be judged.
 
         Args:
             event: as it was received.
             now_s: the vehicle's clock.
+            lasers: which laser is in use; a range of a source that is never used is no input.
         """
         goes_on = self._ticks > self._moved_tick + _TICKS_MARGIN and now_s != self._now_s
         if goes_on:
             self._moved_tick, self._now_s = self._ticks, now_s
         one = self._by_kind.get(type(event))
         if one is not None and now_s > -math.inf:
-            if one.source is None or event.source is one.source or event.source == one.source:  # type: ignore[union-attr]
+            if one.source is None:
+                is_input = not isinstance(event, RangeReading) or lasers is None or lasers.may_use(event.source)
+            else:
+                is_input = event.source is one.source or event.source == one.source  # type: ignore[union-attr]
+            if is_input:
                 one.last_s, one.tick = now_s, self._ticks
                 one.count += 1
         elif isinstance(event, ClockTick):

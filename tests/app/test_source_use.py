@@ -42,9 +42,11 @@ def test_reasons_are_reported():
     announced = describe_use(DEFAULT, "range", (PAYLOAD, REPEATED, DOWNWARD, FIXED, OWN))
     assert announced[PAYLOAD] == "used: the payload's own, before what repeats it"
     assert announced[REPEATED].endswith("the autopilot only repeats it")
-    assert announced[DOWNWARD] == "not used: it looks down"
-    assert announced[OWN] == "not used: a sensor of the autopilot"
-    assert describe_use(NAMED, "range", (PAYLOAD,))[PAYLOAD] == "not used: sensors.range_component names another"
+    assert announced[DOWNWARD] == "not used: it looks down; sensors.range_component = 1 would use it"
+    assert announced[OWN].startswith("not used: it is a sensor of the autopilot")
+    assert (
+        describe_use(NAMED, "range", (PAYLOAD,))[PAYLOAD] == "not used: it is not what sensors.range_component names"
+    )
 
 
 def test_gimbals_are_reported_likewise():
