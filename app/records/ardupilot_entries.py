@@ -37,6 +37,9 @@ class ArdupilotMessages(Translator):
             "MNT": self._mount,
             "XKF2": self._wind,
             "NKF2": self._wind,
+            "MSG": self._text,
+            "VER": self._text,
+            "PARM": self._parameter,
         }
         super().__init__(makers)
         self._velocity_ned_m_s: tuple[float, float, float] | None = None
@@ -90,6 +93,12 @@ class ArdupilotMessages(Translator):
         if math.isfinite(fields.get("Dist", math.nan)):
             sensor_id = _MOUNT_RANGE_ID + entry.instance
             yield _range(fields["Dist"], sensor_id, _ORIENTATION_CUSTOM, _SIGNAL_UNKNOWN)
+
+    def _text(self, entry: Entry) -> Made:
+        yield "STATUSTEXT", {"text": entry.fields["Message" if entry.name == "MSG" else "FWS"]}
+
+    def _parameter(self, entry: Entry) -> Made:
+        yield "PARAM_VALUE", {"param_id": entry.fields["Name"], "param_value": entry.fields["Value"]}
 
     def _wind(self, entry: Entry) -> Made:
         if entry.instance == 0:

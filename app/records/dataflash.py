@@ -25,6 +25,7 @@ _HEADERS = re.compile(re.escape(_HEADER))
 _FORMAT_TYPE = 0x80
 _FORMAT = struct.Struct("<BB4s16s64s")  # type, length, name, one letter a field, field names
 _FORMAT_BYTES = 3 + _FORMAT.size
+_WITH_TEXT = ("MSG", "PARM", "VER")
 _INSTANCE_NAMES = ("Instance", "I", "C")
 
 MAGIC = _HEADER + bytes([_FORMAT_TYPE])
@@ -45,14 +46,15 @@ class _Kind:
         if length != 3 + self._unpacker.size or len(self._field_names) != len(formats):
             raise ValueError(f"the definition of {self.name} contradicts itself")
         has_time = ("TimeUS", "Q") in zip(self._field_names, _text(letters), strict=True)
-        # Nothing that is read has text: by a damaged definition it may seem to.
-        self.is_usable = has_time and not any(code.endswith("s") for code, _, _ in formats)
+        # Little that is read has text: by a damaged definition other entries may seem to.
+        has_text = any(code.endswith("s") for code, _, _ in formats)
+        self.is_usable = has_time and (not has_text or self.name in _WITH_TEXT)
 
     def entry(self, data: mmap | bytes, at: int) -> Entry:
         """Return the entry at ``at``; it must have a time."""
         values = self._unpacker.unpack_from(data, at + 3)
         scaled = (
-            value if divisor is None else value / divisor
+            (_text(value, "replace") if isinstance(value, bytes) else value) if divisor is None else value / divisor
             for value, divisor in zip(values, self._divisors, strict=True)
         )
         fields: dict[str, Any] = dict(zip(self._field_names, scaled, strict=True))
@@ -60,8 +62,8 @@ class _Kind:
         return Entry(fields["TimeUS"], self.name, instance, fields)
 
 
-def _text(characters: bytes) -> str:
-    return characters.split(b"\0", 1)[0].decode("ascii")
+def _text(characters: bytes, errors: str = "strict") -> str:
+    return characters.split(b"\0", 1)[0].decode("ascii", errors)
 
 
 def _kinds(data: mmap | bytes) -> dict[int, _Kind]:

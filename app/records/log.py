@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import Message
 from sidelong.app.records.ardupilot_entries import ArdupilotMessages
@@ -28,19 +29,23 @@ MessageReader = Callable[[Path, Collection[str], Progress], Iterator[Message]]
 
 @dataclass(slots=True)
 class RecordedLog:
-    """A log of some kind. range_names and gimbal_names: what the kind calls a slant range and a line of sight."""
+    """A log of some kind. range_names and gimbal_names: what the kind calls a slant range and a line of sight.
+
+    mav_autopilot: the MAV_AUTOPILOT that writes such logs.
+    """
 
     path: Path
     kind: str
     range_names: tuple[str, ...]
     gimbal_names: tuple[str, ...]
+    mav_autopilot: int
     _messages: MessageReader
     _contents: Callable[[Path], Counter[str]]
     _context: LogContext | None = None
 
     def messages(self, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Message]:
         """Yield the messages of the ``wanted`` names in order; raises InputError when the file cannot be read."""
-        builder = ContextBuilder()
+        builder = ContextBuilder(autopilot_by_mav_autopilot(self.mav_autopilot) or AUTOPILOTS[0])
         try:
             for message in self._messages(self.path, {*wanted, *builder.NAMES}, progress):
                 if message.name in builder.NAMES:
@@ -124,8 +129,15 @@ def _translated(
 _TLOG_NAMES = ("DISTANCE_SENSOR", "RANGEFINDER"), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
 _ULOG_NAMES = ("distance_sensor",), ("gimbal_device_attitude_status",)
 _DATAFLASH_NAMES = ("RFND", "MNT.Dist"), ("MNT",)
+_ARDUPILOT, _PX4 = 3, 12  # MAV_AUTOPILOT
 _KINDS = (
-    ("tlog", *_TLOG_NAMES, read_tlog, tlog_contents),
-    ("ULog", *_ULOG_NAMES, _translated(Px4Messages, read_ulog), ulog_contents),
-    ("DataFlash log", *_DATAFLASH_NAMES, _translated(ArdupilotMessages, read_dataflash), dataflash_contents),
+    ("tlog", *_TLOG_NAMES, _ARDUPILOT, read_tlog, tlog_contents),
+    ("ULog", *_ULOG_NAMES, _PX4, _translated(Px4Messages, read_ulog), ulog_contents),
+    (
+        "DataFlash log",
+        *_DATAFLASH_NAMES,
+        _ARDUPILOT,
+        _translated(ArdupilotMessages, read_dataflash),
+        dataflash_contents,
+    ),
 )

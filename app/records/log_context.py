@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,6 +17,10 @@ from sidelong.app.link.telemetry import AUTOPILOT_INVALID, TYPE_FIXED_WING
 _AUTOPILOT_COMPONENT = 1
 _DATED_S = 1e9  # a smaller one was not counted from 1970
 _RESTARTED_MS = 10_000  # a stamp that is earlier by less was overtaken on the way
+_ARDUPILOT, _VTOL, _TYPE_MAX = 3, 22, 50
+# How ArduPilot's firmware announces itself, with the MAV_TYPE of most of its vehicles.
+_TYPES = {"Plane": 1, "Copter": 2, "Tracker": 5, "Blimp": 7, "Rover": 10, "Sub": 12}
+_FIRMWARE = re.compile(rf"(?:Ardu|APM:|Antenna)?({'|'.join(_TYPES)}) V?\d")
 _STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 
 
@@ -50,12 +55,16 @@ class LogContext:
 
 
 class ContextBuilder:
-    """Makes a log's context of its messages of ``NAMES``, in their order."""
+    """Makes a log's context of its messages of ``NAMES``, in their order.
 
-    NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
+    Args:
+        autopilot: the autopilot of the log's kind, until a message names it.
+    """
 
-    def __init__(self) -> None:
-        self._autopilot, self._kind = AUTOPILOTS[0], TYPE_FIXED_WING
+    NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT", "STATUSTEXT", "PARAM_VALUE"})
+
+    def __init__(self, autopilot: Autopilot = AUTOPILOTS[0]) -> None:
+        self._autopilot, self._kind = autopilot, TYPE_FIXED_WING
         self._home_m: float | None = None
         self._reckoned_m: float | None = None  # home's altitude by a position
         self._boots_s: list[float] = []
@@ -78,17 +87,43 @@ class ContextBuilder:
         elif message.name == "HEARTBEAT":
             known = autopilot_by_mav_autopilot(int(fields["autopilot"]))
             if known is not None:
-                self._autopilot, self._kind = known, int(fields.get("type") or self._kind)
+                self._autopilot = known
+                self._is_of_kind(int(fields.get("type") or TYPE_FIXED_WING))
+        elif message.name == "STATUSTEXT":
+            self._text(str(fields["text"]))
+        elif message.name == "PARAM_VALUE":
+            self._parameter(str(fields["param_id"]), fields["param_value"])
         elif message.name == "HOME_POSITION":
             self._home_m = fields["altitude"] * 1e-3
-        elif message.name == "GLOBAL_POSITION_INT":
-            stamp_ms = fields["time_boot_ms"]
-            self._restarts[system_id] += stamp_ms < self._latest_ms.get(system_id, -math.inf) - _RESTARTED_MS
-            self._latest_ms[system_id] = stamp_ms
-            if self._reckoned_m is None and fields["lat"]:
-                self._reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
-            if len(self._boots_s) < _STAMPS and message.received_s > _DATED_S:
-                self._boots_s.append(message.received_s - stamp_ms * 1e-3)
+        else:
+            self._position(message)
+
+    def _position(self, message: Message) -> None:
+        fields, system_id = message.fields, message.system_id
+        stamp_ms = fields["time_boot_ms"]
+        self._restarts[system_id] += stamp_ms < self._latest_ms.get(system_id, -math.inf) - _RESTARTED_MS
+        self._latest_ms[system_id] = stamp_ms
+        if self._reckoned_m is None and fields["lat"]:
+            self._reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
+        if len(self._boots_s) < _STAMPS and message.received_s > _DATED_S:
+            self._boots_s.append(message.received_s - stamp_ms * 1e-3)
+
+    def _text(self, text: str) -> None:
+        firmware = _FIRMWARE.match(text)
+        if firmware:
+            self._autopilot = autopilot_by_mav_autopilot(_ARDUPILOT) or self._autopilot
+            self._is_of_kind(_TYPES[firmware[1]])
+
+    def _parameter(self, name: str, value: float) -> None:
+        if name == "Q_ENABLE" and value:  # such a vehicle may call itself a fixed wing
+            self._is_of_kind(_VTOL)
+        elif name == "MAV_TYPE" and value in range(1, _TYPE_MAX + 1):
+            self._is_of_kind(int(value))
+
+    def _is_of_kind(self, kind: int) -> None:
+        """Note the vehicle's MAV_TYPE by one source; if several differ, it is not a fixed wing."""
+        if self._kind == TYPE_FIXED_WING:
+            self._kind = kind
 
     def context(self) -> LogContext:
         """Return the context by the messages so far."""

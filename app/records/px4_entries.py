@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from sidelong.app.records.entry import Entry, Made, Translator, global_position
+from sidelong.app.records.ulog import TYPE_PARAMETER
 from sidelong.estimators.frames import LocalPlane
 
+_VTOL, _TYPES = 22, {1: 2, 2: 1, 3: 10, 4: 7}  # MAV_TYPE; by vehicle_status.vehicle_type
 _GLOBAL_POSITION_SILENCE_US = 1_000_000
 
 
@@ -30,6 +32,8 @@ class Px4Messages(Translator):
             "gimbal_device_attitude_status": self._gimbal,
             "wind": self._wind,
             "wind_estimate": self._wind,
+            "vehicle_status": self._status,
+            TYPE_PARAMETER: self._parameter,
         }
         super().__init__(makers)
         self._home_altitude_m = math.nan
@@ -107,6 +111,16 @@ class Px4Messages(Translator):
                 "gimbal_device_id": fields.get("gimbal_device_id", 0),
             },
         )
+
+    def _status(self, entry: Entry) -> Made:
+        fields = entry.fields
+        vtol = fields.get("is_vtol") and _VTOL
+        kind = vtol or fields.get("system_type") or _TYPES.get(fields.get("vehicle_type", 0))
+        if kind:
+            yield "PARAM_VALUE", {"param_id": TYPE_PARAMETER, "param_value": kind}
+
+    def _parameter(self, entry: Entry) -> Made:
+        yield "PARAM_VALUE", {"param_id": entry.name, "param_value": entry.fields["value"]}
 
     def _wind(self, entry: Entry) -> Made:
         north_m_s, east_m_s = entry.fields["windspeed_north"], entry.fields["windspeed_east"]

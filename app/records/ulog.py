@@ -28,6 +28,8 @@ _CODES = {
     **{b"int8_t": "b", b"int16_t": "h", b"int32_t": "i", b"int64_t": "q", b"float": "f", b"bool": "?"},
     **{b"uint8_t": "B", b"uint16_t": "H", b"uint32_t": "I", b"uint64_t": "Q", b"double": "d", b"char": "b"},
 }
+TYPE_PARAMETER = "MAV_TYPE"
+_TYPE = re.compile(rb"P\x10int32_t MAV_TYPE(....)", re.DOTALL)  # a parameter's message, from its type's letter on
 # Beyond what any topic has: a definition may nest arrays of arrays without end.
 _FIELDS_MAX, _DEPTH_MAX, _TOPICS_MAX = 1024, 8, 1024
 
@@ -119,6 +121,8 @@ def _entries(data: mmap | bytes, topics: dict[int, _Topic]) -> Iterator[tuple[in
 def read_ulog(path: Path, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Entry]:
     """Yield the entries of the wanted topics, arrays as ``name[0]``, ``name[1]``, in order of time.
 
+    The parameter MAV_TYPE, which is wanted by its name, follows the first entry.
+
     Damage to an entry costs that entry, damage to a topic's definition the topic. Raises OSError when the file
     cannot be read.
     """
@@ -129,7 +133,12 @@ def read_ulog(path: Path, wanted: Collection[str], progress: Progress = unseen) 
                 fields = dict(zip(field_names, row.unpack_from(data, at), strict=True))
                 yield at / len(data), Entry(fields["timestamp"], name, instance, fields)
 
-        yield from in_order(read(), progress)
+        found = _TYPE.search(data) if TYPE_PARAMETER in wanted else None
+        for entry in in_order(read(), progress):
+            yield entry
+            if found:
+                yield Entry(entry.time_us, TYPE_PARAMETER, 0, {"value": int.from_bytes(found[1], "little")})
+                found = None
 
 
 def ulog_contents(path: Path) -> Counter[str]:
