@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from statistics import median
 from typing import Any
 
 from sidelong.app.records.entry import Entry, Made, Translator, global_position
@@ -17,13 +19,17 @@ _SIGNAL_UNKNOWN, _SIGNAL_INVALID = 0, 1  # of DISTANCE_SENSOR.signal_quality
 _COVARIANCE_UNKNOWN = 255
 _ORIENTATION_CUSTOM = 100
 _MOUNT_RANGE_ID = 100  # apart from the ids of RFND
+_UNIT_RANGES = 50
+_DROP_MIN, _HEIGHT_MIN_M = 0.05, 20.0  # below them the ground that the line of sight meets is not known
 _LOCKED_YAW_IN_EARTH_FRAME = 4 | 8 | 16 | 64
 
 
 class ArdupilotMessages(Translator):
     """A position takes its velocity from the first core of the EKF, else from GPS.
 
-    The range of a mount's own rangefinder becomes a DISTANCE_SENSOR of custom orientation.
+    The range of a mount's own rangefinder becomes a DISTANCE_SENSOR of custom orientation. The log repeats it until
+    the mount has measured again, and some drivers write decimetres: the unit is that which agrees with the height and
+    the pitch of the line of sight.
     """
 
     def __init__(self) -> None:
@@ -44,6 +50,9 @@ class ArdupilotMessages(Translator):
         super().__init__(makers)
         self._velocity_ned_m_s: tuple[float, float, float] | None = None
         self._has_ekf = False
+        self._height_m = math.nan
+        self._mount_ranges: dict[int, float] = {}  # the latest of each mount, as logged
+        self._exponents: deque[float] = deque(maxlen=_UNIT_RANGES)  # powers of ten between logged and expected ranges
 
     def _gps(self, entry: Entry) -> Made:
         fields = entry.fields
@@ -64,6 +73,7 @@ class ArdupilotMessages(Translator):
 
     def _position(self, entry: Entry) -> Made:
         lat, lng, alt, height = (entry.fields[name] for name in ("Lat", "Lng", "Alt", "RelHomeAlt"))
+        self._height_m = height
         if self._velocity_ned_m_s is not None:
             yield from global_position(lat, lng, alt, height, self._velocity_ned_m_s)
 
@@ -90,9 +100,18 @@ class ArdupilotMessages(Translator):
                     "gimbal_device_id": entry.instance + 1,
                 },
             )
-        if math.isfinite(fields.get("Dist", math.nan)):
-            sensor_id = _MOUNT_RANGE_ID + entry.instance
-            yield _range(fields["Dist"], sensor_id, _ORIENTATION_CUSTOM, _SIGNAL_UNKNOWN)
+        logged = fields.get("Dist", math.nan)
+        if math.isfinite(logged) and logged != self._mount_ranges.get(entry.instance):
+            self._mount_ranges[entry.instance] = logged
+            range_m = logged * self._mount_unit_m(logged, pitch_rad)
+            yield _range(range_m, _MOUNT_RANGE_ID + entry.instance, _ORIENTATION_CUSTOM, _SIGNAL_UNKNOWN)
+
+    def _mount_unit_m(self, logged: float, pitch_rad: float) -> float:
+        """Return the unit of a mount's ranges: 1, 0.1 or 0.01 m."""
+        drop = math.sin(-pitch_rad)
+        if logged > 0.0 and drop > _DROP_MIN and self._height_m > _HEIGHT_MIN_M:
+            self._exponents.append(math.log10(logged * drop / self._height_m))
+        return 10.0 ** -min(max(round(median(self._exponents)), 0), 2) if self._exponents else 1.0
 
     def _text(self, entry: Entry) -> Made:
         yield "STATUSTEXT", {"text": entry.fields["Message" if entry.name == "MSG" else "FWS"]}

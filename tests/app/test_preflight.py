@@ -97,6 +97,33 @@ def test_laser_and_gimbal_are_asked_for_unless_another_station_reports_the_place
     assert [check.name for check in found if "source" in check.name and not check.ready] == missing
 
 
+DOWN = SourceRate("range", Source("DISTANCE_SENSOR", 1, 0, 25), 10.0)
+MUTE = SourceRate("range", Source("DISTANCE_SENSOR", 154, 1, 100), 10.0, "no echo within its 600 m")
+
+
+@pytest.mark.parametrize(
+    ("configured", "rates", "ready", "words"),
+    [
+        ({}, (DOWN, GIMBAL), False, "not used: it looks down; sensors.range_component = 1 would use it"),
+        ({"sensors": {"range_component": 1}}, (DOWN, GIMBAL), True, "orientation 25 at 10.0 Hz"),
+        ({"sensors": {"range_component": 1}}, (RANGE, GIMBAL), False, "it is not what sensors.range_component names"),
+        ({}, (DOWN, RANGE, GIMBAL), True, "component 154"),
+        (
+            {},
+            (MUTE, GIMBAL),
+            False,
+            "received: DISTANCE_SENSOR of component 154 id 1 orientation 100 at 10.0 Hz, but no",
+        ),
+        ({}, (GIMBAL,), False, "none received"),
+    ],
+)
+def test_a_range_counts_only_if_the_filter_would_use_it(configured, rates, ready, words):
+    found = checks(Config.model_validate(configured), Silent(), Px4(), NOTHING_READ, None, rates)
+    (check,) = (check for check in found if check.name == "range source")
+    assert check.ready is ready
+    assert words in check.found
+
+
 def test_camera_that_tracks_without_a_known_field_of_view_is_not_ready():
     tracking = {"CAMERA_TRACKING_IMAGE_STATUS": {"tracking_status": 1}}
     for messages, ready in ((tracking, [False]), (tracking | {"CAMERA_FOV_STATUS": {}}, [True]), ({}, [])):

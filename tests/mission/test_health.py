@@ -522,3 +522,13 @@ def test_a_position_that_serves_two_samples_is_no_motion():
         looks = (math.cos(0.02 * tick), 0.0, 0.0, math.sin(0.02 * tick))
         check.gimbal(GimbalReading(time_s, looks, "earth", Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)))
     assert check.gimbal_fault == check.laser_fault == ""
+
+
+def test_range_that_looks_down_is_no_laser():
+    health, (lasers, gimbals) = Health(), selectors()
+    for orientation, counted in ((25, False), (100, True)):
+        for second in range(10):
+            reading = RangeReading(float(second), 200.0, Source("DISTANCE_SENSOR", 1, 0, orientation))
+            health.received(reading, float(second), lasers)
+        health.changes(10.0, lasers, gimbals)
+        assert (Input.LASER in {one.input for one in health.reports}) is counted

@@ -7,6 +7,7 @@ import math
 import random
 import struct
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 
@@ -14,6 +15,9 @@ import pytest
 from pymavlink import DFReader
 from pyulog import ULog
 
+from sidelong.app.analysis.replay import require_sightings
+from sidelong.app.assembly import tracker_of
+from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.dataflash import read_dataflash
@@ -33,9 +37,11 @@ from tests.logs import (
     WIND_EAST_M_S,
     WIND_NORTH_M_S,
     YAW_RAD,
+    dataflash_entry,
     dataflash_pieces,
     time_us,
     tlog_pieces,
+    ulog_message,
     ulog_pieces,
 )
 
@@ -278,3 +284,91 @@ def test_a_log_reports_what_was_looked_for_and_what_it_has(ulog, tmp_path, sende
     assert "vehicle_attitude (300)" in sentence
     path = write(tmp_path / "b.tlog", stamped([sender().heartbeat(), sender(component=2).heartbeat()]))
     assert open_log(path).looked_for().endswith("the tlog has HEARTBEAT (2)")
+
+
+# -- clocks, vehicles and payloads of other people's logs ------------------------------------------------------
+
+
+@pytest.mark.parametrize("pieces", [ulog_pieces, dataflash_pieces])
+def test_a_clock_that_counts_from_1970_changes_nothing_but_the_times(pieces, tmp_path, monkeypatch):
+    booted = readings(write(tmp_path / "boot", pieces()))
+    monkeypatch.setattr("tests.logs.time_us", lambda i: 1_746_352_800_000_000 + 100_000 * i)
+    dated = readings(write(tmp_path / "epoch", pieces()))
+    assert set(dated) == set(booted)
+    for kind, several in booted.items():
+        later_s = dated[kind][0].time_s - several[0].time_s
+        assert [one.time_s - later_s for one in dated[kind]] == pytest.approx(
+            [one.time_s for one in several], abs=1e-5
+        )
+        assert [replace(one, time_s=0.0) for one in dated[kind]] == [replace(one, time_s=0.0) for one in several]
+
+
+def dataflash_with(*entries: tuple[str, str, str, str, tuple]) -> list[bytes]:
+    """Return the flight with further entries before it: name, letters, columns, code and values of each."""
+    further = []
+    for number, (name, letters, columns, code, values) in enumerate(entries, 20):
+        size = 3 + struct.calcsize(code)
+        further.append(dataflash_entry("FMT", number, size, name.encode(), letters.encode(), columns.encode()))
+        further.append(b"\xa3\x95" + bytes([number]) + struct.pack(code, *values))
+    return further + dataflash_pieces()
+
+
+@pytest.mark.parametrize(
+    ("entry", "kind"),
+    [
+        (("MSG", "QZ", "TimeUS,Message", "<Q64s", (time_us(0), b"ArduCopter V4.5.7 (2a3dc4b7)")), 2),
+        (("MSG", "QZ", "TimeUS,Message", "<Q64s", (time_us(0), b"ArduPlane V4.6.3 (3fc7011a)")), 1),
+        (("MSG", "QZ", "TimeUS,Message", "<Q64s", (time_us(0), b"Copter is on its way")), 1),
+        (("PARM", "QNf", "TimeUS,Name,Value", "<Q16sf", (time_us(0), b"Q_ENABLE", 1.0)), 22),
+        (("PARM", "QNf", "TimeUS,Name,Value", "<Q16sf", (time_us(0), b"Q_ENABLE", 0.0)), 1),
+    ],
+)
+def test_the_vehicle_of_a_dataflash_log_is_known_by_its_texts_and_parameters(entry, kind, tmp_path):
+    context = open_log(write(tmp_path / "flight.bin", dataflash_with(entry))).context()
+    assert (context.kind, context.autopilot.name) == (kind, "ArduPlane")
+    assert ("no fixed wing" in context.warning) is (kind != 1)
+
+
+@pytest.mark.parametrize("kind", [1, 2, 21])
+def test_the_vehicle_of_a_ulog_is_known_by_its_parameter(kind, tmp_path):
+    pieces = ulog_pieces()
+    pieces.insert(1, ulog_message(b"P", b"\x10int32_t MAV_TYPE" + kind.to_bytes(4, "little")))
+    context = open_log(write(tmp_path / "flight.ulg", pieces)).context()
+    assert (context.kind, context.autopilot.name) == (kind, "PX4")
+
+
+@pytest.mark.parametrize("unit_m", [1.0, 0.1, 0.01])
+def test_the_range_of_a_mount_is_read_once_each_and_in_its_own_unit(unit_m, tmp_path):
+    ranges_m = [200.0 + 10.0 * (i // 10) for i in range(STEPS)]  # measured each second, logged ten times as often
+    pitch_deg = -math.degrees(math.asin(HEIGHT_M / 250.0))
+    pieces = [piece for piece in dataflash_pieces() if piece[2] not in (5, 6)]
+    columns = b"TimeUS,I,Roll,Pitch,YawE,Dist"
+    pieces.insert(1, dataflash_entry("FMT", 20, 3 + struct.calcsize("<QBffff"), b"MNT", b"QBffff", columns))
+    for i, range_m in enumerate(ranges_m):
+        values = struct.pack("<QBffff", time_us(i), 0, 0.0, pitch_deg, 90.0, range_m / unit_m)
+        pieces.append(b"\xa3\x95\x14" + values)
+    found = readings(write(tmp_path / "flight.bin", pieces))
+    assert [one.slant_range_m for one in found[RangeReading]] == pytest.approx(ranges_m[::10], rel=1e-4)
+    assert {one.source.orientation for one in found[RangeReading]} == {100}
+    assert len(found[GimbalReading]) == STEPS
+
+
+def test_a_log_whose_only_range_looks_down_or_has_no_echo_says_so(tmp_path):
+    for orient, status, words in (
+        (25, 4, "the only range looks down; sensors.range_component = 1"),
+        (100, 2, "no echo"),
+    ):
+        code = DATAFLASH_KINDS["RFND"][3]
+        pieces = [
+            b"\xa3\x95\x05" + struct.pack(code, *struct.unpack(code, piece[3:])[:3], status, orient, 90)
+            if piece[2] == 5
+            else piece
+            for piece in dataflash_pieces()
+        ]
+        log, telemetry, tracker = open_log(write(tmp_path / "flight.bin", pieces)), Telemetry(), tracker_of(Config())
+        for message in log.messages(telemetry.wanted):
+            event = telemetry.event(message)
+            if isinstance(event, PositionReading | AttitudeReading | RangeReading | GimbalReading):
+                tracker.add(event)
+        with pytest.raises(InputError, match=words):
+            require_sightings(tracker, telemetry, log)
