@@ -353,7 +353,7 @@ def test_the_range_of_a_mount_is_read_once_each_and_in_its_own_unit(unit_m, tmp_
     assert len(found[GimbalReading]) == STEPS
 
 
-def test_a_log_whose_only_range_looks_down_or_has_no_echo_says_so(tmp_path):
+def test_error_names_an_only_range_that_looks_down_or_has_no_echo(tmp_path):
     for orient, status, words in (
         (25, 4, "the only range looks down; sensors.range_component = 1"),
         (100, 2, "no echo"),
