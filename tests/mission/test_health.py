@@ -525,7 +525,7 @@ def test_a_position_that_serves_two_samples_is_no_motion():
 
 
 def test_range_that_looks_down_is_no_laser():
-    health, (lasers, gimbals) = Health(), selectors()
+    health, (lasers, gimbals) = Health(PayloadFit()), selectors()
     for orientation, counted in ((25, False), (100, True)):
         for second in range(10):
             reading = RangeReading(float(second), 200.0, Source("DISTANCE_SENSOR", 1, 0, orientation))
