@@ -42,7 +42,7 @@ Source: docs/how-to/several-aircraft.md; docs/decisions/0012-fleet-as-a-layer.md
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -106,9 +106,8 @@ class FleetCoordinator:
     """See the module.
 
     make_judge returns the object that computes the costs of a named aircraft; it is called again when the operator
-    changes the requirement. estimate_of returns the estimate of a named target at a mission time, None: by the
-    reported sightings. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement has
-    no sides.
+    changes the requirement. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement
+    has no sides.
     """
 
     def __init__(
@@ -116,7 +115,6 @@ class FleetCoordinator:
         members: Sequence[FleetMember],
         targets: Sequence[FleetTarget],
         make_judge: MakeJudge,
-        estimate_of: Callable[[str, float], TargetEstimate | None] | None = None,
     ) -> None:
         names = [one.name for one in members]
         if len(set(names)) < len(names) or len({one.name for one in targets}) < len(targets):
@@ -131,7 +129,6 @@ class FleetCoordinator:
         self._targets = {one.name: one for one in targets}
         payloads = {one.name: one.tracker for one in members}
         self._tracks = {one.name: JointTrack(payloads) for one in targets}
-        self._estimate_of = estimate_of or (lambda target, time_s: self._tracks[target].estimate(time_s))
         for one in targets:
             if one.requirement.either_side or one.requirement.sector is not None:
                 raise ValueError("several aircraft share the sides of a target: side has to be left or right")
@@ -162,7 +159,7 @@ class FleetCoordinator:
 
     def estimate(self, target: str) -> TargetEstimate | None:
         """Return the joint estimate of a target at the mission's present time."""
-        return self._estimate_of(target, self._now_s)
+        return self._tracks[target].estimate(self._now_s)
 
     def primary(self, target: str) -> str | None:
         """Return the aircraft that holds the required side of a target; None before there is one."""

@@ -34,7 +34,6 @@ from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload import line_tracking_kernel as kernel
 
 Point = tuple[float, float]
-_NO_POINT = math.nan, math.nan
 
 
 @dataclass(frozen=True, slots=True)
