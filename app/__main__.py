@@ -12,10 +12,10 @@ def main() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, _leave)
-    from sidelong.app.interpreter import prefer_installed_packages  # noqa: PLC0415  # after the signals
+    from sidelong.app.process import prefer_installed_packages  # noqa: PLC0415  # after the signals
 
     prefer_installed_packages()
-    from sidelong.app.shutdown import open_standard_streams  # noqa: PLC0415  # after the search path
+    from sidelong.app.process import open_standard_streams  # noqa: PLC0415  # after the search path
 
     open_standard_streams()
     from sidelong.app.cli import main as run  # noqa: PLC0415  # likewise

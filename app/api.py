@@ -14,8 +14,8 @@ from sidelong.app.assembly import prepared
 from sidelong.app.config import Config, config_from, load_config, with_values
 from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.flight.display import Wish
 from sidelong.app.flight.life import Life
+from sidelong.app.flight.loop import Wish
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
 from sidelong.app.link.queries import VehicleStatus

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config, Polygon, SensorsSection
 from sidelong.app.errors import InputError
-from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.planners.planner_kind import CompilesInParts, PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.warm_up import DECISION_INPUTS, warm_up_over, warm_up_planner, warm_up_track
 from sidelong.estimators.compiled import FOLDER, is_cached

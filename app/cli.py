@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.link.message import plain
-from sidelong.app.shutdown import INTERRUPTED, exit_process, handle_next, heed_interrupts, interrupt_dropped
+from sidelong.app.process import INTERRUPTED, exit_process, handle_next, heed_interrupts, interrupt_dropped
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol, cast
 from sidelong.app.config import Config, RouteSection, check_alone, check_flyable
 from sidelong.app.errors import InputError
 from sidelong.app.link.transport import checked_form
-from sidelong.app.route_file import read_flight_route
+from sidelong.app.records.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 

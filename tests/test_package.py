@@ -109,7 +109,7 @@ def test_a_flight_needs_no_library_of_the_extras(tmp_path):
 
 def test_a_helper_finds_installed_packages_before_those_of_the_user(installed, workspace):
     script = (
-        "from sidelong.app.interpreter import *; import subprocess, sys; prefer_installed_packages();"
+        "from sidelong.app.process import *; import subprocess, sys; prefer_installed_packages();"
         "import numpy; print(numpy.__version__);"
         "code = 'import numpy, sidelong.mission; print(numpy.__version__)';"
         "subprocess.run([sys.executable, '-P', '-c', code], env=helper_environment(), check=True)"

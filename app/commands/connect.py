@@ -15,13 +15,10 @@ from sidelong.app.commands.payload_status import degrees_of, payload_lines, payl
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_files, check_single
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
-from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.payload_input import payload_input
-from sidelong.app.flight.preflight import Check, checks
-from sidelong.app.flight.session import connected
-from sidelong.app.flight.source_rates import SourceRates, describe_use
+from sidelong.app.flight.preflight import Check, SourceRates, checks, describe_use
+from sidelong.app.flight.session import InputHealth, connected
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
@@ -31,6 +28,7 @@ from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.pan_limits import contradiction, pan_words
 from sidelong.app.payload.registry import KIND_NAMES
 from sidelong.app.payload.session import PayloadStatus
+from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing
 from sidelong.mission.core.events import Event
 

@@ -25,9 +25,9 @@ from sidelong.app.records.log_context import LogContext
 from sidelong.app.records.mcap import LAYOUT, McapLog
 from sidelong.app.records.mcap_writer import McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
+from sidelong.app.records.text_file import whole_file
 from sidelong.app.records.track import FlownTrack, Mission
 from sidelong.app.report.sources import FlightRecord, Sink, feed, read_flight
-from sidelong.app.text_file import whole_file
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
 

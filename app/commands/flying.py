@@ -11,9 +11,8 @@ from typing import Any, TypeVar
 
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
-from sidelong.app.event_loop import run
 from sidelong.app.flight.life import Life
-from sidelong.app.shutdown import interrupt_dropped
+from sidelong.app.process import interrupt_dropped, run
 
 _FLIGHTS = 4  # predicted before a launch: 3 s
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."

@@ -32,9 +32,9 @@ from sidelong.app.link.transport import checked_url
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES
+from sidelong.app.process import heed_interrupts
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
-from sidelong.app.shutdown import heed_interrupts
 from sidelong.app.view.address import PageAddress, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:

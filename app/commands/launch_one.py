@@ -15,8 +15,8 @@ from sidelong.app.commands.output import console, say, warn
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import DEMONSTRATION, Config
 from sidelong.app.errors import FlightError
-from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.life import Life
+from sidelong.app.flight.loop import FlightDisplay
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
 from sidelong.app.records.run_folder import RunFolder

@@ -16,8 +16,8 @@ from rich.table import Table
 
 from sidelong.app.commands.options import OUTPUT
 from sidelong.app.errors import InputError
-from sidelong.app.shutdown import abandon
-from sidelong.app.text_file import write_text
+from sidelong.app.process import abandon
+from sidelong.app.records.text_file import write_text
 
 _WIDE = 400  # characters, more than any table
 

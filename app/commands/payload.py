@@ -17,13 +17,13 @@ from sidelong.app.commands.output import JsonOption, checked_output, console, sa
 from sidelong.app.commands.payload_status import payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.event_loop import run
 from sidelong.app.flight.payload_input import PayloadRunner, driver_of
 from sidelong.app.link.transport import Transport, opened
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.driver import Measured
 from sidelong.app.payload.messages import COMPONENT, fields_of, packed
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
+from sidelong.app.process import run
 
 _TO = re.compile(r"udpout:(?://)?([^:/]+):(\d{1,5})")
 _STATUS_EVERY_S, _HEARTBEAT_EVERY_S = 5.0, 1.0

@@ -31,7 +31,7 @@ def prepare(
     check_flyable(settings)
     begun_s = time.monotonic()
     from sidelong.app.assembly import prepared  # noqa: PLC0415  # a wrong configuration is reported first
-    from sidelong.app.value_cache import DIRECTORY  # noqa: PLC0415
+    from sidelong.app.planners.value_cache import DIRECTORY  # noqa: PLC0415
     from sidelong.estimators.compiled import FOLDER  # noqa: PLC0415
 
     def announce(text: str) -> None:

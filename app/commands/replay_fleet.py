@@ -9,13 +9,13 @@ from sidelong.app.analysis.replay import Comparison
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.commands.output import console, say
 from sidelong.app.commands.progress import progress_bar, table_progress
+from sidelong.app.config import validated
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.assembly import coordinator_of
 from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
-from sidelong.app.section import validated
 from sidelong.mission.fleet.coordinator import FleetCoordinator
 from sidelong.mission.fleet.events import FleetCommand, FleetEvent
 

@@ -13,7 +13,7 @@ from sidelong.app.commands.output import say, warn_of_log, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, recording
-from sidelong.app.text_file import write_text
+from sidelong.app.records.text_file import write_text
 
 
 def report(

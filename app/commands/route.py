@@ -15,9 +15,9 @@ from rich.table import Table
 from sidelong.app.commands.output import JsonOption, checked_file, checked_output, console, say, write_json, writing
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError, missing_package
+from sidelong.app.records.route_file import RoutePoints, read_route
+from sidelong.app.records.text_file import write_text
 from sidelong.app.report.sources import read_flight
-from sidelong.app.route_file import RoutePoints, read_route
-from sidelong.app.text_file import write_text
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.route.route import Route, route_of
 

@@ -23,7 +23,7 @@ from sidelong.app.serve.control_socket import ask, own_path
 from sidelong.app.view.address import PageAddress, page_address
 
 if TYPE_CHECKING:
-    from sidelong.app.flight.display import FlightDisplay
+    from sidelong.app.flight.loop import FlightDisplay
     from sidelong.app.serve.resident import ServiceDisplay
 
 
@@ -53,7 +53,7 @@ def serve(
     check_single(settings)
     address = page_address(view, settings.display)
     # The flight modules take a second to load; report a wrong option first.
-    from sidelong.app.event_loop import run  # noqa: PLC0415
+    from sidelong.app.process import run  # noqa: PLC0415
     from sidelong.app.serve.resident import Resident, share_one_heap, undecorated  # noqa: PLC0415
 
     share_one_heap()

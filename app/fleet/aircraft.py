@@ -10,11 +10,10 @@ from sidelong.app.analysis.truth import Truth
 from sidelong.app.assembly import Prepared
 from sidelong.app.fleet.fleet_file import Member
 from sidelong.app.fleet.summary import FlownTrack
-from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.life import describe_aircraft
-from sidelong.app.flight.link_log import ClockRate
-from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.loop import FlightDisplay
+from sidelong.app.flight.recording import ClockRate, Recording
 from sidelong.app.flight.session import Session
 from sidelong.app.link.frames import Frame
 from sidelong.app.link.mavsdk_link import OWN_SYSTEM_ID

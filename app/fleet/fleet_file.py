@@ -19,15 +19,16 @@ from sidelong.app.config import (
     Config,
     RequirementSection,
     RouteSection,
+    Section,
     SensorsSection,
     check_flyable,
     height_outside,
+    validated,
 )
 from sidelong.app.errors import InputError
 from sidelong.app.payload.registry import MAVLINK
-from sidelong.app.section import Section, validated
+from sidelong.app.records.text_file import read_toml
 from sidelong.app.sharing.cot import PLAIN_CALLSIGN
-from sidelong.app.text_file import read_toml
 from sidelong.mission.core.requirement import Requirement, Side
 
 MIN_LAYER_M = 30.0

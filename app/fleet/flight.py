@@ -31,11 +31,10 @@ from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.foreign import ForeignAircraft
 from sidelong.app.fleet.planner import planner_in_fleet
 from sidelong.app.fleet.summary import FleetSummary, FlownAircraft, summarise_fleet
-from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.life import Life
-from sidelong.app.flight.link_log import link_log
-from sidelong.app.flight.recording import beginning
+from sidelong.app.flight.loop import FlightDisplay
+from sidelong.app.flight.recording import beginning, link_log
 from sidelong.app.flight.route_input import check_route, give_route
 from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles

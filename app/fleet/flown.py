@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from html import escape
 
 from sidelong.app.analysis.score import Asked
+from sidelong.app.config import validated
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.fleet.fleet_file import FleetFile
@@ -25,7 +26,6 @@ from sidelong.app.records.mapped_file import Progress
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.report import html
 from sidelong.app.report.sources import FlightRecord, read_flight, read_summary
-from sidelong.app.section import validated
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, VehicleReported
 from sidelong.mission.viewpoint.side_policy import side_words

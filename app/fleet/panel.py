@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sidelong.app.flight.display import Wish
+from sidelong.app.flight.loop import Wish
 from sidelong.app.link.message import plain
 from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.panel import STYLES, LivePanel, clock, target_motion, target_range_m

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
-from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.flight.loop import FlightDisplay, Wish
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ShownAircraft, ViewDisplay
 from sidelong.app.view.state import Json

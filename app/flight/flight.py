@@ -23,22 +23,15 @@ from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.alarm_watch import AlarmWatch
-from sidelong.app.flight.changes import MissionChanges, PanLimitInput
-from sidelong.app.flight.display import FlightDisplay, Wish
-from sidelong.app.flight.input_health import InputHealth
-from sidelong.app.flight.loop import ControlLoop, Display, Observer, Stepped
-from sidelong.app.flight.one_task import OneTask
-from sidelong.app.flight.outputs import open_beacon, outputs
+from sidelong.app.flight.changes import MissionChanges, PanLimitInput, WindTables
+from sidelong.app.flight.loop import ControlLoop, Display, FlightDisplay, Observer, Stepped, Wish
+from sidelong.app.flight.outputs import GimbalPointer, PayloadPointer, open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner
-from sidelong.app.flight.point_gimbal import GimbalPointer, PayloadPointer
-from sidelong.app.flight.preflight import check_takeover, checks
+from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.route_input import check_route, give_route
-from sidelong.app.flight.session import Session
-from sidelong.app.flight.source_rates import SourceRates
-from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, wants_few
-from sidelong.app.flight.terrain_server import TerrainServer
-from sidelong.app.flight.wind_tables import WindTables
+from sidelong.app.flight.session import InputHealth, Session
+from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, ask_for_streams, wants_few
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
 from sidelong.app.link.queries import (

@@ -24,7 +24,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
-from sidelong.app.shutdown import ends_within
+from sidelong.app.process import ends_within
 from sidelong.mission.control.snapshot import Phase, Snapshot
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -13,11 +13,14 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from sidelong.app.link.message import Message
+from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import LinkError, Vehicle
+from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import (
+    AlarmReported,
     Announce,
     ClockTick,
     ControlAcquired,
@@ -25,6 +28,8 @@ from sidelong.mission.core.events import (
     End,
     HealthChanged,
     LinkReported,
+    MissionChange,
+    OperatorRequest,
     PlanStatus,
     Yield,
 )
@@ -253,3 +258,23 @@ class ControlLoop:
         if self._ending_s == float("inf"):
             return False
         return self.controller.idle or self.link_s - self._ending_s > _FINISH_S
+
+
+Wish = OperatorRequest | MissionChange | AlarmReported
+"""A request of the operator."""
+
+
+class FlightDisplay(Display, Protocol):
+    """A display that is active from the connection on, before there is a mission to show."""
+
+    def note(self, text: str) -> None:
+        """Show a message about the progress of the connection and preparation."""
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        """Learn how to find out how the vehicle is; ``status`` is cheap."""
+
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+        """Receive the position of the local plane, and the receiver of the operator's requests."""
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        """Learn that watching has begun, and for how long it is to go on; times are shown since ``start_s``."""

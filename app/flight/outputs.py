@@ -1,20 +1,36 @@
-"""The configured external outputs, and the configured beacon."""
+"""The configured external outputs, the configured beacon, and what points the gimbal at the estimate.
+
+Without a tracking camera the laser then measures whatever is there: the camera or the operator must correct it.
+"""
 
 from __future__ import annotations
 
+import math
 import ssl
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.config import SharingSection
+from sidelong.app.flight.streams import OneTask
 from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.beacon import BeaconInput
 from sidelong.app.sharing.contact import ContactBeacon, is_contact
 from sidelong.app.sharing.cot import CotNames, CotOutput
 from sidelong.app.sharing.follow import AltitudeAt, FollowTargetOutput, NmeaOutput
 from sidelong.app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.rotations import rotate
 from sidelong.estimators.sensing.readings import TargetFixReading
+from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.exchange.vehicle_command import describe_result
+from sidelong.mission.upload.mission_item import e7
 
 _COT, _FOLLOW_TARGET, _NMEA = "sharing.cot", "sharing.follow_target", "sharing.nmea"
 Output = CotOutput | FollowTargetOutput | NmeaOutput
@@ -103,3 +119,132 @@ def height_above_ellipsoid_m(latest: Mapping[str, Message]) -> float | None:
         return None
     geoid_mm = gps.fields["alt_ellipsoid"] - gps.fields["alt"]
     return float(position.fields["alt"] + geoid_mm) * 1e-3
+
+
+# Of the vehicle's time; in the second one a circling aircraft turns by 4 degrees.
+_BY_VEHICLE_EVERY_S, _BY_PAYLOAD_EVERY_S = 1.0, 0.2
+_ONE_SIGMA = 1.0 - math.exp(-0.5)
+
+
+class GimbalPointer:
+    """An ``Observer`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
+
+    Nothing is sent for a lost track, before the mission or after a yield; a pending command is then cancelled.
+    target_altitude_m: returns the target's altitude above the sea at a place (east, north); always: False sends only
+    while a fleet requires the payload on another target. The callback receives refusals of the vehicle.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        plane: LocalPlane,
+        target_altitude_m: AltitudeAt,
+        announce: Callable[[str], None],
+        always: bool = True,
+    ) -> None:
+        self._vehicle, self._plane, self._target_altitude_m = vehicle, plane, target_altitude_m
+        self._announce, self._always = announce, always
+        self._next_s = -math.inf
+        self._sending = OneTask()
+        self._points = True
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Start sending the estimate if it is time to; to be called in the running event loop."""
+        if not snapshot.phase.in_control or not (self._always or snapshot.turn_payload):
+            self.stop()
+            return
+        estimate, aircraft = snapshot.estimate, snapshot.aircraft
+        if estimate is None or aircraft is None or estimate.quality is TrackQuality.LOST:
+            return
+        if snapshot.time_s < self._next_s or self._sending.is_running:
+            return
+        self._next_s = snapshot.time_s + _BY_VEHICLE_EVERY_S
+        east_m, north_m = estimate.position_m(snapshot.time_s)
+        range_m = math.hypot(aircraft.east_m - east_m, aircraft.north_m - north_m)
+        self._sending.begin(lambda: self._send(estimate, east_m, north_m, range_m))
+
+    def stop(self) -> None:
+        """Give up what is under way."""
+        self._sending.stop()
+
+    async def _send(self, estimate: TargetEstimate, east_m: float, north_m: float, range_m: float) -> None:
+        x, y = e7(self._plane.latitude_longitude_deg(east_m, north_m))
+        z = self._target_altitude_m(east_m, north_m)
+        try:
+            await self._vehicle.link.send("CAMERA_TRACKING_GEO_STATUS", _geo_status(estimate, x, y, z, range_m))
+            if not self._points:
+                return
+            # PX4 takes no other frame than this one, and MAVSDK does not survive its refusal of others.
+            result = await self._vehicle.command_int(
+                mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_FRAME_GLOBAL_INT, (0.0,), x, y, z
+            )
+        except LinkError:
+            return  # the next one is due in a second
+        if result in (mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_DENIED):
+            self._points = False
+            why = describe_result(result)
+            self._announce(f"the vehicle does not point its gimbal ({why}); it is sent the target's place only")
+
+
+class PayloadPointer:
+    """An ``Observer`` that commands the gimbal's angles five times a second at most.
+
+    Nothing is commanded while the track is lost, before the mission or after a yield.
+
+    Args:
+        point: takes pitch and yaw of the gimbal in its mount, level and relative to the aircraft's heading, rad.
+        heading_rad: returns the aircraft's heading, None while it is not known.
+        tracker: knows the mount and the gimbal's yaw error.
+        target_height_m: returns the target's height above home at a place (east, north), m.
+    """
+
+    def __init__(
+        self,
+        point: Callable[[float, float], object],
+        heading_rad: Callable[[], float | None],
+        tracker: Tracker,
+        target_height_m: Callable[[float, float], float],
+    ) -> None:
+        self._point, self._heading_rad = point, heading_rad
+        self._tracker, self._target_height_m = tracker, target_height_m
+        self._next_s = -math.inf
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Command the angles if it is time to."""
+        estimate, aircraft, heading_rad = snapshot.estimate, snapshot.aircraft, self._heading_rad()
+        if not snapshot.phase.in_control or estimate is None or aircraft is None or heading_rad is None:
+            return
+        if estimate.quality is TrackQuality.LOST or snapshot.time_s < self._next_s:
+            return
+        self._next_s = snapshot.time_s + _BY_PAYLOAD_EVERY_S
+        target_east_m, target_north_m = estimate.position_m(snapshot.time_s)
+        east_m, north_m = target_east_m - aircraft.east_m, target_north_m - aircraft.north_m
+        down_m = snapshot.sensor_status.height_m - self._target_height_m(target_east_m, target_north_m)
+        if not math.isfinite(down_m):
+            return
+        # The gimbal reports its yaw with the error, and so turns too far by it.
+        yaw_rad = math.atan2(east_m, north_m) - heading_rad + self._tracker.calibration.yaw_bias_rad
+        level_m = math.hypot(east_m, north_m)
+        w, x, y, z = self._tracker.parent_from_mount
+        forward_m, right_m, down_m = rotate(
+            (w, -x, -y, -z), (level_m * math.cos(yaw_rad), level_m * math.sin(yaw_rad), down_m)
+        )
+        self._point(-math.atan2(down_m, math.hypot(forward_m, right_m)), math.atan2(right_m, forward_m))
+
+
+def _geo_status(estimate: TargetEstimate, x: int, y: int, z: float, range_m: float) -> dict[str, Any]:
+    return {
+        "tracking_status": mavlink.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE,
+        "lat": x,
+        "lon": y,
+        "alt": z,
+        "h_acc": confidence_ellipse(estimate.covariance[:2, :2], _ONE_SIGMA).semi_major_m,
+        "v_acc": math.nan,
+        "vel_n": estimate.velocity_north_m_s,
+        "vel_e": estimate.velocity_east_m_s,
+        "vel_d": math.nan,
+        "vel_acc": math.sqrt(float(max(estimate.covariance[2, 2], estimate.covariance[3, 3]))),
+        "dist": range_m,
+        "hdg": estimate.course_rad % (2.0 * math.pi),
+        "hdg_acc": math.nan,
+    }

@@ -11,7 +11,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.session import Session
 from sidelong.app.link.other_mission import read_mission
 from sidelong.app.link.vehicle import LinkError
-from sidelong.app.route_file import read_flight_route
+from sidelong.app.records.route_file import read_flight_route
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import RouteGiven
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.payload.registry import MAVLINK, kind_by_name
+from sidelong.app.process import helper_command, helper_environment
 from sidelong.sitl.settings import (
     Flavour,
     HomePosition,

@@ -12,12 +12,11 @@ from sidelong.app.analysis.truth import truth_if_whole
 from sidelong.app.assembly import Prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
-from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.life import Life, describe_aircraft
-from sidelong.app.flight.link_log import ClockRate, link_log
+from sidelong.app.flight.loop import FlightDisplay
 from sidelong.app.flight.payload_input import payload_input
-from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.recording import ClockRate, Recording, link_log
 from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.mavsdk_link import SETTLING_S

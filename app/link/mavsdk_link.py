@@ -7,7 +7,7 @@ the loop's own thread when it is cancelled. Therefore:
 - every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
 - messages come by the subscription beneath the wrapper's;
 - ``close`` sets a flag first, waits for what is pending, and destroys last, which unsubscribes, all of it in threads
-  and within a bound; if something stays stuck, it leaves the instance alone, and ``sidelong.app.shutdown`` ends the
+  and within a bound; if something stays stuck, it leaves the instance alone, and ``sidelong.app.process`` ends the
   process in spite of it.
 """
 

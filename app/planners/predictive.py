@@ -65,7 +65,7 @@ class Predictive:
         return planner
 
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
-        from sidelong.app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
+        from sidelong.app.planners.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
         from sidelong.mission.predictive.planner import PredictivePlanner  # noqa: PLC0415
 
         settings = replace(self.settings(), lost_after_s=needs.lost_after_s)
@@ -90,7 +90,7 @@ class Predictive:
         return make
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
-        from sidelong.app.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
+        from sidelong.app.planners.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
 
         await have_at_hand(self._configurations(aircraft, requirement, winds_m_s))
 

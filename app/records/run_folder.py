@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from sidelong.app.errors import InputError
-from sidelong.app.text_file import read_text, write_text
+from sidelong.app.records.text_file import read_text, write_text
 
 _SUMMARY_MAX_BYTES = 1 << 20
 _LEAST_FREE_BYTES = 20_000_000

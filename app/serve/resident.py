@@ -32,8 +32,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.assembly import Prepared, prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.life import Life
+from sidelong.app.flight.loop import FlightDisplay, Wish
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected

@@ -10,9 +10,8 @@ from typing import Any, Literal
 
 from sidelong.app.config import Config, ControlSection
 from sidelong.app.errors import InputError
-from sidelong.app.flight.preflight import FAILSAFE_STATES, check_takeover, checks
+from sidelong.app.flight.preflight import FAILSAFE_STATES, SourceRates, check_takeover, checks
 from sidelong.app.flight.session import Session
-from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.streams import ask_for_streams, wants_few
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table

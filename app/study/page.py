@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sidelong.app.records.text_file import write_text
 from sidelong.app.report import html
 from sidelong.app.report.plot_style import BAD, figure, legend_above, styled
 from sidelong.app.study.design import word
@@ -16,7 +17,6 @@ from sidelong.app.study.measures import BAND, EXPLAINED, MOVES, SIDE, Measure
 from sidelong.app.study.report import measures_of, study_parts, study_title, sweep_rows
 from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.study import StudyResult, flown_again
-from sidelong.app.text_file import write_text
 
 _BINS, _WORST = 40, 4
 _TABLED = 200  # rows

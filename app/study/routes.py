@@ -8,7 +8,7 @@ import numpy as np
 from shapely import LineString
 
 from sidelong.app.errors import InputError
-from sidelong.app.route_file import ROUTE_SUFFIXES, read_route
+from sidelong.app.records.route_file import ROUTE_SUFFIXES, read_route
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.path import FloatArray

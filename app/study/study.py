@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.planners.registry import PLANNER_NAMES, planner_by_name
+from sidelong.app.planners.value_cache import value_table
 from sidelong.app.study.design import Design
 from sidelong.app.study.judging import JudgedTrack, RunResult
 from sidelong.app.study.parallel import Task, Workers, parallel
 from sidelong.app.study.settings import MISSION_PLANNERS, PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
-from sidelong.app.value_cache import value_table
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.fleet.team import IN_TEAM

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from sidelong.app.config import Config
-from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.flight.loop import FlightDisplay, Wish
 from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight

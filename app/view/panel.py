@@ -15,7 +15,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from sidelong.app.flight.display import Wish
+from sidelong.app.flight.loop import Wish
 from sidelong.app.link.message import plain
 from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.prompt import HELP, Keyboard, Prompt

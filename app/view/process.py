@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 from sidelong.app.errors import InputError
-from sidelong.app.interpreter import helper_command, helper_environment
+from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json

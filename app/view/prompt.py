@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Literal
 
-from sidelong.app.flight.display import Wish
+from sidelong.app.flight.loop import Wish
 from sidelong.mission.control.mission_change import describe_change
 from sidelong.mission.core.events import MissionChange, OperatorRequest
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.app.commands.init import config_text, init
+from sidelong.app.commands.init import PAYLOAD_PRESETS, PRESETS, config_text, init
 from sidelong.app.config import Config, check_flyable, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.simulated import SimulatedVehicles
-from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 
 

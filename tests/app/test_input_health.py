@@ -7,8 +7,7 @@ import math
 import pytest
 
 from sidelong.app.config import Config
-from sidelong.app.flight.input_health import InputHealth
-from sidelong.app.flight.session import VehicleInputs
+from sidelong.app.flight.session import InputHealth, VehicleInputs
 from tests.exchange.conftest import Flight
 from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_faults import GIMBAL, Fault, repeated, turned

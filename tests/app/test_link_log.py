@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from sidelong.app.flight.link_log import ClockRate, link_log
+from sidelong.app.flight.recording import ClockRate, link_log
 from sidelong.app.link.quality import LinkQuality, LinkReport
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sidelong.app.flight.point_gimbal import GimbalPointer
+from sidelong.app.flight.outputs import GimbalPointer
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.estimators.estimate import TrackQuality

@@ -9,8 +9,7 @@ from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.autopilots.px4 import Px4
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.flight.preflight import check_takeover, checks
-from sidelong.app.flight.source_rates import SourceRate
+from sidelong.app.flight.preflight import SourceRate, check_takeover, checks
 from sidelong.app.link.queries import reported_pan_limits_rad
 from sidelong.app.link.telemetry import RECOVERY_MODES
 from sidelong.app.payload.pan_limits import contradiction, pan_words

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from sidelong.app.cli import app
 from sidelong.app.errors import InputError
-from sidelong.app.route_file import read_route
+from sidelong.app.records.route_file import read_route
 from sidelong.estimators.frames import LocalPlane
 
 LOG = Path(__file__).parents[1] / "data" / "px4-follow-walk-and-drive.tlog"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sidelong.app.errors import InputError
-from sidelong.app.route_file import read_route
+from sidelong.app.records.route_file import read_route
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.routes import route_next_to
 from sidelong.estimators.frames import LocalPlane

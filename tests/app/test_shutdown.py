@@ -6,34 +6,34 @@ import sys
 
 import pytest
 
-from sidelong.app.shutdown import fails_with
+from sidelong.app.process import fails_with
 
 LEFT = """
 import asyncio, threading
-from sidelong.app import event_loop, shutdown
+from sidelong.app import process
 async def main():
     begun = threading.Event()
     asyncio.get_running_loop().run_in_executor(None, lambda: (begun.set(), threading.Event().wait()))
     begun.wait()
     print("done")
     return 3
-shutdown.exit_process(event_loop.run(main()))
+process.exit_process(process.run(main()))
 """
 
 HELD_UP = """
 import threading
-from sidelong.app import shutdown
-with shutdown.ends_within(0.2, "closing"):
+from sidelong.app import process
+with process.ends_within(0.2, "closing"):
     threading.Event().wait()
 """
 
 IN_TIME = """
 import threading
-from sidelong.app import shutdown
-with shutdown.ends_within(0.05, "closing"):
+from sidelong.app import process
+with process.ends_within(0.05, "closing"):
     pass
 threading.Event().wait(0.2)
-shutdown.exit_process(0)
+process.exit_process(0)
 """
 
 
@@ -53,10 +53,10 @@ def test_it_ends(code, exit_code, out, complaint):
 
 LATE_SIGNAL = """
 import atexit, os, signal
-from sidelong.app import shutdown
+from sidelong.app import process
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 atexit.register(lambda: os.kill(os.getpid(), signal.SIGTERM))
-shutdown.exit_process(3)
+process.exit_process(3)
 """
 
 

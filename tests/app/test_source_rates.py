@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from sidelong.app.config import SharingSection
-from sidelong.app.flight.source_rates import SourceRates
+from sidelong.app.flight.preflight import SourceRates
 from sidelong.app.link.vehicle import Vehicle
 from tests.messages import attitude, laser
 
@@ -18,7 +18,7 @@ def at(time_s: float) -> dict:
 
 
 def test_messages_received_before_are_counted_once_and_without_waiting(monkeypatch):
-    monkeypatch.setattr("sidelong.app.flight.source_rates.time", SimpleNamespace(time=lambda: 100.0))
+    monkeypatch.setattr("sidelong.app.flight.preflight.time", SimpleNamespace(time=lambda: 100.0))
 
     async def main():
         vehicle = Vehicle(SimpleNamespace(system_id=1, own_id=(245, 190)))

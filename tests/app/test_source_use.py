@@ -8,7 +8,7 @@ import pytest
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.config import Config
-from sidelong.app.flight.source_rates import describe_use
+from sidelong.app.flight.preflight import describe_use
 from sidelong.estimators.sensing.readings import GimbalReading, RangeReading, Source
 
 PAYLOAD = Source("DISTANCE_SENSOR", 154, 1, 100)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.app.text_file import write_text
+from sidelong.app.records.text_file import write_text
 from tests.command_line import sidelong
 
 

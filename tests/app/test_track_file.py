@@ -17,7 +17,7 @@ import pytest
 from sidelong.app.config import load_config
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
-from sidelong.app.route_file import read_route
+from sidelong.app.records.route_file import read_route
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.sitl.world.track import RecordedTrack, read_track
 from sidelong.sitl.world.track_file import TrackError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sidelong.app.value_cache import _store, value_table
+from sidelong.app.planners.value_cache import _store, value_table
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.value_table import TableConfiguration
 
@@ -74,7 +74,7 @@ def test_a_user_without_a_home_keeps_tables_in_the_temporary_folder(tmp_path):
 from pathlib import Path
 from unittest.mock import Mock
 Path.home = Mock(side_effect=RuntimeError("Could not determine home directory."))
-from sidelong.app.value_cache import DIRECTORY
+from sidelong.app.planners.value_cache import DIRECTORY
 (DIRECTORY / "value.table").touch()
 print(DIRECTORY)
 """

@@ -11,8 +11,8 @@ import pytest
 from sidelong.app.analysis.replay import JournalReplay
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
+from sidelong.app.flight.changes import WindTables
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder

@@ -21,12 +21,12 @@ from unittest import mock
 import numpy as np
 
 from sidelong.app.analysis.target_course import made_good_rad
+from sidelong.app.planners.value_cache import value_table
 from sidelong.app.study.closed_loop import BOOT_S, fly
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import PlannerName, StudySettings, studied
-from sidelong.app.value_cache import value_table
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlanCheck
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind

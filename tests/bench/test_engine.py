@@ -22,7 +22,7 @@ try:
 except ImportError:
     from sidelong.app.study.closed_loop import run_closed_loop as run
 from sidelong.app.study.settings import PlannerName, StudySettings
-from sidelong.app.value_cache import value_table
+from sidelong.app.planners.value_cache import value_table
 from sidelong.mission.predictive.planner import table_configuration
 settings = StudySettings(runs=20, seed=1)
 table = value_table(table_configuration(settings.aircraft(), settings.requirement()))

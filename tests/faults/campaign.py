@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sidelong.app.value_cache import value_table
+from sidelong.app.planners.value_cache import value_table
 from tests.faults.readers import TABLE, Reader, fault, readers
 
 CPU_MAX_S, MEMORY_MAX_BYTES = 5.0, 512 << 20

@@ -43,7 +43,7 @@ def write_and_wait(text):
     return count
 sys.stdout.write = write_and_wait
 def report(event, arguments):
-    if event == "import" and arguments[0] == "sidelong.app.interpreter":
+    if event == "import" and arguments[0] == "sidelong.app.process":
         print("{_BEGUN}")
 sys.addaudithook(report)
 main()

@@ -26,15 +26,15 @@ from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.planners.value_cache import stored_table
 from sidelong.app.records.journal import Header, JournalReader, encode
 from sidelong.app.records.log import open_log
+from sidelong.app.records.route_file import read_route
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.report.sources import read_summary
-from sidelong.app.route_file import read_route
 from sidelong.app.sharing.beacon import decode
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.app.terrain.raster import Bounds
-from sidelong.app.value_cache import stored_table
 from sidelong.app.view.background import background, readable_tile
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source

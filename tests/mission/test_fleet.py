@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.value_cache import value_table
+from sidelong.app.planners.value_cache import value_table
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role

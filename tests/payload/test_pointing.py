@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from sidelong.app.flight.point_gimbal import PayloadPointer
+from sidelong.app.flight.outputs import PayloadPointer
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.estimators.sensing.line_of_sight import line_of_sight

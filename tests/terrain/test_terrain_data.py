@@ -14,7 +14,7 @@ from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import checks
-from sidelong.app.flight.terrain_server import TerrainServer, answers
+from sidelong.app.flight.streams import TerrainServer, answers
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.sitl.settings import HomePosition, Settings

@@ -1,8 +1,8 @@
-"""Shut down the process on request, even if threads of a library are blocked.
+"""This process and those that it starts: search path of modules, event loop, interrupts, and the end.
 
-MAVSDK's blocking calls run in threads that cannot be cancelled. Python waits for such threads without a time limit:
-when ``asyncio.run`` ends (see :mod:`sidelong.app.event_loop`), and again when the interpreter ends. One call that
-never returns would block both.
+A folder of a user may hold a ``mission.py`` or a ``numpy.py``, and ROS puts its folders on PYTHONPATH, which Python
+searches before installed packages. MAVSDK's blocking calls run in threads that cannot be cancelled. Python waits for
+such threads without a time limit when ``asyncio.run`` ends, and again when the interpreter ends.
 """
 
 from __future__ import annotations
@@ -14,16 +14,56 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NoReturn, TextIO
+from collections.abc import Coroutine, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar
+
+import sidelong
 
 if TYPE_CHECKING:
     import asyncio
+
+T = TypeVar("T")
 
 INTERRUPTED = 130  # the exit code
 _THREADS_END_S = 1.0
 _HEEDED_AGAIN_S = 0.05
 _again: threading.Timer | None = None  # when a dropped interrupt comes
+
+
+def prefer_installed_packages() -> None:
+    """Search PYTHONPATH and the working folder after installed packages, except where sidelong itself is there."""
+    own = str(Path(sidelong.__file__).parents[1])
+    named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    last = {os.path.abspath(folder) for folder in named} | {os.getcwd()}  # noqa: PTH100, PTH109  # may not exist
+    last -= {own}
+    sys.path.sort(key=lambda folder: os.path.abspath(folder) in last)  # noqa: PTH100
+
+
+def helper_command(module: str, *arguments: str) -> tuple[str, ...]:
+    """Return the command line that runs one of our modules as a process of its own."""
+    return (sys.executable, "-P", "-m", module, *arguments)
+
+
+def helper_environment() -> dict[str, str]:
+    """Return the environment of such a process: ours, with this process's search path in its order."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)}
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Do as ``asyncio.run``, without waiting for calls that still block a thread when ``main`` is done."""
+    import asyncio  # noqa: PLC0415  # it takes a moment to load, and most commands do not need it
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415
+
+    class Threads(ThreadPoolExecutor):
+        def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+            super().shutdown(wait=False, cancel_futures=True)
+
+    async def with_threads() -> T:
+        asyncio.get_running_loop().set_default_executor(Threads())
+        return await main
+
+    return asyncio.run(with_threads())
 
 
 @contextlib.contextmanager
@@ -46,7 +86,7 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
 @contextlib.contextmanager
 def fails_with(alongside: asyncio.Task[None]) -> Iterator[None]:
     """Raise the error of a task that fails inside this context: what waits for its work would never end."""
-    import asyncio  # noqa: PLC0415  # it takes a moment to load, and most commands do not need it
+    import asyncio  # noqa: PLC0415  # as above
 
     inside = asyncio.current_task()
     assert inside is not None

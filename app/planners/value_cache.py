@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sidelong.app.interpreter import helper_command, helper_environment
+from sidelong.app.process import helper_command, helper_environment
 from sidelong.estimators.compiled import FOLDER
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
@@ -69,7 +69,7 @@ async def _made_in_parallel(configuration: TableConfiguration) -> ValueTable:
     import asyncio  # noqa: PLC0415  # in a flight it is loaded already; reading a table does not need it
 
     process = await asyncio.create_subprocess_exec(
-        *helper_command("sidelong.app.value_cache"),
+        *helper_command("sidelong.app.planners.value_cache"),
         env=helper_environment(),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
