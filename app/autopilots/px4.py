@@ -7,9 +7,15 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import all as _mav
 
-from sidelong.app.autopilots.autopilot import Limits, SupportedReleases
-from sidelong.app.autopilots.parameter import Parameter, Purpose, RequiredParameter, required_airspeed
-from sidelong.app.autopilots.release import Release
+from sidelong.app.autopilots.autopilot import (
+    Limits,
+    Parameter,
+    Purpose,
+    Release,
+    RequiredParameter,
+    SupportedReleases,
+    required_airspeed,
+)
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
 from sidelong.mission.exchange.reports import OrbitReported, VehicleReport

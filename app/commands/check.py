@@ -20,9 +20,8 @@ from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.study.prediction import FLIGHT_S, is_studied, predict
 from sidelong.app.study.study import is_compiled
-from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
-from sidelong.mission.paper.optimum import optimise as optimum
-from sidelong.mission.paper.scope import scope
+from sidelong.mission.paper.scope import ThresholdBounds, scope, threshold_bounds
+from sidelong.mission.paper.scope import optimise as optimum
 
 _PUBLISHED = panel("Published method (planner paper)")
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sidelong.app.config import Config
-from sidelong.app.planners.planner_kind import PlannerKind
-from sidelong.app.planners.predictive import Predictive
+from sidelong.app.planners.planner_kind import PlannerKind, Predictive
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.plan import Planner
@@ -26,7 +25,7 @@ class TeamPredictive(Predictive):
         return super().is_compiled() and is_cached(team_decide)
 
     def settings(self) -> PredictiveSettings:
-        from sidelong.mission.fleet.team import IN_TEAM  # noqa: PLC0415  # see PlannerKind
+        from sidelong.mission.fleet.team_planner import IN_TEAM  # noqa: PLC0415  # see PlannerKind
 
         return IN_TEAM
 

@@ -19,7 +19,7 @@ from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s
-from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
+from sidelong.app.autopilots.autopilot import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.alarm_watch import AlarmWatch

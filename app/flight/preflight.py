@@ -14,10 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sidelong.app.assembly import tracker_settings
-from sidelong.app.autopilots.autopilot import Autopilot, Limits
-from sidelong.app.autopilots.parameter import ParameterTable, Purpose, RequiredParameter
+from sidelong.app.autopilots.autopilot import Autopilot, Limits, ParameterTable, Purpose, Release, RequiredParameter
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot, check_guidance
-from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config, SharingSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.outputs import open_beacon

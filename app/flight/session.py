@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sidelong.app.assembly import tracker_of
-from sidelong.app.autopilots.autopilot import Autopilot
-from sidelong.app.autopilots.release import Release
+from sidelong.app.autopilots.autopilot import Autopilot, Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import Check, autopilot_of, check_release

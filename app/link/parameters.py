@@ -9,10 +9,8 @@ import struct
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any
 
-from sidelong.app.autopilots.autopilot import Autopilot
-from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
+from sidelong.app.autopilots.autopilot import Autopilot, ParameterTable, Release, RequiredParameter
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
-from sidelong.app.autopilots.release import Release
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT

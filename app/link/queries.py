@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sidelong.app.autopilots.release import Release, release_in
+from sidelong.app.autopilots.autopilot import Release, release_in
 from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkReport
 from sidelong.app.link.telemetry import ARMED_FLAG, mode_name

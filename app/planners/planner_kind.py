@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.mission.core.feasibility import Change
-from sidelong.mission.core.plan import AircraftState, CheckedPlannerFactory, Plan
+from sidelong.mission.core.feasibility import Change, unflyable
+from sidelong.mission.core.plan import AircraftState, CheckedPlannerFactory, Plan, PlanCheck, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.paper.scope import infeasible, largest_psi_c_rad
+
+if TYPE_CHECKING:
+    from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
+    from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
+
 
 DecisionInputs = tuple[AircraftState, TargetEstimate, Plan, Wind, float]
 """What ``Planner.decide`` takes."""
@@ -64,3 +72,112 @@ class CompilesInParts(Protocol):
 
     def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
         """Compile about half of it, while another process begins with the other half. known: to decide by."""
+
+
+class Paper:
+    """``PlannerKind`` for :class:`sidelong.mission.paper.planner.PaperPlanner`."""
+
+    name = "paper"
+    about = "the published method, once a lap"
+
+    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
+        return infeasible(aircraft, requirement, largest_psi_c_rad(aircraft, requirement))
+
+    def is_compiled(self) -> bool:
+        return True
+
+    def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
+        import_module("scipy.special")  # where it is not installed, refuse before the flight
+
+        from sidelong.mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
+
+        return lambda aircraft, wanted, _check: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
+
+    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
+        pass  # it computes as it goes
+
+
+class Predictive:
+    """``PlannerKind`` for :class:`sidelong.mission.predictive.planner.PredictivePlanner`."""
+
+    name = "predictive"
+    about = "decides every second by looking ahead"
+
+    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
+        return unflyable(aircraft, requirement)
+
+    def is_compiled(self) -> bool:
+        from sidelong.mission.predictive.decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
+
+        return is_cached(look_ahead)
+
+    def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
+        """Compile the search, while another process compiles the forecast, which the search knows nothing of."""
+        import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
+
+        from sidelong.mission.predictive.decision_kernel import commitment, look_deeper  # noqa: PLC0415
+        from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import (  # noqa: PLC0415
+            PredictivePlanner,
+            scene_at,
+            table_configuration,
+        )
+        from sidelong.mission.predictive.scene_kernel import winding  # noqa: PLC0415
+        from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
+
+        configuration = table_configuration(aircraft, requirement, 0.0, self.settings())
+        table = completed(configuration, np.zeros(configuration.shape, np.float32))
+        planner = PredictivePlanner(aircraft, requirement, table, self.settings())
+        looker = planner.lookers[0]
+        scene = scene_at(*known, looker)
+        futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+        min_gain = commitment(scene, futures, looker)
+        look_deeper(scene, futures, looker, planner.sight_in(scene), min_gain, np.empty(MOVES))
+
+    def settings(self) -> PredictiveSettings:
+        """Return how it plans, but for what the configuration sets."""
+        from sidelong.mission.predictive.planner import USUAL  # noqa: PLC0415  # see PlannerKind
+
+        return USUAL
+
+    def finished(self, planner: PredictivePlanner) -> Planner:
+        """Return what decides: the planner itself, or a planner made of it."""
+        return planner
+
+    def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
+        from sidelong.app.planners.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
+        from sidelong.mission.predictive.planner import PredictivePlanner  # noqa: PLC0415
+
+        settings = replace(self.settings(), lost_after_s=needs.lost_after_s)
+        tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
+
+        def tables_for(aircraft: Aircraft, wanted: Requirement, winds_m_s: Sequence[float]) -> list[ValueTable]:
+            configurations = self._configurations(aircraft, wanted, winds_m_s)
+            for one in configurations:
+                tables[one] = tables.get(one) or value_table(one, needs.progress)
+            return [tables[one] for one in configurations]
+
+        def make(aircraft: Aircraft, wanted: Requirement, plans: PlanCheck) -> Planner:
+            def table_at(wind_m_s: float) -> ValueTable:
+                return tables_for(aircraft, wanted, [wind_m_s])[-1]
+
+            calm, *windy = tables_for(aircraft, wanted, needs.winds_m_s)
+            return self.finished(
+                PredictivePlanner(aircraft, wanted, calm, settings, windy, plans.cleared, plans.sight, table_at)
+            )
+
+        tables_for(needs.aircraft, needs.requirement, needs.winds_m_s)
+        return make
+
+    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
+        from sidelong.app.planners.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
+
+        await have_at_hand(self._configurations(aircraft, requirement, winds_m_s))
+
+    def _configurations(
+        self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]
+    ) -> list[TableConfiguration]:
+        from sidelong.mission.predictive.planner import table_configuration  # noqa: PLC0415  # see PlannerKind
+
+        settings = self.settings()
+        return [table_configuration(aircraft, requirement, wind_m_s, settings) for wind_m_s in (0.0, *winds_m_s)]

@@ -5,9 +5,7 @@ Other distributions add theirs by the entry point group ``sidelong.planners``.
 
 from __future__ import annotations
 
-from sidelong.app.planners.paper import Paper
-from sidelong.app.planners.planner_kind import PlannerKind
-from sidelong.app.planners.predictive import Predictive
+from sidelong.app.planners.planner_kind import Paper, PlannerKind, Predictive
 from sidelong.app.plugins import with_plugins
 
 PLANNERS: tuple[PlannerKind, ...] = with_plugins(

@@ -29,7 +29,7 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import CheckedPlannerFactory, Plan, PlanCheck, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.fleet.team import IN_TEAM
+from sidelong.mission.fleet.team_planner import IN_TEAM
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable

@@ -41,10 +41,9 @@ from sidelong.mission.fleet.events import (
     VehicleLost,
 )
 from sidelong.mission.fleet.reports import FleetReporter
-from sidelong.mission.fleet.team import IN_TEAM
-from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.laws.phased import phased
+from sidelong.mission.laws.course_field import phased
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.route.route import event_of

@@ -32,8 +32,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2
-from sidelong.mission.laws.course_field import StandoffOrbit, VectorField
-from sidelong.mission.laws.lateral_guidance import LateralGuidance
+from sidelong.mission.laws.course_field import LateralGuidance, StandoffOrbit, VectorField
 from sidelong.sitl.world import airframe
 
 SEEN_EVERY = 2

@@ -19,7 +19,7 @@ from sidelong.app.study.settings import MISSION_PLANNERS, PlannerName, StudySett
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.fleet.team import IN_TEAM
+from sidelong.mission.fleet.team_planner import IN_TEAM
 from sidelong.mission.predictive.planner import USUAL, table_configuration
 from sidelong.mission.predictive.value_table import ValueTable
 

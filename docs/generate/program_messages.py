@@ -50,7 +50,7 @@ _FLOWN = (
     "mission/predictive/planner.py",
     "mission/viewpoint",
     "mission/fleet/coordinator.py",
-    "mission/fleet/advice.py",
+    "mission/fleet/coordinator.py",
     "app/flight",
 )
 _FOLDERS = ("app", "mission", "estimators", "sitl")

@@ -42,18 +42,20 @@ Source: docs/how-to/several-aircraft.md; docs/decisions/0012-fleet-as-a-layer.md
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.tracking.joint_track import JointTrack
 from sidelong.mission.core.events import RouteGiven
-from sidelong.mission.core.fleet import Role
-from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.fleet.advice import advice_to, announced_plans
-from sidelong.mission.fleet.assignment import spread_over
-from sidelong.mission.fleet.clocks import shifted_state
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
 from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -77,8 +79,125 @@ from sidelong.mission.fleet.events import (
 )
 from sidelong.mission.fleet.judges import MakeJudge, RoleJudges
 from sidelong.mission.fleet.proximity import Proximity
-from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_on_station
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
 from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
+
+_REASONS = {
+    Role.LEAVE: "another aircraft has taken over, or the battery is low",
+    Role.OPPOSITE: "another aircraft holds the required side",
+    Role.WANTED: "this aircraft is to hold the required side",
+}
+
+
+def advice_to(
+    vehicle: FleetVehicle,
+    now_s: float,
+    wanted: Side,
+    estimate: TargetEstimate | None,
+    fleet: Iterable[FleetVehicle],
+    foreign: Iterable[ForeignAircraftReported],
+    course_rad: float | None = None,
+    separation: str = "",
+) -> FleetAdvice:
+    """Return an aircraft's advice.
+
+    Args:
+        vehicle: The aircraft.
+        now_s: Mission time, s.
+        wanted: Required side of the target.
+        estimate: Estimate of the target; None if there is none.
+        fleet: All aircraft of the fleet.
+        foreign: Aircraft that do not belong to the fleet.
+        course_rad: Course of the target whose sides count, rad; None if unknown.
+        separation: Which other aircraft is too near, in words.
+    """
+    by_s = -vehicle.clock.offset_s
+    announced = (vehicle.role, vehicle.target)
+    reason = "" if announced == vehicle.announced else _REASONS[vehicle.role]
+    if vehicle.announced is not None and vehicle.target != vehicle.announced[1]:
+        reason = f"it is to watch {vehicle.target} now"
+    vehicle.announced = announced
+    ours = [
+        Neighbour(
+            one.member.name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role
+        )
+        for one in fleet
+        if one is not vehicle and one.report is not None and not one.yielded
+    ]
+    others = [Neighbour(one.identity, shifted_state(one.state, by_s), one.height_m, False) for one in foreign]
+    return FleetAdvice(
+        now_s + by_s,
+        vehicle.target,
+        vehicle.role,
+        wanted.opposite if vehicle.role is Role.OPPOSITE else wanted,
+        shifted_estimate(estimate, by_s),
+        vehicle.member.height_m,
+        (*ours, *others),
+        reason,
+        vehicle.watches != vehicle.target,
+        course_rad,
+        separation,
+    )
+
+
+def announced_plans(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
+    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known.
+
+    Args:
+        listener: The aircraft that is informed.
+        other: The aircraft whose plans are reported.
+        now_s: Mission time, s.
+    """
+    if listener.report is None or other.report is None or other.plans is None:
+        return None
+    announced, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
+    return NeighbourPlanned(
+        now_s - listener.clock.offset_s,
+        announced.name,
+        shifted_plan(announced.present, by_s),
+        shifted_plan(announced.coming, by_s),
+    )
+
+
+_SHARE_S = 1e6  # more than anything costs: that a target has less than its even share
+_ELSEWHERE_S = 1e9
+
+
+def spread_over(
+    targets: Sequence[str], costs: Sequence[Sequence[RoleCosts]], at: Sequence[str], change_s: float
+) -> tuple[list[str], float]:
+    """Return the assignment of the aircraft to the targets that costs least among the even ones.
+
+    Each target has a position on its required side, then one opposite, and so on in turn.
+
+    Args:
+        targets: Names of the targets.
+        costs: Costs of each aircraft (rows) at each target (columns), finite.
+        at: The present target of each aircraft; any other name if it has none.
+        change_s: Price of each change of target, in seconds off the required side.
+
+    Returns:
+        The target of each aircraft, and the gain over the present assignment in seconds off the required side. The
+        gain is infinite if the aircraft are spread unevenly now, or one has no target.
+    """
+    each, odd = divmod(len(costs), len(targets))
+    places = [(k, row) for k in range(len(targets)) for row in range(each + (odd > 0))]
+    # Every target gets its even share first; the remaining aircraft go where they cost least.
+    share_s = np.where([row < each for _, row in places], _SHARE_S, 0.0)
+    elsewhere = np.array([[targets[k] != name for k, _ in places] for name in at])
+    alongside_s = [[own[k].opposite_s if row % 2 else own[k].wanted_s for k, row in places] for own in costs]
+    to_s = alongside_s - share_s + change_s * elsewhere
+    best, best_s = _cheapest(to_s)
+    _, stay_s = _cheapest(to_s + _ELSEWHERE_S * elsewhere)
+    gained_s = stay_s - best_s
+    return [targets[places[column][0]] for column in best], math.inf if gained_s > 0.5 * _SHARE_S else gained_s
+
+
+def _cheapest(to_s: FloatArray) -> tuple[list[int], float]:
+    """Return the place of each aircraft, and what all cost together."""
+    rows, columns = linear_sum_assignment(to_s)
+    return columns.tolist(), float(to_s[rows, columns].sum())
+
 
 _PERIOD_S = 1.0
 _SILENT_AFTER_S = 5.0

@@ -1,4 +1,4 @@
-"""The inner loops of :mod:`sidelong.mission.fleet.team`: what a move is worth when others watch the same target.
+"""The inner loops of :mod:`sidelong.mission.fleet.team_planner`: values of moves when others watch the same target.
 
 Each line of an aircraft costs, in addition to the walls of the band:
 

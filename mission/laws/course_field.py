@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sidelong.estimators.estimate import TargetEstimate
@@ -96,3 +97,88 @@ class StandoffOrbit(CourseField):
         radial_m_s = velocity_east * out_e + velocity_north * out_n - inward_m_s
         around_m_s = math.sqrt(max(speed_m_s**2 - radial_m_s**2, 0.0)) * (1.0 if self.clockwise else -1.0)
         return math.atan2(radial_m_s * out_e + around_m_s * out_n, radial_m_s * out_n - around_m_s * out_e)
+
+
+@dataclass(frozen=True, slots=True)
+class LateralGuidance:
+    """radius_m: of the circle round the target. look_ahead_m: L1, the distance to the point that is steered for."""
+
+    radius_m: float
+    clockwise: bool
+    look_ahead_m: float
+
+    def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
+        """Return the curvature to fly now: lateral acceleration 2 V^2 sin(eta) / L1, over V^2 of the ground."""
+        velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad) - target.velocity_east_m_s
+        velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad) - target.velocity_north_m_s
+        to_target_east, to_target_north = target.east_m - aircraft.east_m, target.north_m - aircraft.north_m
+        range_m = max(math.hypot(to_target_east, to_target_north), 1e-3)
+        # A point of the circle at distance L1 is seen at this angle off the target, by the law of cosines; too far
+        # from the circle for one, the nearest (or, inside, the opposite) point of it is steered for.
+        cosine = (range_m**2 + self.look_ahead_m**2 - self.radius_m**2) / (2.0 * range_m * self.look_ahead_m)
+        off_target_rad = math.acos(min(max(cosine, -1.0), 1.0))
+        bearing_rad = math.atan2(to_target_east, to_target_north)
+        steer_rad = bearing_rad + (-off_target_rad if self.clockwise else off_target_rad)
+        eta_rad = math.remainder(steer_rad - math.atan2(velocity_east, velocity_north), 2.0 * math.pi)
+        # Beyond a right angle the law would ask for less turn again.
+        sine = math.sin(min(max(eta_rad, -math.pi / 2), math.pi / 2))
+        relative_m2_s2 = velocity_east**2 + velocity_north**2
+        return 2.0 * relative_m2_s2 * sine / self.look_ahead_m / aircraft.ground_speed_m_s**2
+
+
+# The radius and gain of the laws of one aircraft; the gains of the phase settle it within about a lap.
+_RADIUS_M, _GAIN_PER_S = 350.0, 0.25
+_SPEED_GAIN_PER_S, _SPEED_SHARE = 0.05, 0.2
+_RADIUS_GAIN, _RADIUS_SHARE = 0.3, 0.3
+
+
+def phased(
+    aircraft: Sequence[AircraftState],
+    target: TargetEstimate,
+    *,
+    clockwise: bool,
+    airspeed_m_s: float,
+    constant_speed: bool,
+) -> list[tuple[float, float]]:
+    """Return the curvature, 1/m, and the airspeed, m/s, that each aircraft is to fly.
+
+    Args:
+        aircraft: State of each.
+        target: Estimate of the target.
+        clockwise: Sense of flight.
+        airspeed_m_s: The middle one; it is changed by a fifth at most.
+        constant_speed: The circular formation in place of the phased field.
+    """
+    found = []
+    for state, behind_rad in zip(aircraft, behind(aircraft, target, clockwise), strict=True):
+        radius_m, speed_m_s = _RADIUS_M, airspeed_m_s
+        if constant_speed:
+            radius_m *= 1.0 - min(max(_RADIUS_GAIN * behind_rad, -_RADIUS_SHARE), _RADIUS_SHARE)
+        else:
+            share = _SPEED_GAIN_PER_S * behind_rad * radius_m / airspeed_m_s
+            speed_m_s *= 1.0 + min(max(share, -_SPEED_SHARE), _SPEED_SHARE)
+        found.append((VectorField(radius_m, clockwise, _GAIN_PER_S).curvature_per_m(state, target), speed_m_s))
+    return found
+
+
+def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise: bool) -> list[float]:
+    """Return by how much each is behind its place between those before and after it, rad; they keep their order.
+
+    Alone, no aircraft is behind.
+
+    Args:
+        aircraft: States of the aircraft.
+        target: Estimate of the target.
+        clockwise: Sense of flight, as seen from above.
+    """
+    n, sense = len(aircraft), 1.0 if clockwise else -1.0
+    phase_rad = [sense * math.atan2(one.east_m - target.east_m, one.north_m - target.north_m) for one in aircraft]
+    order = sorted(range(n), key=lambda k: phase_rad[k] % math.tau)
+    found = [0.0] * n
+    for place, k in enumerate(order):
+        before, after = order[place - 1], order[(place + 1) % n]
+        if before != k:
+            gap_back_rad = (phase_rad[k] - phase_rad[before]) % math.tau
+            gap_ahead_rad = (phase_rad[after] - phase_rad[k]) % math.tau
+            found[k] = 0.5 * (gap_ahead_rad - gap_back_rad)
+    return found

@@ -16,24 +16,278 @@ Source: Liao et al., Defence Technology 16(4), 2020, equations 9-22.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.path import Path
+from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import turn_straight_turn
-from sidelong.mission.geometry.switching import must_move, range_after_lap_m
-from sidelong.mission.geometry.transition import abcd, min_move_m
+from sidelong.mission.geometry.switching import departure_course_rad, must_move, range_after_lap_m, turn_to_go_rad
+from sidelong.mission.geometry.transition import TransitionError, abcd, min_move_m
 from sidelong.mission.geometry.wind import LapClock, WindError, path_times_s
-from sidelong.mission.paper.departure import DepartureState, Move, Vector, next_move
-from sidelong.mission.paper.placement import circle_next_to, shifted
-from sidelong.mission.paper.reference_model import RelativePosition, displacement_m
-from sidelong.mission.paper.stretched_lap import stretched_lap
 from sidelong.mission.viewpoint.course_hold import CourseHold
 from sidelong.mission.viewpoint.descriptions import describe_move
 from sidelong.mission.viewpoint.side_policy import SidePolicy, Viewpoint
+
+Vector = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class DepartureState:
+    """A circle that is flown, now on ``course_rad``, and a target that is taken to keep its velocity.
+
+    latency_s: no move can depart earlier.
+    """
+
+    circle: Circle
+    course_rad: float
+    clock: LapClock
+    target_m: Vector
+    velocity_m_s: Vector
+    airspeed_m_s: float
+    wind: Wind
+    latency_s: float
+
+    def target_after(self, wait_s: float) -> Vector:
+        """Return (east, north) of the target after ``wait_s`` at its present velocity, m.
+
+        Args:
+            wait_s: Time from now, s.
+        """
+        return (
+            self.target_m[0] + self.velocity_m_s[0] * wait_s,
+            self.target_m[1] + self.velocity_m_s[1] * wait_s,
+        )
+
+    def min_range_m(self, path: Path, wait_s: float) -> float:
+        """Return the least range while ``path`` is flown from ``wait_s`` on.
+
+        Args:
+            path: The path.
+            wait_s: Time from now to the departure, s.
+        """
+        time_s = wait_s + path_times_s(path, self.airspeed_m_s, self.wind)
+        east_m = path.east_m - self.target_m[0] - self.velocity_m_s[0] * time_s
+        north_m = path.north_m - self.target_m[1] - self.velocity_m_s[1] * time_s
+        return float(np.min(np.hypot(east_m, north_m)))
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A move to ``circle`` that departs from A in ``wait_s``; target_m and range_after_lap_m are those of then."""
+
+    circle: Circle
+    wait_s: float
+    east_m: float
+    north_m: float
+    target_m: Vector
+    range_after_lap_m: float
+
+    @property
+    def length_m(self) -> float:
+        """How far the circle moves, m."""
+        return math.hypot(self.east_m, self.north_m)
+
+
+def next_move(situation: DepartureState, place: Callable[[Vector], Circle], lead_rad: float) -> Move:
+    """Return the next move to where ``place`` puts the circle for a target, leaving ``lead_rad`` before its bearing.
+
+    Where the move leads depends on where the target is by then, and A on where it leads: found by repetition,
+    which converges as the target is much slower than the aircraft.
+
+    Args:
+        situation: Aircraft, target, circle and wind.
+        place: Returns the circle for a position of the target.
+        lead_rad: Turn before the bearing of the move at which the aircraft leaves, rad.
+    """
+    circle, clock = situation.circle, situation.clock
+    sense = 1.0 if circle.clockwise else -1.0
+    begin_s = clock.time_s(sense * situation.course_rad)
+    wait_s = situation.latency_s
+    for _ in range(4):
+        target_m = situation.target_after(wait_s)
+        new = place(target_m)
+        east_m, north_m = new.east_m - circle.east_m, new.north_m - circle.north_m
+        leaving_rad = departure_course_rad(math.atan2(east_m, north_m), lead_rad, circle.clockwise)
+        turn_rad = turn_to_go_rad(situation.course_rad, leaving_rad, circle.clockwise)
+        wait_s = clock.time_s(sense * situation.course_rad + turn_rad) - begin_s
+        if wait_s < situation.latency_s:
+            wait_s += clock.lap_s
+    range_m = range_after_lap_m(circle.position_at_course(leaving_rad), target_m, situation.velocity_m_s, clock.lap_s)
+    return Move(new, wait_s, east_m, north_m, target_m, range_m)
+
+
+def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
+    """Return D = Dmin + R, the distance from the target to the circle's centre: the circle just touches Dmin."""
+    return requirement.range_min_m + aircraft.radius_m
+
+
+def circle_next_to(
+    target_east_m: float, target_north_m: float, course_rad: float, aircraft: Aircraft, requirement: Requirement
+) -> Circle:
+    """Return the circle on the required side of a target that moves on ``course_rad`` (20-21).
+
+    Args:
+        target_east_m: East of the target, m.
+        target_north_m: North of the target, m.
+        course_rad: Course of the target, rad.
+        aircraft: Limits of the aircraft.
+        requirement: Required band and side.
+    """
+    outward_rad, distance_m = course_rad + requirement.side.normal_turn_rad, stand_off_m(aircraft, requirement)
+    return Circle(
+        target_east_m + distance_m * math.sin(outward_rad),
+        target_north_m + distance_m * math.cos(outward_rad),
+        aircraft.radius_m,
+        requirement.side.clockwise,
+    )
+
+
+def shifted(circle: Circle, east_m: float, north_m: float) -> Circle:
+    """Return the circle after the regular step O2 = O1 + e (17).
+
+    Args:
+        circle: The circle.
+        east_m: Displacement to the east, m.
+        north_m: Displacement to the north, m.
+    """
+    return Circle(circle.east_m + east_m, circle.north_m + north_m, circle.radius_m, circle.clockwise)
+
+
+@dataclass(frozen=True, slots=True)
+class RelativePosition:
+    """The target as the aircraft sees it: horizontal range l and bearing theta."""
+
+    range_m: float
+    bearing_rad: float
+
+    @staticmethod
+    def of(east_m: float, north_m: float) -> RelativePosition:
+        """Return the polar form of target minus aircraft; the bearing of a target right below is 0.
+
+        Args:
+            east_m: East of the target from the aircraft, m.
+            north_m: North of the target from the aircraft, m.
+        """
+        return RelativePosition(math.hypot(east_m, north_m), math.atan2(east_m, north_m))
+
+    @property
+    def east_m(self) -> float:
+        """Metres east of the target from the aircraft."""
+        return self.range_m * math.sin(self.bearing_rad)
+
+    @property
+    def north_m(self) -> float:
+        """Metres north of the target from the aircraft."""
+        return self.range_m * math.cos(self.bearing_rad)
+
+    def after_flying(self, east_m: float, north_m: float) -> RelativePosition:
+        """Return where a stationary target is seen once the aircraft has flown (east, north).
+
+        This is the exact integral of l' = -v cos(theta - psi), theta' = (v / l) sin(theta - psi) (1-4) over any
+        course and speed, wind included, so it does not drift with the step.
+
+        Args:
+            east_m: Distance flown to the east, m.
+            north_m: Distance flown to the north, m.
+        """
+        return RelativePosition.of(self.east_m - east_m, self.north_m - north_m)
+
+
+def displacement_m(measured: RelativePosition, reference: RelativePosition) -> tuple[float, float]:
+    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8).
+
+    Args:
+        measured: Measured relative position.
+        reference: Relative position of a stationary target.
+    """
+    return measured.east_m - reference.east_m, measured.north_m - reference.north_m
+
+
+def stretched_lap(
+    present: Circle, new: Circle, half_width_rad: float = math.radians(60.0), step_m: float = 2.0
+) -> Path:
+    """Return the stretched part of the lap, from ``half_width_rad`` before the move's bearing to as much after it.
+
+    Args:
+        present: The circle that is flown.
+        new: The circle to fly next.
+        half_width_rad: Half of the stretched turn W, rad.
+        step_m: Greatest distance between samples, m.
+
+    Raises:
+        TransitionError: The circles differ in radius or direction, or W is not in (0, pi).
+    """
+    if present.clockwise != new.clockwise or not math.isclose(present.radius_m, new.radius_m):
+        raise TransitionError("a stretched lap joins circles of one radius and one direction")
+    if not 0.0 < half_width_rad < math.pi:
+        raise TransitionError(f"half_width_rad must be in (0, pi), not {half_width_rad:.3f}")
+    radius_m, width_rad = present.radius_m, half_width_rad
+    move_east_m, move_north_m = new.east_m - present.east_m, new.north_m - present.north_m
+    move_rad = math.atan2(move_east_m, move_north_m)
+    swell_m = math.hypot(move_east_m, move_north_m) / float(_along(np.asarray(width_rad), width_rad))
+
+    length_m = 2.0 * width_rad * radius_m + swell_m * width_rad
+    turn_rad = _turns_rad(radius_m, swell_m, width_rad, max(3, math.ceil(length_m / step_m) + 1))
+    # Along the move and to its right, from the point of the circle that is flown on the move's bearing.
+    along_m = radius_m * np.sin(turn_rad) + swell_m * _along(turn_rad, width_rad)
+    inward_m = radius_m * (1.0 - np.cos(turn_rad)) + swell_m * _inward(turn_rad, width_rad)
+    right = 1.0 if present.clockwise else -1.0
+    top_east_m, top_north_m = present.position_at_course(move_rad)
+    start_rad = departure_course_rad(move_rad, width_rad, present.clockwise)
+    return Path(
+        _arc_m(turn_rad, radius_m, swell_m, width_rad),
+        top_east_m + along_m * math.sin(move_rad) + right * inward_m * math.cos(move_rad),
+        top_north_m + along_m * math.cos(move_rad) - right * inward_m * math.sin(move_rad),
+        start_rad + right * (turn_rad + width_rad),
+        right / (radius_m + swell_m * np.cos(math.pi * turn_rad / (2.0 * width_rad)) ** 2),
+    )
+
+
+def _arc_m(turn_rad: FloatArray, radius_m: float, swell_m: float, width_rad: float) -> FloatArray:
+    a = math.pi / width_rad
+    within_rad = turn_rad + width_rad
+    return radius_m * within_rad + swell_m * 0.5 * (within_rad + np.sin(a * turn_rad) / a)
+
+
+def _turns_rad(radius_m: float, swell_m: float, width_rad: float, count: int) -> FloatArray:
+    """Return courses (relative to the move) whose points on the line lie about equally far apart."""
+    even_rad = np.linspace(-width_rad, width_rad, 8 * count)
+    arc_m = _arc_m(even_rad, radius_m, swell_m, width_rad)
+    turns_rad = np.interp(np.linspace(0.0, arc_m[-1], count), arc_m, even_rad)
+    turns_rad[0], turns_rad[-1] = -width_rad, width_rad
+    return turns_rad
+
+
+def _along(turn_rad: FloatArray, width_rad: float) -> FloatArray:
+    """Return the integral of w(u) cos u from -W; at W it is I of the closed form."""
+    a = math.pi / width_rad
+
+    def antiderivative(u: FloatArray) -> FloatArray:
+        # sin(b u) / b = u sinc(b u) holds for b = 0, that is W = pi, too.
+        return 0.5 * np.sin(u) + 0.25 * u * (np.sinc((1 + a) * u / math.pi) + np.sinc((1 - a) * u / math.pi))
+
+    total: FloatArray = antiderivative(turn_rad) - antiderivative(np.asarray(-width_rad))
+    return total
+
+
+def _inward(turn_rad: FloatArray, width_rad: float) -> FloatArray:
+    """Return the integral of w(u) sin u from -W; it is zero again at W."""
+    a = math.pi / width_rad
+
+    def antiderivative(u: FloatArray) -> FloatArray:
+        # (1 - cos b u) / b = b u^2 / 2 sinc^2(b u / 2)
+        halves = (b * np.square(u) / 2.0 * np.square(np.sinc(b * u / (2.0 * math.pi))) for b in (1 + a, 1 - a))
+        return 0.5 * (1.0 - np.cos(u)) + 0.25 * sum(halves)
+
+    total: FloatArray = antiderivative(turn_rad) - antiderivative(np.asarray(-width_rad))
+    return total
+
 
 _STRETCHES_RAD = (math.radians(60.0), math.radians(90.0), math.radians(120.0))
 _DIP = 0.1  # of Dmin: noise and the flown radius reach below it by that much

@@ -16,8 +16,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, OperatorRequest
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
-from sidelong.mission.fleet.team import IN_TEAM
-from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.predictive import planner
 
 

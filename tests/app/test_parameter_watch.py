@@ -2,7 +2,7 @@
 
 import struct
 
-from sidelong.app.autopilots.parameter import Parameter, ParameterTable, Purpose
+from sidelong.app.autopilots.autopilot import Parameter, ParameterTable, Purpose
 from sidelong.app.link.parameters import ParameterWatch
 from tests.messages import message
 

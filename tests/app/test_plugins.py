@@ -14,7 +14,7 @@ MODULE = """
 from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.payload.payload_kind import PayloadKind
 from sidelong.app.payload.siyi import SiyiDriver
-from sidelong.app.planners.paper import Paper
+from sidelong.app.planners.planner_kind import Paper
 
 class Cautious(Paper):
     name = "cautious"
@@ -84,7 +84,7 @@ def test_check_judges_a_planner_of_another_distribution_by_its_own_limits(python
             "another: entry point lost of sidelong.planners cannot",
         ),
         ("[sidelong.planners]\nnone = another_package:nameless\n", "lacks name, about, unflyable"),
-        ("[sidelong.planners]\ntwice = sidelong.app.planners.paper:Paper\n", "the name 'paper' is taken"),
+        ("[sidelong.planners]\ntwice = sidelong.app.planners.planner_kind:Paper\n", "the name 'paper' is taken"),
     ],
 )
 def test_a_broken_distribution_is_named_in_a_sentence(python, points, words):

@@ -15,7 +15,7 @@ from sidelong.app.commands import flying
 from sidelong.app.config import Config, unflyable
 from sidelong.app.study import prediction
 from sidelong.app.study.prediction import Prediction, Share, predict, t_95
-from sidelong.mission.paper.feasibility import infeasible
+from sidelong.mission.paper.scope import infeasible
 
 X8_AT_400_M = {
     "aircraft": {"airspeed_m_s": 16.0, "radius_m": 50.0},

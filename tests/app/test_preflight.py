@@ -5,7 +5,7 @@ import math
 import pytest
 
 from sidelong.app.autopilots.arduplane import ArduPlane
-from sidelong.app.autopilots.parameter import ParameterTable
+from sidelong.app.autopilots.autopilot import ParameterTable
 from sidelong.app.autopilots.px4 import Px4
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError

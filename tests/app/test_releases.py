@@ -6,10 +6,8 @@ import asyncio
 
 import pytest
 
-from sidelong.app.autopilots.autopilot import Limits
-from sidelong.app.autopilots.parameter import ParameterTable, Purpose, RequiredParameter
+from sidelong.app.autopilots.autopilot import Limits, ParameterTable, Purpose, Release, RequiredParameter, release_in
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_name
-from sidelong.app.autopilots.release import Release, release_in
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_release, checks

@@ -38,8 +38,7 @@ from sidelong.mission.fleet.events import (
     Tick,
     VehicleReported,
 )
-from sidelong.mission.fleet.team import IN_TEAM
-from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable

@@ -6,7 +6,7 @@ import importlib.util
 from pathlib import Path
 
 from sidelong.app.cli import main
-from sidelong.app.planners.paper import Paper
+from sidelong.app.planners.planner_kind import Paper
 
 HARNESS = Path(__file__).parents[1] / "exchange" / "conftest.py"
 

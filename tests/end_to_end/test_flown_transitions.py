@@ -12,7 +12,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.transition import abcd
-from sidelong.mission.paper.stretched_lap import stretched_lap
+from sidelong.mission.paper.planner import stretched_lap
 from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.waypoints import lay_out
 from sidelong.sitl.arduplane.navigator import L1Guidance

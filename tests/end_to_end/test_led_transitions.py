@@ -10,7 +10,7 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.leading_circle import leading_circle
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.transition import abcd
-from sidelong.mission.paper.stretched_lap import stretched_lap
+from sidelong.mission.paper.planner import stretched_lap
 from sidelong.sitl.arduplane.navigator import L1Guidance
 from sidelong.sitl.px4.navigator import PathFollower
 from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe, WindVector

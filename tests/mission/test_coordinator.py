@@ -28,8 +28,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.exchange.outbox import ExternalControl
-from sidelong.mission.fleet.assignment import spread_over
-from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget, spread_over
 from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,

@@ -17,7 +17,7 @@ from sidelong.estimators.frames import wrap_rad
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
-from sidelong.mission.fleet.team import IN_TEAM
+from sidelong.mission.fleet.team_planner import IN_TEAM
 from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import Trapezoids

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from sidelong.mission.core.feasibility import in_words
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.paper.feasibility import infeasible
-from sidelong.mission.paper.scope import scope
+from sidelong.mission.paper.scope import infeasible, scope
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)

@@ -18,8 +18,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
-from sidelong.mission.fleet.team import IN_TEAM, team_of
-from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner, team_of
 from sidelong.mission.geometry.separation import flown_places
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 

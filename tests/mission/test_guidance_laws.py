@@ -5,8 +5,7 @@ import pytest
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.laws.course_field import StandoffOrbit, VectorField
-from sidelong.mission.laws.lateral_guidance import LateralGuidance
+from sidelong.mission.laws.course_field import LateralGuidance, StandoffOrbit, VectorField
 
 SPEED_M_S, STEP_S, STAND_OFF_M = 10.0, 0.1, 200.0
 

@@ -10,9 +10,8 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.geometry.follower import PlanTrack
 from sidelong.mission.geometry.wind import STILL_AIR
-from sidelong.mission.paper.optimum import fastest_target_m_s, max_range_m, optimise, threshold_bounds
 from sidelong.mission.paper.planner import PaperPlanner
-from sidelong.mission.paper.scope import scope
+from sidelong.mission.paper.scope import fastest_target_m_s, max_range_m, optimise, scope, threshold_bounds
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)

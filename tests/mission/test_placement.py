@@ -5,7 +5,7 @@ import pytest
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.feasibility import fits_band
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.paper.placement import circle_next_to, shifted, stand_off_m
+from sidelong.mission.paper.planner import circle_next_to, shifted, stand_off_m
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 

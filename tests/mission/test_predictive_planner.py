@@ -10,7 +10,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
-from sidelong.mission.fleet.team import IN_TEAM
+from sidelong.mission.fleet.team_planner import IN_TEAM
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s

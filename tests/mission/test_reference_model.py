@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.paper.reference_model import RelativePosition, displacement_m
+from sidelong.mission.paper.planner import RelativePosition, displacement_m
 
 
 def test_the_model_is_the_integral_of_the_papers_equations() -> None:

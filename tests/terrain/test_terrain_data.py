@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sidelong.app.autopilots.arduplane import ArduPlane
-from sidelong.app.autopilots.parameter import ParameterTable
+from sidelong.app.autopilots.autopilot import ParameterTable
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import checks
 from sidelong.app.flight.streams import TerrainServer, answers
