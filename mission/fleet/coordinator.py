@@ -42,7 +42,7 @@ Source: docs/how-to/several-aircraft.md; docs/decisions/0012-fleet-as-a-layer.md
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
