@@ -142,6 +142,7 @@ _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015
 _DRIFT_S, _DRIFT_EVERY_S, _DRIFT_SPAN_MIN_S = 100.0, 10.0, 40.0
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of what is not to be estimated
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
+_SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
@@ -1053,11 +1054,15 @@ class PayloadFit:
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
         eased = 0.5 if self._drift else 1.0
-        by_yaw, by_range, (pitch_rad, pitched_rad) = fit(4), fit(5), self._pitch_drift(readings)
+        by_yaw, by_range = fit(4), fit(5)
+        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings)
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
-        is_range = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
+        # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
+        # also puts the target below the ground.
+        sinks = pitch_rad / (range_m * pitch_of_range_rad_m) if range_m else 0.0
+        is_range = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M and sinks > _SINKS_MIN
         # A pitch error shortens the level range of a target that then seems too low; a range error lengthens it.
         opposite = is_range and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
         if (abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range) or opposite:
@@ -1080,8 +1085,11 @@ class PayloadFit:
             )
         return "", ""
 
-    def _pitch_drift(self, readings: Readings) -> tuple[float, float]:
-        """Return the pitch error at the end by the height of the target over the ground, and its change, rad."""
+    def _pitch_drift(self, readings: Readings) -> tuple[float, float, float]:
+        """Return the pitch error at the end by the height of the target over the ground, and its change, rad.
+
+        The third value is the pitch error that one metre of a range error looks like, rad/m.
+        """
         looks = np.empty((len(readings.sights), 3))
         look(readings, 0.0, looks)
         time_s, slant_m = readings.ranges.T
@@ -1104,7 +1112,8 @@ class PayloadFit:
                 off -= self.ground(east_m + level * math.sin(bearing[at]), north_m + level * math.cos(bearing[at]))
             errors.append(-off / float(np.median(level_m)))
         rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS), errors, 1).tolist()
-        return end, rate
+        last = block  # of the newest readings
+        return end, rate, float(np.median(np.tan(down_rad[last]) / slant_m[last]))
 
     def _sector(self, readings: Readings, fit: Fit) -> str:
         """Return in words at which bearings alone the ranges are off; empty where they are not."""
