@@ -36,9 +36,7 @@ from sidelong.app.study.measures import EXPLAINED
 from sidelong.app.study.parallel import Workers, on_cluster, on_processes
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.report import (
-    EXPORTED,
     export_runs,
-    parquet_writer,
     study_json,
     study_parts,
     study_table,
@@ -144,7 +142,7 @@ def study(
     store: Annotated[
         Path | None, _COMPUTATION(help="Store each result in this SQLite file; stored runs are not flown again.")
     ] = None,
-    export: Annotated[Path | None, OUTPUT(help="Write a row for each run to this .csv or .parquet file.")] = None,
+    export: Annotated[Path | None, OUTPUT(help="Write a row for each run to this .csv file.")] = None,
     report: Annotated[Path | None, OUTPUT(help="Write a page with all figures to this .html file.")] = None,
     json: JsonOption = None,
 ) -> None:
@@ -420,12 +418,10 @@ def _check_side(option: str, found: tuple[Design, ...]) -> None:
 
 def _check_places(export: Path | None, report: Path | None, store: Path | None, scheduler: str | None) -> None:
     """Complain about a file that cannot be written, or not in that format, before the work begins."""
-    for option, file, suffixes in (("--export", export, EXPORTED), ("--report", report, (".html",))):
+    for option, file, suffixes in (("--export", export, (".csv",)), ("--report", report, (".html",))):
         if file is not None and file.suffix.lower() not in suffixes:
             raise InputError(f"{file}: {option} writes {', '.join(suffixes)}; give it such a file name.")
         checked_file(option, file)
     checked_file("--store", store)
-    if export is not None and export.suffix.lower() == ".parquet":
-        parquet_writer()
     if scheduler is not None and not re.fullmatch(r"[a-z]+://.+:\d+", scheduler):
         raise InputError(f"--scheduler: {scheduler!r} is no address such as tcp://HOST:8786.")

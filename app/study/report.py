@@ -12,7 +12,6 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from sidelong.app.errors import missing_package
 from sidelong.app.study.design import word
 from sidelong.app.study.measures import ON_FLAT_GROUND, OVER_HILLS, WITHIN_PAN_LIMITS, Measure, decision_ms
 from sidelong.app.study.settings import PARTS, StudySettings
@@ -20,7 +19,6 @@ from sidelong.app.study.store import MEASURES
 from sidelong.app.study.study import PlannerResult, StudyResult
 from sidelong.mission.core.path import FloatArray
 
-EXPORTED = (".csv", ".parquet")
 _COLUMNS = ("planner", "run", "target", "draw", "seed", *MEASURES, "key")
 
 
@@ -143,17 +141,8 @@ def _angle_spread_deg(planner: PlannerResult) -> float | None:
 
 
 def export_runs(results: Sequence[StudyResult], file: Path) -> None:
-    """Write a row for each run, as CSV or Parquet. Columns: swept parameters, then the same for every study.
-
-    Raises OSError; InputError when Parquet is asked for and pyarrow is not installed.
-    """
+    """Write a row for each run, as CSV. Columns: swept parameters, then the same for every study. Raises OSError."""
     columns = (*(key for key, _ in results[0].design.swept), *_COLUMNS)
-    if file.suffix.lower() == ".parquet":
-        arrow, parquet = parquet_writer()
-        types = dict.fromkeys(MEASURES, arrow.float64())
-        values = zip(columns, zip(*_rows(results), strict=True), strict=True)
-        parquet.write_table(arrow.table({name: arrow.array(of, types.get(name)) for name, of in values}), file)
-        return
     with file.open("w", newline="", encoding="utf-8") as out:
         csv.writer(out).writerows([columns, *_rows(results)])
 
@@ -166,13 +155,3 @@ def _rows(results: Sequence[StudyResult]) -> Iterator[tuple[Any, ...]]:
                 values = (float(planner[measure][k]) for measure in MEASURES)
                 whose = str(name), run.number, run.target, run.draw, one.settings.seed
                 yield *swept, *whose, *(None if math.isnan(value) else value for value in values), run.key
-
-
-def parquet_writer() -> tuple[Any, Any]:
-    """Return pyarrow and its Parquet module. Raises InputError when it is not installed."""
-    try:
-        import pyarrow  # noqa: PLC0415  # an extra
-        import pyarrow.parquet  # noqa: PLC0415
-    except ImportError as error:
-        raise missing_package("--export: Parquet", "pyarrow", "write a .csv") from error
-    return pyarrow, pyarrow.parquet
