@@ -18,10 +18,9 @@ from sidelong.app.flight.life import Life
 from sidelong.app.flight.loop import Wish
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.single import FlightEnded, fly_single
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import Announce, OperatorRequest
 from sidelong.mission.core.requirement import Side
 
@@ -46,10 +45,10 @@ class Watch:
         self._note = note
         self._request: Callable[[Wish], None] | None = None
         self._news, self._over = asyncio.Event(), False
-        self._snapshot: Snapshot | None = None
+        self._snapshot: Present | None = None
         self._error: BaseException | None = None
 
-    async def snapshots(self) -> AsyncIterator[Snapshot]:
+    async def snapshots(self) -> AsyncIterator[Present]:
         """Yield the latest state whenever there is a newer one, until the watch ends.
 
         Raises:
@@ -95,13 +94,10 @@ class Watch:
         """Take an announcement."""
         self._note(announcement.text)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Take the state."""
         self._snapshot = snapshot
         self._news.set()
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        """Take how the vehicle's status is found out."""
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         """Take the local plane, and the receiver of requests."""

@@ -26,7 +26,7 @@ from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import route_of
 from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.waypoints import lay_out
-from sidelong.mission.viewpoint.course_hold import CourseHold
+from sidelong.mission.viewpoint.course_hold import TargetCourse, courses_made_good_rad
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
@@ -55,9 +55,9 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
     curvature_per_m = _CIRCLE.curvature_per_m
     path = Trapezoids.between(curvature_per_m, [0.0], [300.0], [curvature_per_m], 1e-3)
-    plan, hold = Plan(_CIRCLE), CourseHold()
-    hold.update(_TARGET)
-    hold.least_way_m(_TARGET)
+    plan = Plan(_CIRCLE)
+    TargetCourse().update(_TARGET, 1.0)
+    courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
     ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
     for time_s in (0.0, 0.5, 1.0):
         course_rad = 0.1 * time_s

@@ -18,7 +18,7 @@ from sidelong.app.records.journal import encode, to_builtins
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.readings import PositionReading, Reading
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
@@ -60,7 +60,7 @@ class Replayed(NamedTuple):
     event: InboundEvent
     commands: tuple[StepOutput, ...]
     estimate: TargetEstimate | None
-    snapshot: Callable[[], Snapshot]
+    snapshot: Callable[[], Present]
     """The state after the event: to be asked for before the next one is taken."""
 
 

@@ -5,7 +5,7 @@ Definitions:
 - **Band**: the horizontal range is within ``range_min_m`` to ``range_max_m`` of the requirement.
 - **Side**: the aircraft is within 90 degrees of the normal of the target's course, on the required side. The course
   is the one made good over ``requirement.course_horizon_s``, 20 s by default; see
-  :mod:`sidelong.app.analysis.target_course`. Only the time after the target has made good a course counts. A
+  :mod:`sidelong.mission.viewpoint.course_hold`. Only the time after the target has made good a course counts. A
   required sector replaces the course; with either side allowed every direction is right.
 - **Observation angle**: from that normal, or from the middle of the sector, to the line from target to aircraft.
 - **Within the pan limits**: the target is no further from the nose than the gimbal pans.
@@ -23,39 +23,24 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.analysis.target_course import made_good_rad, present_rad
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.viewpoint.course_hold import STANDING_M_S, courses_made_good_rad
 
 BoolArray = npt.NDArray[np.bool_]
-Angle = TypeVar("Angle", float, FloatArray)
 
-STANDING_M_S = 0.3  # below this speed the target keeps its present course
 _REVERSAL_S = 10.0
 GAP_MAX_S = 3.0
+_COURSE_GAP_MAX_S = 5.0  # the motion between two samples further apart is unknown and counts as none
 
 Asked = Sequence[tuple[float, Requirement]]
 """(since, requirement) in order of time, at least one: an operator may change it in flight."""
-
-
-def middle_rad(requirement: Requirement, course_rad: Angle) -> Angle | float:
-    """Return the direction from the target, on its course, to the centre of the required observation sector."""
-    if requirement.sector is not None:
-        return requirement.sector.middle_rad
-    return course_rad + requirement.side.normal_turn_rad
-
-
-def allowed_rad(requirement: Requirement) -> float:
-    """Return how far from zero an observation angle may be."""
-    if requirement.sector is not None:
-        return requirement.sector.half_width_rad
-    return math.pi if requirement.either_side else math.pi / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,18 +169,19 @@ def judge(samples: Samples, asked: Asked) -> Judgement:
     which = np.maximum(np.searchsorted([since_s for since_s, _ in asked], time_s, side="right") - 1, 0)
     requirements = [requirement for _, requirement in asked]
     horizon_s = np.array([one.course_horizon_s for one in requirements])[which]
-    present = present_rad(velocity_m_s, STANDING_M_S)
-    made_good = np.where(horizon_s > 0.0, made_good_rad(time_s, velocity_m_s, horizon_s), present)
+    present = _present_rad(velocity_m_s)
+    made_good = courses_made_good_rad(time_s, samples.target_m, velocity_m_s, horizon_s, _COURSE_GAP_MAX_S)
+    made_good = np.where(horizon_s > 0.0, made_good, present)
     in_band, on_side, now, known = (np.ones(time_s.size, bool) for _ in range(4))
     observation_rad = np.full(time_s.size, math.nan)
     for k, one in enumerate(requirements):
         here = which == k
         in_band[here] = (range_m[here] >= one.range_min_m) & (range_m[here] <= one.range_max_m)
         off_rad, off_now_rad = (
-            _wrapped(sight_rad[here] - middle_rad(one, course_rad[here])) for course_rad in (made_good, present)
+            _wrapped(sight_rad[here] - one.middle_rad(course_rad[here])) for course_rad in (made_good, present)
         )
         observation_rad[here] = off_rad
-        on_side[here], now[here] = (~(np.abs(angle) > allowed_rad(one)) for angle in (off_rad, off_now_rad))
+        on_side[here], now[here] = (~(np.abs(angle) > one.allowed_rad) for angle in (off_rad, off_now_rad))
         known[here] = one.either_side | ~np.isnan(off_rad)
     return Judgement(time_s, range_m, in_band, on_side, now, known, made_good, observation_rad)
 
@@ -268,6 +254,14 @@ def from_band(moments: Sequence[Moment], asked: Asked) -> Sequence[Moment]:
     """Return the moments from the first one in the band, where judging begins; all where none is."""
     inside = np.flatnonzero(judge_moments(moments, asked).in_band)
     return moments[int(inside[0]) :] if inside.size else moments
+
+
+def _present_rad(velocity_m_s: FloatArray) -> FloatArray:
+    """Return the present courses of a target, shape (n,), held while it stands; NaN until it has moved."""
+    east_m_s, north_m_s = velocity_m_s.T
+    moves = np.hypot(east_m_s, north_m_s) >= STANDING_M_S
+    last = np.maximum.accumulate(np.where(moves, np.arange(moves.size), -1))
+    return np.where(last < 0, math.nan, np.arctan2(east_m_s, north_m_s)[last])
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:

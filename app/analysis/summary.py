@@ -18,7 +18,7 @@ from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement
 
@@ -196,7 +196,7 @@ class SummaryCollector:
         self._within_pan: list[tuple[float, bool]] = []  # time, whether the gimbal can look at the target
         self.ground: Ground | None = None  # what they are over, once it is known
 
-    def observe(self, snapshot: Snapshot) -> None:
+    def observe(self, snapshot: Present) -> None:
         """Take a snapshot; only departures are taken from those without a new estimate."""
         self._position_age_s = snapshot.position_age_s
         self.input_times.note(snapshot.health)
@@ -213,14 +213,14 @@ class SummaryCollector:
         self._estimated.append(Moment.by_estimate(*place_m, estimate, snapshot.target, not snapshot.unknown))
         if self.ground is not None:
             self._look(self.ground, snapshot)
-        if snapshot.pan_limit_rad < math.pi and math.isfinite(snapshot.sensor_status.heading_rad):
+        if snapshot.pan_limit_rad < math.pi and math.isfinite(snapshot.heading_rad):
             places = np.array([[aircraft.east_m, aircraft.north_m]]), np.array([[estimate.east_m, estimate.north_m]])
-            heading_rad = np.array([snapshot.sensor_status.heading_rad])
+            heading_rad = np.array([snapshot.heading_rad])
             (within,) = within_pan_limits(*places, heading_rad, snapshot.pan_limit_rad)
             self._within_pan.append((estimate.time_s, bool(within)))
 
-    def _look(self, ground: Ground, snapshot: Snapshot) -> None:
-        aircraft, target, height_m = snapshot.aircraft, snapshot.estimate, snapshot.sensor_status.height_m
+    def _look(self, ground: Ground, snapshot: Present) -> None:
+        aircraft, target, height_m = snapshot.aircraft, snapshot.estimate, snapshot.height_m
         assert aircraft is not None
         assert target is not None
         target_m = ground.height_m(target.east_m, target.north_m)
@@ -278,7 +278,7 @@ class SummaryCollector:
 
 def summarise(
     gatherer: SummaryCollector,
-    snapshot: Snapshot,
+    snapshot: Present,
     *,
     truth: Truth | None,
     plane: LocalPlane | None,
@@ -289,7 +289,7 @@ def summarise(
     """Return the summary of a mission that ended at ``snapshot``."""
     result = gatherer.scored(truth, plane, start_s)
     rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
-    delays = snapshot.sensor_status.delays
+    delays = snapshot.delays
     in_sight, clearance_m = (truth or gatherer).over_ground(start_s)
     return Summary(
         **asdict(result),

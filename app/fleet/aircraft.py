@@ -58,7 +58,7 @@ class FleetAircraft:
     @property
     def is_received(self) -> bool:
         """Whether its link is not silent."""
-        return self.controller.snapshot().sensor_status.connected
+        return self.controller.snapshot().connected
 
     @property
     def settled(self) -> bool:

@@ -48,7 +48,7 @@ from sidelong.app.link.transport import Transport, sharing_opener
 from sidelong.app.records.journal import Header, JournalWriter
 from sidelong.app.records.run_folder import FleetFolder
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output

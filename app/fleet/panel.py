@@ -12,10 +12,9 @@ from rich.text import Text
 
 from sidelong.app.flight.loop import Wish
 from sidelong.app.link.message import plain
-from sidelong.app.link.queries import VehicleStatus
-from sidelong.app.view.panel import STYLES, LivePanel, clock, target_motion, target_range_m
+from sidelong.app.view.panel import STYLES, LivePanel, clock, target_motion
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import Announce
 
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
@@ -26,22 +25,13 @@ class AircraftDisplay:
 
     def __init__(self, name: str, line: Callable[[Text], None], names_target: bool, plain_lines: bool) -> None:
         self.name, self._line, self._names_target, self._plain_lines = name, line, names_target, plain_lines
-        self.snapshot: Snapshot | None = None
-        self._status: Callable[[], VehicleStatus] | None = None
+        self.snapshot: Present | None = None
         self._start_s: float | None = None
         self._announced_s = -math.inf
         self._request: Callable[[Wish], None] | None = None
 
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        self._status = status
-
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._request = request
-
-    @property
-    def status(self) -> VehicleStatus:
-        """The vehicle's status as received last."""
-        return self._status() if self._status is not None else VehicleStatus()
 
     def ask(self, wish: Wish) -> None:
         """Pass a person's wish on to the aircraft, at its own time."""
@@ -58,7 +48,7 @@ class AircraftDisplay:
         text = f"{self._since(announcement.time_s):>7}  {self.name}: {plain(announcement.text)}"
         self._line(Text(text, style=STYLES.get(announcement.kind, "")))
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         self.snapshot = snapshot
         if self._plain_lines and snapshot.time_s - self._announced_s >= _PLAIN_LINE_EVERY_S:
             self._announced_s = time_s = snapshot.time_s
@@ -69,10 +59,10 @@ class AircraftDisplay:
         shown = self.snapshot
         if shown is None:
             return ("", "", "", "", "", "")
-        range_m = target_range_m(shown)
-        height_m = shown.sensor_status.height_m
+        range_m = shown.range_m
+        height_m = shown.height_m
         to = f" to {shown.target}" if self._names_target else ""
-        percent = self.status.battery_percent
+        percent = None if shown.vehicle is None else shown.vehicle.battery_percent
         return (
             f"{shown.phase} {shown.mode}".strip(),
             f"{shown.side} side",

@@ -13,7 +13,7 @@ from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ShownAircraft, ViewDisplay
 from sidelong.app.view.state import Json
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import AlarmReported, MissionChange
 from sidelong.mission.core.requirement import Side
 
@@ -110,8 +110,7 @@ class FleetView(ViewDisplay):
         """Return the state of each aircraft, with its name, the required side and the side of its role."""
         return {"fleet": [self._state_of(one, one.snapshot) for one in self._shown if one.snapshot is not None]}
 
-    def _state_of(self, one: ShownAircraft, snapshot: Snapshot) -> Json:
-        one.vehicle = self._aircraft[one.name].status
+    def _state_of(self, one: ShownAircraft, snapshot: Present) -> Json:
         state = one.state(snapshot)
         if len(self._sides) > 1 and state["target"] is not None:
             state["target"]["name"] = snapshot.target

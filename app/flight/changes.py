@@ -22,7 +22,7 @@ from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.mission_change import describe_change
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.present import Phase, Present
 from sidelong.mission.core.events import Announce, MissionChange, WindPrepared
 
 GIMBAL = "gimbal"
@@ -132,7 +132,7 @@ class PanLimitInput:
         self._configured_deg, self._reported, self._changes, self._note = configured_deg, reported, changes, note
         self._is_settled = False
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Plan for the limits, once they are known and the target is watched."""
         if snapshot.phase is Phase.YIELDED:
             self._is_settled = snapshot.pan_limit_rad < math.pi  # a change on its way is refused
@@ -178,7 +178,7 @@ class WindTables:
         self._prepared = 0
         self._making = OneTask()
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Take the current wind, and start a table if one is missing."""
         if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
             return

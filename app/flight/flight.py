@@ -35,7 +35,6 @@ from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, as
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
 from sidelong.app.link.queries import (
-    VehicleStatus,
     home_of,
     is_flying,
     mode_of,
@@ -49,7 +48,7 @@ from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.events import (
     AlarmReported,
     Announce,
@@ -131,7 +130,6 @@ class Flight:
         self._ready: _Ready | None = None
         self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
-        self._alarms: AlarmWatch | None = None
         self._resumption = OneTask()  # after a yield
 
     async def fly(self, stopped: asyncio.Event) -> str:
@@ -142,7 +140,6 @@ class Flight:
     async def prepare(self) -> None:
         """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
         check_route(self._config.route, (self._vehicle.system_id,))
-        self._display.connected(self._status)
         if self._config.terrain.folder is not None:  # the autopilot may want heights before it takes off
             self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))
         few = wants_few(self._config.link)
@@ -243,7 +240,8 @@ class Flight:
         streams = StreamKeeper(self._request_streams, self._display.note)
         shared.callback(streams.stop)
         observers.append(streams)
-        observed = _Observed(self._display, observers, self._collector)
+        alarms = self._alarm_watch()
+        observed = _Observed(self._display, alarms, observers, self._collector)
         loop = ControlLoop(
             self._vehicle,
             self._telemetry,
@@ -274,9 +272,6 @@ class Flight:
         tables = WindTables(kind, self.controller, winds, loop.put, self._display.note)
         shared.callback(tables.stop)
         observers.append(tables)
-
-        alarms = self._alarm_watch(loop)
-        observers.append(alarms)
 
         shared.callback(self._resumption.stop)
         self._display.begin(plane, partial(self._request, changes, alarms, loop))
@@ -389,13 +384,12 @@ class Flight:
 
         return [PanLimitInput(configured_deg, reported_rad, changes, self._display.note)]
 
-    def _alarm_watch(self, loop: ControlLoop) -> AlarmWatch:
+    def _alarm_watch(self) -> AlarmWatch:
         def send(text: str) -> None:
             self._begin(self._vehicle.send_text(text, mavlink.MAV_SEVERITY_CRITICAL))
 
         home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
-        self._alarms = AlarmWatch(self._config, home_m, self._vehicle_status, loop.put, send)
-        return self._alarms
+        return AlarmWatch(self._config, home_m, self._status, self.put_event, send)
 
     async def _announce_delay(self, loop: ControlLoop) -> None:
         watch, rate = RoundTripWatch(), self._vehicle_rate
@@ -431,10 +425,6 @@ class Flight:
         return None if attitude is None else float(attitude.fields["yaw"])
 
     def _status(self) -> VehicleStatus:
-        status = self._vehicle_status()
-        return status if self._alarms is None else self._alarms.describe(status)
-
-    def _vehicle_status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())
 
     def _warned(self, text: StatusText) -> None:
@@ -541,11 +531,14 @@ def _without_garbage_searches() -> Callable[[], None]:
 class _Observed:
     """The display and the observers as one; also collects the data of the summary."""
 
-    def __init__(self, display: Display, observers: Sequence[Observer], gatherer: SummaryCollector) -> None:
-        self.say, self._show = display.say, display.show
+    def __init__(
+        self, display: Display, alarms: AlarmWatch, observers: Sequence[Observer], gatherer: SummaryCollector
+    ) -> None:
+        self.say, self._show, self._completed = display.say, display.show, alarms.completed
         self._observers, self._collector = observers, gatherer
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
+        snapshot = self._completed(snapshot)
         self._collector.observe(snapshot)
         self._show(snapshot)
         for observer in self._observers:

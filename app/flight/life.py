@@ -25,7 +25,7 @@ from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.process import ends_within
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.present import Phase, Present
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together below this
@@ -123,7 +123,7 @@ class Life:
             self._task.cancel()  # there is nothing to wind up
 
 
-def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Snapshot, simulated: bool) -> str:
+def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Present, simulated: bool) -> str:
     """Return what the aircraft does now that this program leaves off, as the end of a sentence."""
     if not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
         does = "the aircraft is not armed"
@@ -138,4 +138,4 @@ def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Snapshot
         does = "the aircraft flies to its first circle and stays on it"
     if simulated:
         return f"{does}, but it was simulated and ends with this program"
-    return does if snapshot.sensor_status.connected else f"by its last message, {does}"
+    return does if snapshot.connected else f"by its last message, {does}"

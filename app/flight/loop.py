@@ -13,12 +13,11 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from sidelong.app.link.message import Message
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import (
     AlarmReported,
     Announce,
@@ -86,7 +85,7 @@ class Log(Protocol):
 class Observer(Protocol):
     """What looks at the flight. ``show`` is called at every position, some ten times a second."""
 
-    def show(self, snapshot: Snapshot) -> None: ...
+    def show(self, snapshot: Present) -> None: ...
 
 
 class Display(Observer, Protocol):
@@ -269,9 +268,6 @@ class FlightDisplay(Display, Protocol):
 
     def note(self, text: str) -> None:
         """Show a message about the progress of the connection and preparation."""
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        """Learn how to find out how the vehicle is; ``status`` is cheap."""
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         """Receive the position of the local plane, and the receiver of the operator's requests."""

@@ -28,7 +28,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.rotations import rotate
 from sidelong.estimators.sensing.readings import TargetFixReading
 from sidelong.estimators.tracking.tracker import Tracker
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.exchange.vehicle_command import describe_result
 from sidelong.mission.upload.mission_item import e7
 
@@ -148,7 +148,7 @@ class GimbalPointer:
         self._sending = OneTask()
         self._points = True
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Start sending the estimate if it is time to; to be called in the running event loop."""
         if not snapshot.phase.in_control or not (self._always or snapshot.turn_payload):
             self.stop()
@@ -209,7 +209,7 @@ class PayloadPointer:
         self._tracker, self._target_height_m = tracker, target_height_m
         self._next_s = -math.inf
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Command the angles if it is time to."""
         estimate, aircraft, heading_rad = snapshot.estimate, snapshot.aircraft, self._heading_rad()
         if not snapshot.phase.in_control or estimate is None or aircraft is None or heading_rad is None:
@@ -219,7 +219,7 @@ class PayloadPointer:
         self._next_s = snapshot.time_s + _BY_PAYLOAD_EVERY_S
         target_east_m, target_north_m = estimate.position_m(snapshot.time_s)
         east_m, north_m = target_east_m - aircraft.east_m, target_north_m - aircraft.north_m
-        down_m = snapshot.sensor_status.height_m - self._target_height_m(target_east_m, target_north_m)
+        down_m = snapshot.height_m - self._target_height_m(target_east_m, target_north_m)
         if not math.isfinite(down_m):
             return
         # The gimbal reports its yaw with the error, and so turns too far by it.

@@ -16,7 +16,7 @@ from sidelong.app.link.raw_links import UNREAD
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.app.terrain.raster import Posts
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import HealthChanged
 from sidelong.mission.core.inputs import Input, InputState
 
@@ -123,7 +123,7 @@ class StreamKeeper:
             self._stale.discard(change.input)
         self._requesting.begin(self._keep_requesting)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Look at the rates from time to time."""
         if abs(snapshot.time_s - self._look_s) < _SLOWED_EVERY_S:
             return

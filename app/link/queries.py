@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from sidelong.app.autopilots.autopilot import Release, release_in
@@ -12,7 +11,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkReport
 from sidelong.app.link.telemetry import ARMED_FLAG, mode_name
 from sidelong.app.link.vehicle import Vehicle
-from sidelong.mission.control.alarms import Alarm
+from sidelong.mission.control.present import VehicleStatus
 from sidelong.mission.exchange.dialect import Home
 
 _FLYING_HEIGHT_M = 25.0
@@ -83,28 +82,6 @@ async def _requested(vehicle: Vehicle, name: str, message_id: int, **address: in
 _FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # GPS_FIX_TYPE
 _GOOD_FROM, _MIN_SATELLITES = 3, 6
 _UNKNOWN_SATELLITES, _UNKNOWN_MV = 255, 65535
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleStatus:
-    """Status values; None: not reported.
-
-    gps: the fix in words. link_percent: share of the frames sent to this station that arrived over the link in use;
-    round_trip_s: its round-trip time. endurance_s: flight time left until the battery's reserve; home_s: to home.
-    home_m: home in the local plane, east and north.
-    alarms: those that are raised.
-    """
-
-    battery_percent: int | None = None
-    battery_v: float | None = None
-    gps: str | None = None
-    gps_good: bool | None = None
-    link_percent: int | None = None
-    round_trip_s: float | None = None
-    endurance_s: float | None = None
-    home_s: float | None = None
-    home_m: tuple[float, float] | None = None
-    alarms: tuple[Alarm, ...] = ()
 
 
 def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -> VehicleStatus:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import chi2
 
-from sidelong.app.analysis.score import Samples, allowed_rad
+from sidelong.app.analysis.score import Samples
 from sidelong.app.report import series
 from sidelong.app.report.history import FlightHistory
 from sidelong.app.report.html import Drawing
@@ -64,7 +64,7 @@ def _range(history: FlightHistory) -> Drawing:
 
 def _observation(history: FlightHistory) -> Drawing:
     made, (axes,) = figure(2.9)
-    allowed_deg = math.degrees(allowed_rad(history.requirement))
+    allowed_deg = math.degrees(history.requirement.allowed_rad)
     axes.axhspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
     line = _unjoined(history.judged.time_s - history.start_s, np.degrees(history.judged.observation_rad), 180.0)
     axes.plot(*line, color=AIRCRAFT, linewidth=1.0, label=_judged(history))
@@ -86,7 +86,7 @@ def _observation_histogram(history: FlightHistory) -> Drawing | None:
         return None
     made, (axes,) = figure(2.9)
     bins = np.arange(-180.0, 180.0 + _BIN_DEG, _BIN_DEG).tolist()
-    allowed_deg = math.degrees(allowed_rad(history.requirement))
+    allowed_deg = math.degrees(history.requirement.allowed_rad)
     axes.axvspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
     shares = np.full(len(angle_deg), 100.0 / len(angle_deg))
     axes.hist(angle_deg, bins, weights=shares, color=AIRCRAFT, rwidth=0.9)

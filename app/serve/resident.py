@@ -39,13 +39,12 @@ from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.single import FlightEnded, fly_single
 from sidelong.app.link.message import Message
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve.control_socket import serving
 from sidelong.app.serve.standby import Request, Standby, Triggers, VehicleGoneError
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.present import Phase, Present
 from sidelong.mission.core.events import Announce, OperatorRequest
 
 _AGAIN_S = 2.0  # between two attempts to connect
@@ -81,21 +80,17 @@ class ServiceDisplay:
     ) -> None:
         self._log, self._changed, self._refused = log, changed, refused
         self.request: Callable[[Wish], None] | None = None
-        self.snapshot: Snapshot | None = None
-        self._vehicle: Callable[[], VehicleStatus] | None = None
+        self.snapshot: Present | None = None
 
     @property
     def trouble(self) -> str:
         """What is wrong with the watch now, in words; '' if nothing is."""
-        alarms = () if self._vehicle is None else self._vehicle().alarms
-        unknown = "" if self.snapshot is None else self.snapshot.unknown
-        return "; ".join(one.text for one in alarms) or unknown
+        present = self.snapshot
+        alarms = () if present is None or present.vehicle is None else present.vehicle.alarms
+        return "; ".join(alarm.text for alarm in alarms) or ("" if present is None else present.unknown)
 
     def note(self, text: str) -> None:
         self._log(text)
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        self._vehicle = status
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self.request = request
@@ -109,7 +104,7 @@ class ServiceDisplay:
         elif announcement.kind in _PRINTED:
             self._log(announcement.text)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         before, self.snapshot = self.snapshot, snapshot
         if before is None or before.phase is not snapshot.phase:
             self._changed()

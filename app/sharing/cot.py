@@ -18,7 +18,7 @@ from sidelong.app.sharing.senders import Sender
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.route.progress import RouteProgress, describe
 from sidelong.mission.route.route import Route
@@ -147,7 +147,7 @@ class CotOutput:
         self._own_uid = f"{_UID}-{names.own_callsign}"
         self._next_s = self._route_s = -math.inf
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Send the available positions if the next event is due."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or snapshot.aircraft is None:

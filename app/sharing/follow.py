@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.sharing.senders import Sender
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 
 _FOLLOW_EVERY_S, _HEARTBEAT_EVERY_S, _NMEA_EVERY_S = 0.2, 1.0, 1.0
 _POSITION_AND_VELOCITY = 0b11
@@ -36,7 +36,7 @@ class _Periodic:
         self._next_s = -math.inf
         self._target = ""
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         """Send the estimate if it is time to."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or estimate is None or estimate.quality is TrackQuality.LOST:

@@ -17,19 +17,17 @@ from typing import TypeVar
 
 from sidelong.app.config import Config
 from sidelong.app.flight.loop import FlightDisplay, Wish
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json, StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.route.route import Route
 
 _SEND_EVERY_S = 0.125
-_STATUS_EVERY_S = 1.0
 _TRAIL_STEP_S = 0.5  # of the vehicle's time
 _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
@@ -46,20 +44,15 @@ class ShownAircraft:
         encoder: Turns its snapshots into states.
         snapshot: The latest one.
         start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
-        vehicle: Its status as received last.
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str = "") -> None:
         self._inner, self._page, self.name = inner, page, name
         self.encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
-        self.snapshot: Snapshot | None = None
+        self.snapshot: Present | None = None
         self.start_s: float | None = None
-        self.vehicle: VehicleStatus | None = None
         self._received_at_s = time.monotonic()
         self._trail_s = -math.inf
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        self._inner.connected(status)
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._inner.begin(plane, request)
@@ -78,11 +71,11 @@ class ShownAircraft:
         time_s = None if self.start_s is None else announcement.time_s
         self._page.received(self, time_s, announcement.kind, announcement.text)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         self._inner.show(snapshot)
         self._page.isolated("the page's state", self._observe, snapshot)
 
-    def _observe(self, snapshot: Snapshot) -> None:
+    def _observe(self, snapshot: Present) -> None:
         if self.snapshot is None or snapshot.time_s != self.snapshot.time_s:
             self._received_at_s = time.monotonic()
         self.snapshot, aircraft = snapshot, snapshot.aircraft
@@ -92,10 +85,10 @@ class ShownAircraft:
             self._page.trail.append([*point, self.name])
         self._page.pump_if_due()
 
-    def state(self, snapshot: Snapshot) -> Json:
+    def state(self, snapshot: Present) -> Json:
         """Return the state for the page."""
         silent_s = time.monotonic() - self._received_at_s
-        return self.encoder.state(snapshot, silent_s, self.vehicle, self.name)
+        return self.encoder.state(snapshot, silent_s, self.name)
 
 
 class ViewDisplay(ShownAircraft):
@@ -130,8 +123,6 @@ class ViewDisplay(ShownAircraft):
         self._routes: dict[str, Route] = {}  # by the target's name
         self._shading: Shading | None = None
         self._sent_at_s = -math.inf
-        self._status: Callable[[], VehicleStatus] | None = None
-        self._vehicle_at_s = -math.inf
         self._request: Callable[[Wish], None] | None = None
         self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
 
@@ -159,10 +150,6 @@ class ViewDisplay(ShownAircraft):
             self.pump_if_due()
 
     # -- from the flight -----------------------------------------------------------------------------------
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        super().connected(status)
-        self._status = status
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         super().begin(plane, request)
@@ -237,8 +224,6 @@ class ViewDisplay(ShownAircraft):
             update["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
             update["setting"] = self._setting
-        if self._status is not None and time.monotonic() >= self._vehicle_at_s + _STATUS_EVERY_S:
-            self.vehicle, self._vehicle_at_s = self._status(), time.monotonic()
         return update | self._states()
 
     def _states(self) -> Json:

@@ -17,11 +17,10 @@ from rich.text import Text
 
 from sidelong.app.flight.loop import Wish
 from sidelong.app.link.message import plain
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.prompt import HELP, Keyboard, Prompt
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.events import Announce
 from sidelong.mission.core.requirement import Requirement
 
@@ -103,18 +102,14 @@ class PanelDisplay(LivePanel):
         self._prompt: Prompt | None = None
         self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._duration_s: float | None = None
-        self._snapshot: Snapshot | None = None
+        self._snapshot: Present | None = None
         self._plain_s = -math.inf
-        self._status: Callable[[], VehicleStatus] | None = None
 
     def __exit__(self, *_: object) -> None:
         if self._keyboard is not None:
             self._keyboard.stop()
             self._keyboard = None
         super().__exit__()
-
-    def connected(self, status: Callable[[], VehicleStatus]) -> None:
-        self._status = status
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         if self._live is None or self._descriptor is None:
@@ -138,7 +133,7 @@ class PanelDisplay(LivePanel):
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
         self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=STYLES.get(announcement.kind, "")))
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Present) -> None:
         self._snapshot = snapshot
         due = self._live is None and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S
         if due and not self._is_too_soon():
@@ -154,10 +149,10 @@ class PanelDisplay(LivePanel):
 
     # -- one line ------------------------------------------------------------------------------------------
 
-    def line(self, shown: Snapshot) -> str:
+    def line(self, shown: Present) -> str:
         """Return the status as one line."""
         parts = [self._time(shown), f"{shown.phase} {shown.mode}".strip()]
-        range_m = target_range_m(shown)
+        range_m = shown.range_m
         if range_m is not None and shown.estimate is not None:
             parts += [f"range {range_m:.0f} m", f"target {target_motion(shown)}", f"track {shown.estimate.quality}"]
         if self._start_s is not None:
@@ -167,7 +162,7 @@ class PanelDisplay(LivePanel):
         parts += shown.impaired_inputs
         return "  ".join(parts)
 
-    def _time(self, shown: Snapshot) -> str:
+    def _time(self, shown: Present) -> str:
         if self._start_s is None or not math.isfinite(shown.time_s):
             return "-:--"
         of = "" if self._duration_s is None else f"/{clock(self._duration_s)}"
@@ -188,8 +183,8 @@ class PanelDisplay(LivePanel):
             table, title=title, title_align="left", border_style=style or "none", width=min(self._console.width, 92)
         )
 
-    def _rows(self, shown: Snapshot) -> Iterator[tuple[str, Text]]:
-        range_m, estimate, sensor_status = target_range_m(shown), shown.estimate, shown.sensor_status
+    def _rows(self, shown: Present) -> Iterator[tuple[str, Text]]:
+        range_m, estimate = shown.range_m, shown.estimate
         if range_m is None or estimate is None:
             yield "target", Text("not seen yet")
         else:
@@ -201,32 +196,30 @@ class PanelDisplay(LivePanel):
         yield "circle", Text(self._circle(shown))
         sensors = Text()
         for name, age_s in (
-            ("laser", shown.time_s - sensor_status.range_s),
-            ("gimbal", shown.time_s - sensor_status.gimbal_s),
+            ("laser", shown.time_s - shown.range_s),
+            ("gimbal", shown.time_s - shown.gimbal_s),
         ):
             words = f"{name} {age_s:.1f} s ago" if math.isfinite(age_s) else f"no {name}"
             sensors.append(words + "   ", "" if age_s <= _OLD_S else "yellow")
-        sensors.append(
-            "link ok" if sensor_status.connected else "link lost", "" if sensor_status.connected else "bold red"
-        )
-        sensors.append(f"   bank {math.degrees(sensor_status.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
+        sensors.append("link ok" if shown.connected else "link lost", "" if shown.connected else "bold red")
+        sensors.append(f"   bank {math.degrees(shown.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
         yield "sensors", sensors
         if shown.impaired_inputs:
             yield "inputs", Text(", ".join(shown.impaired_inputs), style="yellow")
-        if self._status is not None:
-            yield "vehicle", _vehicle(self._status())
+        if shown.vehicle is not None:
+            yield "vehicle", _vehicle(shown.vehicle)
         if shown.decision is not None:
             yield "decided", Text(plain(shown.decision.reason), style="cyan")
         if self._prompt is not None:
             yield "keys", Text(plain(self._prompt.text), style="dim" if self._prompt.text == HELP else "yellow")
 
     @staticmethod
-    def _circle(shown: Snapshot) -> str:
+    def _circle(shown: Present) -> str:
         words = [f"moves {shown.moves}", f"uploads {shown.uploads}"]
         if shown.upload_failures:
             words.append(f"failed {shown.upload_failures}")
-        if shown.present is not None:
-            words.insert(0, f"R {shown.present.circle.radius_m:.0f} m")
+        if shown.plan is not None:
+            words.insert(0, f"R {shown.plan.circle.radius_m:.0f} m")
         if shown.coming is not None:
             words.append(f"leaving for the next in {max(shown.coming.departure_s - shown.time_s, 0.0):.0f} s")
         return ", ".join(words)
@@ -262,14 +255,7 @@ def _vehicle(status: VehicleStatus) -> Text:
     return text
 
 
-def target_range_m(shown: Snapshot) -> float | None:
-    if shown.aircraft is None or shown.estimate is None:
-        return None
-    east_m, north_m = shown.estimate.position_m(shown.time_s)
-    return math.hypot(shown.aircraft.east_m - east_m, shown.aircraft.north_m - north_m)
-
-
-def target_motion(shown: Snapshot) -> str:
+def target_motion(shown: Present) -> str:
     assert shown.estimate is not None
     if shown.estimate.speed_m_s < _STANDING_M_S:
         return "standing"  # its course is noise

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from sidelong.app.analysis.present import PresentWatch, Watch, WatchShares
+from sidelong.app.analysis.score import GAP_MAX_S
 from sidelong.app.config import AircraftSection, Config, RequirementSection
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present, VehicleStatus
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
@@ -38,6 +37,7 @@ _LIMITS = {name: _limits(AircraftSection, name) for name in ("radius_m", "height
     name: _limits(RequirementSection, name) for name in ("range_min_m", "range_max_m")
 }
 
+_UNSENT = ("alarms", "silent_s")
 _LINE_POINTS, _ROUTE_POINTS = 60, 500
 _AHEAD_S = np.linspace(0.0, 60.0, 13)  # how far the page draws the expected path of the target
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
@@ -92,33 +92,67 @@ def _origin(plane: LocalPlane) -> Json:
 
 
 def _vehicle(vehicle: VehicleStatus) -> Json:
-    status = {field.name: getattr(vehicle, field.name) for field in fields(vehicle) if field.name != "alarms"}
+    status = {field.name: getattr(vehicle, field.name) for field in fields(vehicle) if field.name not in _UNSENT}
     return status | {name: _number(status[name], 0) for name in ("endurance_s", "home_s")}
 
 
+class WatchShares:
+    """The shares of the time so far in band and on side: from the first moment in the band, as a flight is judged.
+
+    They start again when sidelong gets control of the aircraft; a log of another program's flight has none.
+
+    Attributes:
+        in_band: Share of the time in band; None before judging begins.
+        on_side: Share of the time in which the side is known.
+    """
+
+    def __init__(self) -> None:
+        self._begin(in_control=False)
+
+    def _begin(self, *, in_control: bool) -> None:
+        self.in_band: float | None = None
+        self.on_side: float | None = None
+        self._total_s = self._in_band_s = self._side_known_s = self._on_side_s = 0.0
+        self._last: Present | None = None
+        self._controlled = in_control
+
+    def note(self, now: Present) -> None:
+        """Take the present state; it counts until the next one, as unknown for what is beyond ``GAP_MAX_S``."""
+        if now.phase.in_control and not self._controlled:
+            self._begin(in_control=True)
+        if self._last is None and not now.in_band:
+            return
+        before, self._last = self._last or now, now
+        step_s = max(now.time_s - before.time_s, 0.0)
+        sure_s = min(step_s, GAP_MAX_S)
+        self._total_s += step_s
+        self._in_band_s += sure_s * bool(before.in_band)
+        if before.is_side_known:
+            self._side_known_s += step_s
+            self._on_side_s += sure_s * bool(before.on_side)
+        self.in_band = self._in_band_s / self._total_s if self._total_s > 0.0 else None
+        self.on_side = self._on_side_s / self._side_known_s if self._side_known_s > 0.0 else None
+
+
 class StateEncoder:
-    """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
+    """Turns snapshots into states; remembers the shares of time, and lines already thinned."""
 
     def __init__(self, airspeed_m_s: float, height_m: float) -> None:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: positions are then sent in degrees too
-        self._watch = PresentWatch()
         self._shares = WatchShares()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
-    def state(
-        self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None, name: str = ""
-    ) -> Json:
+    def state(self, snapshot: Present, silent_s: float, name: str = "") -> Json:
         """Return the state.
 
         Args:
             snapshot: Of the mission.
             silent_s: Time since the last message of the vehicle, s.
-            vehicle: Its status; None if there is none, as in a replay.
             name: Of the aircraft; '' where there is one only.
         """
-        sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
-        self._shares.note(time_s, watch, in_control=snapshot.phase.in_control)
+        time_s, vehicle = snapshot.time_s, snapshot.vehicle
+        self._shares.note(snapshot)
         return {
             "name": name,
             "time_s": _number(time_s, 2),
@@ -126,19 +160,19 @@ class StateEncoder:
             "mode": snapshot.mode,
             "side": snapshot.side,
             "aircraft": self._aircraft(snapshot),
-            "target": self._target(snapshot, watch),
-            "present": self._plan(snapshot.present, time_s, flown=True),
+            "target": self._target(snapshot),
+            "present": self._plan(snapshot.plan, time_s, flown=True),
             "proposed": self._plan(snapshot.decision.plan if snapshot.decision else None, time_s, flown=False),
             "coming": self._plan(snapshot.coming, time_s, flown=False),
             "reason": snapshot.decision.reason if snapshot.decision is not None else "",
             "wind_m_s": _rounded(snapshot.wind.east_m_s, snapshot.wind.north_m_s),
-            "nis": _number(sensor_status.nis, 2),
-            "range_age_s": _number(time_s - sensor_status.range_s, 2),
-            "gimbal_age_s": _number(time_s - sensor_status.gimbal_s, 2),
+            "nis": _number(snapshot.nis, 2),
+            "range_age_s": _number(time_s - snapshot.range_s, 2),
+            "gimbal_age_s": _number(time_s - snapshot.gimbal_s, 2),
             "link_age_s": round(silent_s, 2),
-            "connected": sensor_status.connected,
-            "sightings": sensor_status.sightings,
-            "rejected": sensor_status.rejected,
+            "connected": snapshot.connected,
+            "sightings": snapshot.sightings,
+            "rejected": snapshot.rejected,
             "moves": snapshot.moves,
             "uploads": snapshot.uploads,
             "upload_failures": snapshot.upload_failures,
@@ -154,18 +188,18 @@ class StateEncoder:
             "share_on_side": _number(self._shares.on_side, 3),
         }
 
-    def _asked(self, snapshot: Snapshot) -> Json:
+    def _asked(self, snapshot: Present) -> Json:
         """Return the current values of the settings that the operator can change in flight."""
         requirement = snapshot.requirement
         return {
             "radius_m": snapshot.radius_m,
-            "height_m": self._height_m if snapshot.height_m is None else snapshot.height_m,
+            "height_m": self._height_m if snapshot.height_asked_m is None else snapshot.height_asked_m,
             "range_min_m": requirement.range_min_m,
             "range_max_m": requirement.range_max_m,
             "side": side_words(requirement),
         }
 
-    def _aircraft(self, snapshot: Snapshot) -> Json | None:
+    def _aircraft(self, snapshot: Present) -> Json | None:
         aircraft = snapshot.aircraft
         if aircraft is None:
             return None
@@ -174,11 +208,11 @@ class StateEncoder:
             "at_deg": self._degrees(aircraft.east_m, aircraft.north_m),
             "course_rad": round(aircraft.course_rad, 4),
             "ground_speed_m_s": round(aircraft.ground_speed_m_s, 2),
-            "bank_rad": _number(snapshot.sensor_status.bank_rad, 4),
-            "height_m": _number(snapshot.sensor_status.height_m, 1),
+            "bank_rad": _number(snapshot.bank_rad, 4),
+            "height_m": _number(snapshot.height_m, 1),
         }
 
-    def _target(self, snapshot: Snapshot, watch: Watch) -> Json | None:
+    def _target(self, snapshot: Present) -> Json | None:
         estimate, aircraft = snapshot.estimate, snapshot.aircraft
         if estimate is None or aircraft is None:
             return None
@@ -188,8 +222,8 @@ class StateEncoder:
             "at_m": _rounded(*at_m),
             "at_deg": self._degrees(*at_m),
             "velocity_m_s": _rounded(estimate.velocity_east_m_s, estimate.velocity_north_m_s),
-            "course_rad": _number(watch.present_course_rad, 4),
-            "watch_course_rad": _number(watch.course_rad, 4),
+            "course_rad": _number(snapshot.present_course_rad, 4),
+            "watch_course_rad": _number(snapshot.watch_course_rad, 4),
             "ellipse": [
                 round(ellipse.semi_major_m, 2),
                 round(ellipse.semi_minor_m, 2),
@@ -198,10 +232,10 @@ class StateEncoder:
             "quality": estimate.quality,
             "why": estimate.reason,
             "unseen_s": _number(snapshot.time_s - estimate.last_sighting_s, 1),
-            "range_m": _number(watch.range_m, 1),
-            "angle_rad": _number(watch.angle_rad, 4),
-            "in_band": watch.in_band,
-            "on_side": watch.on_side,
+            "range_m": _number(snapshot.range_m, 1),
+            "angle_rad": _number(snapshot.angle_rad, 4),
+            "in_band": snapshot.in_band,
+            "on_side": snapshot.on_side,
         }
 
     def _degrees(self, east_m: float, north_m: float) -> list[float] | None:

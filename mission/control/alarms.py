@@ -1,4 +1,4 @@
-"""Alarms for the operator: a pure function of situations in the order of time. Source: docs/health.md#alarms."""
+"""Alarms for the operator: a pure function of the states in the order of time. Source: docs/health.md#alarms."""
 
 from __future__ import annotations
 
@@ -6,79 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from sidelong.mission.core.inputs import Input, InputReport, InputState
+from sidelong.mission.control.present import Alarm, Phase, Present
+from sidelong.mission.core.inputs import Input, InputState
 
 _SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by then will be late
 _UNSEEN_S = 10.0  # lasers miss for up to 8 s all the time
 _SIDE_MARGIN_RAD = math.radians(3.0)  # the course of the target is hardly known better
 _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
-
-
-@dataclass(frozen=True, slots=True)
-class Situation:
-    """What the alarms depend on, at one moment.
-
-    Attributes:
-        time_s: Of the vehicle's clock.
-        in_hand: Whether sidelong flies the aircraft (watching or holding).
-        connected: Whether the aircraft is received.
-        silent_s: For how long it has not been received.
-        separation: Which other aircraft is too near, in words; '' where none is.
-        yielded: Why control was given up; '' if it was not.
-        in_band: Whether the range is the required one; None: unknown.
-        on_side: Whether the side is the required one; None: unknown.
-        beyond_side_rad: How far the observation angle is beyond the allowed one; NaN: unknown.
-        range_m: The estimated range; NaN: unknown.
-        unseen_s: Time since the last accepted sighting; None: the target was never seen.
-        lost: Whether the track is lost.
-        gives_up_in_s: When the mission will end because the target is lost; None: it will not.
-        at_give_up: What the aircraft then does.
-        health: The states of the inputs.
-        gps: The GPS fix in words; good_gps: whether it is good enough, None: unknown.
-        battery_percent: Charge; None: unknown.
-        endurance_s: Flight time left until the reserve; None: unknown.
-        home_s: Flight time to home; None: unknown.
-    """
-
-    time_s: float
-    in_hand: bool = True
-    connected: bool = True
-    silent_s: float = 0.0
-    yielded: str = ""
-    separation: str = ""
-    in_band: bool | None = None
-    on_side: bool | None = None
-    beyond_side_rad: float = math.nan
-    range_m: float = math.nan
-    unseen_s: float | None = None
-    lost: bool = False
-    gives_up_in_s: float | None = None
-    at_give_up: str = "return"
-    health: tuple[InputReport, ...] = ()
-    gps: str = ""
-    good_gps: bool | None = None
-    battery_percent: float | None = None
-    endurance_s: float | None = None
-    home_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Alarm:
-    """One active alarm.
-
-    Attributes:
-        key: Its name, such as ``target``.
-        text: The present fault.
-        advice: Recommended action.
-        countdown_s: Time until the aircraft acts automatically; None: it does not.
-    """
-
-    key: str
-    text: str
-    advice: str
-    since_s: float
-    countdown_s: float | None = None
-    acknowledged: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +24,11 @@ class _Rule:
     """
 
     key: str
-    text: Callable[[Alarms, Situation], str]
+    text: Callable[[Alarms, Present], str]
     advice: str
     after_s: float = 0.0
     clear_s: float = 2.0
-    sure: Callable[[Situation], bool] = lambda _now: True
+    sure: Callable[[Present], bool] = lambda _now: True
 
 
 class Alarms:
@@ -113,11 +47,11 @@ class Alarms:
         self._wrong_since_s: dict[str, float] = {}
         self._right_since_s: dict[str, float] = {}
 
-    def update(self, now: Situation) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
-        """Process a situation.
+    def update(self, now: Present) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
+        """Process a state.
 
         Args:
-            now: The situation, not older than the previous one.
+            now: The state, not older than the previous one, with the vehicle's status.
 
         Returns:
             The alarms that it raises, and those that it clears.
@@ -135,13 +69,13 @@ class Alarms:
         self.active = tuple(replace(alarm, acknowledged=True) if alarm.key == key else alarm for alarm in self.active)
         return known
 
-    def _remember(self, now: Situation) -> None:
-        if now.in_hand and self._begun_s is None:
+    def _remember(self, now: Present) -> None:
+        if now.phase.in_control and self._begun_s is None:
             self._begun_s = now.time_s
         self.was_in_band |= now.in_band is True
         self.was_on_side |= now.on_side is True
 
-    def _judged(self, rule: _Rule, before: Alarm | None, now: Situation) -> Alarm | None:
+    def _judged(self, rule: _Rule, before: Alarm | None, now: Present) -> Alarm | None:
         if not now.connected and rule.key not in ("link", "yield"):
             return before  # nothing new is known of it
         text = rule.text(self, now)
@@ -156,74 +90,77 @@ class Alarms:
             return None
         self._wrong_since_s.pop(rule.key, None)
         right_since_s = self._right_since_s.setdefault(rule.key, now.time_s)
-        settled = not now.in_hand or now.time_s - right_since_s >= rule.clear_s
+        settled = not now.phase.in_control or now.time_s - right_since_s >= rule.clear_s
         return None if settled else before
 
-    def is_late(self, now: Situation) -> bool:
+    def is_late(self, now: Present) -> bool:
         """Return whether the aircraft has had the time to reach band and side."""
         return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
 
 
-def _link(_alarms: Alarms, now: Situation) -> str:
-    return "" if now.connected else f"nothing received from the aircraft for {now.silent_s:.0f} s; it keeps circling"
+def _link(_alarms: Alarms, now: Present) -> str:
+    silent_s = 0.0 if now.vehicle is None else now.vehicle.silent_s
+    return "" if now.connected else f"nothing received from the aircraft for {silent_s:.0f} s; it keeps circling"
 
 
-def _yielded(_alarms: Alarms, now: Situation) -> str:
-    return f"control was given up: {now.yielded}" if now.yielded else ""
+def _yielded(_alarms: Alarms, now: Present) -> str:
+    return f"control was given up: {now.over}" if now.phase is Phase.YIELDED and now.over else ""
 
 
-def _separation(_alarms: Alarms, now: Situation) -> str:
+def _separation(_alarms: Alarms, now: Present) -> str:
     return now.separation
 
 
-def _target(_alarms: Alarms, now: Situation) -> str:
-    if not now.in_hand or now.unseen_s is None or not (now.lost or now.unseen_s >= _UNSEEN_S):
+def _target(_alarms: Alarms, now: Present) -> str:
+    if not now.phase.in_control or now.unseen_s is None or not (now.is_lost or now.unseen_s >= _UNSEEN_S):
         return ""
     text = f"the target has not been seen for {now.unseen_s:.0f} s"
     if now.gives_up_in_s is None:
         return text
-    does = "flies home" if now.at_give_up == "return" else "stays on its circle and the mission ends"
+    does = "flies home" if now.give_up_action == "return" else "stays on its circle and the mission ends"
     return f"{text}; the aircraft {does} in {max(now.gives_up_in_s, 0.0):.0f} s"
 
 
-def _band(alarms: Alarms, now: Situation) -> str:
-    wrong = now.in_hand and now.in_band is False and (alarms.was_in_band or alarms.is_late(now))
+def _band(alarms: Alarms, now: Present) -> str:
+    wrong = now.phase.in_control and now.in_band is False and (alarms.was_in_band or alarms.is_late(now))
     return f"the range of {now.range_m:.0f} m is outside the required band" if wrong else ""
 
 
-def _side(alarms: Alarms, now: Situation) -> str:
-    wrong = now.in_hand and now.on_side is False and (alarms.was_on_side or alarms.is_late(now))
+def _side(alarms: Alarms, now: Present) -> str:
+    wrong = now.phase.in_control and now.on_side is False and (alarms.was_on_side or alarms.is_late(now))
     return "the aircraft is not on the required side" if wrong else ""
 
 
-def _well_beyond_side(now: Situation) -> bool:
+def _well_beyond_side(now: Present) -> bool:
     """Return whether the estimate's error alone cannot have put the aircraft beyond the side's border."""
     return not now.beyond_side_rad < _SIDE_MARGIN_RAD
 
 
-def _input(one: Input) -> Callable[[Alarms, Situation], str]:
+def _input(one: Input) -> Callable[[Alarms, Present], str]:
     """Return the text of an input's alarm."""
 
-    def text(_alarms: Alarms, now: Situation) -> str:
+    def text(_alarms: Alarms, now: Present) -> str:
         bad = (report.text for report in now.health if report.input is one and report.state in _BAD)
-        return next(bad, "") if now.in_hand else ""
+        return next(bad, "") if now.phase.in_control and not now.turn_payload else ""
 
     return text
 
 
-def _gps(_alarms: Alarms, now: Situation) -> str:
-    return f"GPS: {now.gps}" if now.in_hand and now.good_gps is False else ""
+def _gps(_alarms: Alarms, now: Present) -> str:
+    status = now.vehicle
+    return f"GPS: {status.gps}" if now.phase.in_control and status is not None and status.gps_good is False else ""
 
 
-def _battery(_alarms: Alarms, now: Situation) -> str:
-    if not now.in_hand or now.battery_percent is None:
+def _battery(_alarms: Alarms, now: Present) -> str:
+    status = now.vehicle
+    if not now.phase.in_control or status is None or status.battery_percent is None:
         return ""
-    charge = f"the battery is at {now.battery_percent:.0f} %"
-    if now.endurance_s is None or now.home_s is None:
-        return charge if now.battery_percent < _RESERVE_PERCENT_WARNED else ""
-    if not battery_is_low(now.endurance_s, now.home_s):
+    charge, left_s, home_s = f"the battery is at {status.battery_percent:.0f} %", status.endurance_s, status.home_s
+    if left_s is None or home_s is None:
+        return charge if status.battery_percent < _RESERVE_PERCENT_WARNED else ""
+    if not battery_is_low(left_s, home_s):
         return ""
-    return f"{charge}: {max(now.endurance_s, 0.0) / 60.0:.0f} min left, and home is {now.home_s / 60.0:.1f} min away"
+    return f"{charge}: {max(left_s, 0.0) / 60.0:.0f} min left, and home is {home_s / 60.0:.1f} min away"
 
 
 LOW_BATTERY = 1.2

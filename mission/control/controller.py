@@ -53,8 +53,7 @@ from sidelong.mission.control.mission_change import aircraft_after, describe_cha
 from sidelong.mission.control.plan_changes import PlanChanges
 from sidelong.mission.control.planning import Planning
 from sidelong.mission.control.plausibility import Plausibility
-from sidelong.mission.control.sensor_status import SensorStatus
-from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.present import Phase, Present
 from sidelong.mission.control.surroundings import Flown, Surroundings
 from sidelong.mission.control.target_news import JumpNews, PayloadNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
@@ -90,6 +89,7 @@ from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
 from sidelong.mission.geometry.retreat import LEAVE_S, Reach, retreats
 from sidelong.mission.health.health import Health
+from sidelong.mission.viewpoint.course_hold import TargetCourse
 
 # Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
 _WIND_MAX_SHARE = 0.9
@@ -150,7 +150,11 @@ class StandoffController:
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
         self._news = TargetNews()
         self._payload_news, self._jump_news = PayloadNews(tracker), JumpNews()
-        self._sensor_status = SensorStatus()
+        self._course = TargetCourse()
+        self._attitude: AttitudeReading | None = None
+        self._range_s = self._gimbal_s = -math.inf  # of the latest reading of the laser and the gimbal in use
+        self._nis = math.nan  # of the latest sighting that was compared
+        self._connected = True
         self._wind = Wind()
         self._mode = self._own_mode = ""
         self._next_decision_s = -math.inf
@@ -242,15 +246,17 @@ class StandoffController:
         """The aircraft's height above home, that of its plan where it is about there; None before it is known."""
         return None if self._height_m is None else settled_m(self._height_m, self.present)
 
-    def snapshot(self) -> Snapshot:
-        """Return the state as a display wants it."""
-        settings, changes = self.settings, self.changes
-        return Snapshot(
+    def snapshot(self) -> Present:
+        """Return what an operator sees now."""
+        settings, changes, tracker, attitude = self.settings, self.changes, self.tracker, self._attitude
+        return Present(
             self.time_s,
             self.phase,
-            settings.requirement.side,
+            settings.requirement,
             self.aircraft,
             self.estimate,
+            self._course.made_good_rad,
+            self._course.present_rad,
             self.present,
             self.coming,
             self.decision,
@@ -260,11 +266,21 @@ class StandoffController:
             changes.failures,
             self.latency.expected_s,
             self._mode,
-            self._sensor_status.copy(),
-            settings.requirement,
+            math.nan if self._height_m is None else self._height_m,
+            0.0 if attitude is None else attitude.roll_rad,
+            math.nan if attitude is None else attitude.yaw_rad,
             settings.aircraft.radius_m,
             settings.aircraft.pan_limit_rad,
             self._height_asked_m,
+            self._range_s,
+            self._gimbal_s,
+            self._nis,
+            tracker.sightings,
+            tracker.rejected,
+            tracker.delays,
+            settings.give_up_after_s,
+            settings.give_up_action,
+            self._connected,
             self.planning.target,
             self.planning.turn_payload,
             self._over,
@@ -294,7 +310,14 @@ class StandoffController:
             jumps_s = tracker.payload.jumps_s
             self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
             self._jump_news.note(self.sighted)
-        self._sensor_status.note(reading, self.sighted, tracker)
+            self._nis = next((one.nis for one in reversed(self.sighted) if math.isfinite(one.nis)), self._nis)
+        match reading:
+            case AttitudeReading():
+                self._attitude = reading
+            case RangeReading() if reading.source == tracker.ranges.chosen:
+                self._range_s = max(self._range_s, reading.time_s)
+            case GimbalReading() if reading.source == tracker.gimbals.chosen:
+                self._gimbal_s = max(self._gimbal_s, reading.time_s)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
@@ -304,7 +327,7 @@ class StandoffController:
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
         self.time_s, self._height_m = reading.time_s, reading.height_m
-        self.aircraft = _state_of(reading, self._sensor_status.bank_rad)
+        self.aircraft = _state_of(reading, self._attitude.roll_rad if self._attitude is not None else 0.0)
         if not self.door.dead_reckoned:
             self.changes.observe(self.aircraft)
         announced: tuple[StepOutput, ...] = ()
@@ -314,6 +337,7 @@ class StandoffController:
             before = self.estimate
             self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
             if self.estimate is not None:
+                self._course.update(self.estimate, self.settings.requirement.course_horizon_s)
                 announced = self._news.announce(self.time_s, self.estimate)
             announced += self._jump_news.announce(self.time_s, before, self.estimate)
             announced += self._payload_news.announce(self.time_s)
@@ -489,7 +513,7 @@ class StandoffController:
         """Return why the watch cannot be resumed now, in words; '' if it can."""
         if self.phase is not Phase.YIELDED:
             return f"the mission is {self.phase}"
-        if not self._sensor_status.connected or self.door.no_heartbeat:
+        if not self._connected or self.door.no_heartbeat:
             return "no message from the autopilot"
         return self.door.two_vehicles or self.door.doubt or self.health.unknown
 
@@ -506,7 +530,7 @@ class StandoffController:
         if isinstance(event, RoundTripReported):
             self.latency.note_round_trip(event.round_trip_s)
             return ()
-        self._sensor_status.connected = event.connected
+        self._connected = event.connected
         return (self.health.link_changed(event, event.time_s),)
 
     def _battery_reported(self, event: BatteryReported) -> tuple[StepOutput, ...]:
@@ -537,7 +561,7 @@ class StandoffController:
             return ()
         self.surroundings.separation.note(advice.neighbours)
         if before not in ("", advice.target):
-            self._news = TargetNews()
+            self._news, self._course = TargetNews(), TargetCourse()
         if advice.turn_payload:
             self.tracker.payload.expect_another_target()
         if not self.phase.in_control:

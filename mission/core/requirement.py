@@ -9,9 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from sidelong.estimators.numbers import convert_to_floats, require_type
 
+Angle = TypeVar("Angle", float, npt.NDArray[np.float64])
 GRAVITY_M_S2 = 9.80665
 # A circle wider than this share of the band leaves no room to move it in: it was found on recorded targets.
 _WIDEST_OF_BAND = 1.0 / 3.8
@@ -87,6 +92,17 @@ class Requirement:
             object.__setattr__(self, "side", Side(self.side))
         except ValueError:
             raise TypeError(f"Requirement.side must be Side.LEFT or Side.RIGHT, not {self.side!r}") from None
+
+    def middle_rad(self, course_rad: Angle) -> Angle | float:
+        """Return the direction from the target, on its course, to the middle of where it is to be watched from."""
+        return course_rad + self.side.normal_turn_rad if self.sector is None else self.sector.middle_rad
+
+    @property
+    def allowed_rad(self) -> float:
+        """How far from that direction an observation angle may be."""
+        if self.sector is not None:
+            return self.sector.half_width_rad
+        return math.pi if self.either_side else math.pi / 2
 
 
 @dataclass(frozen=True, slots=True)

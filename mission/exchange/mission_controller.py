@@ -22,7 +22,7 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
@@ -109,7 +109,7 @@ class MissionController:
             return self._way_home.done
         return self._silent or self._backend.idle
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> Present:
         """Return the state as a display wants it."""
         return self.controller.snapshot()
 

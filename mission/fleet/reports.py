@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import End, LinkReported, MissionChange, Yield
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.exchange.outbox import ExternalControl
@@ -85,7 +85,7 @@ class FleetReporter:
             now.time_s,
             now.aircraft,
             height_m,
-            now.phase is Phase.WATCHING and now.sensor_status.connected,
+            now.phase is Phase.WATCHING and now.connected,
             now.latency_s,
             now.wind,
             "" if now.phase is Phase.WATCHING else f"the mission is {now.phase}",

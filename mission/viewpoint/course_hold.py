@@ -1,7 +1,8 @@
-"""The course of a target that stops: held while it stands, and taken from before the stop was noticed.
+"""The courses of a target: the one that is held while it stands, the one made good, and the present one.
 
-A slowing estimate turns about at random before its speed falls below the threshold, so the course that counts is
-the one of some seconds earlier.
+A slowing estimate turns about at random before its speed falls below the threshold, so the course that is held is
+the one of some seconds earlier. The course made good, which defines the sides, is the direction in which the target
+moved over a horizon. A jump of the estimated position is a correction, not a motion of the target.
 
 Source: docs/explanation/planners.md#watch-course.
 """
@@ -13,8 +14,12 @@ import math
 import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.path import FloatArray
 from sidelong.mission.viewpoint import viewpoint_kernel as kernel
 from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Estimates, Known
+
+STANDING_M_S = 0.3
+"""Below this speed a target keeps its present course: the direction of its velocity is noise."""
 
 
 def known(target: TargetEstimate) -> Known:
@@ -53,15 +58,63 @@ class CourseHold:
         course_rad = kernel.held_course_rad(known(target), self._memory)
         return None if math.isnan(course_rad) else course_rad
 
-    def least_way_m(self, target: TargetEstimate) -> float:
-        """Return the least way that has a course made good, m.
-
-        Args:
-            target: The estimate that was processed last.
-        """
-        return float(kernel.least_way_m(known(target), self._memory))
-
     @property
     def standing(self) -> bool:
         """Whether the target stands."""
         return bool(self._memory[STANDING] > 0.0)
+
+
+class TargetCourse:
+    """Both courses of a target, as the planner takes them; with a horizon of 0 both are the present one.
+
+    Attributes:
+        made_good_rad: The course made good; None until the target has moved far enough.
+        present_rad: The present course; None until the target has moved.
+    """
+
+    def __init__(self) -> None:
+        self.made_good_rad: float | None = None
+        self.present_rad: float | None = None
+        self._memory = kernel.fresh_memory(1.0)
+
+    def update(self, target: TargetEstimate, horizon_s: float) -> None:
+        """Process an estimate.
+
+        Args:
+            target: Estimate of the target, in order of time.
+            horizon_s: Time over which the course is made good, s.
+        """
+        if math.hypot(target.velocity_east_m_s, target.velocity_north_m_s) >= STANDING_M_S:
+            self.present_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
+        estimates = estimates_of(target)
+        kernel.held_course_rad(estimates.seen, self._memory)
+        made_good_rad, _ = kernel.made_good(estimates, horizon_s, self._memory, math.inf)
+        if horizon_s == 0.0:
+            self.made_good_rad = self.present_rad
+        elif not math.isnan(made_good_rad):
+            self.made_good_rad = made_good_rad
+
+
+def courses_made_good_rad(
+    time_s: FloatArray,
+    place_m: FloatArray,
+    velocity_m_s: FloatArray,
+    horizon_s: FloatArray,
+    gap_max_s: float = math.inf,
+) -> FloatArray:
+    """Return the courses made good of exactly known motion, held while the target moves less than ``MIN_WAY_M``.
+
+    Args:
+        time_s: Times of the samples, ascending, shape (n,).
+        place_m: East and north of the target, shape (n, 2).
+        velocity_m_s: East and north velocity, shape (n, 2): what it does not explain of a way is a correction.
+        horizon_s: Time over which each course is taken, shape (n,).
+        gap_max_s: The motion between two samples further apart is unknown and counts as none.
+
+    Returns:
+        Clockwise from north, shape (n,); NaN until the target has moved far enough.
+    """
+    time_s, place_m, velocity_m_s, horizon_s = (
+        np.ascontiguousarray(values, np.float64) for values in (time_s, place_m, velocity_m_s, horizon_s)
+    )
+    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s)

@@ -355,28 +355,32 @@ def held_course_rad(target: Known, memory: FloatArray) -> float:
 
 
 @compiled
-def _follow_jump(target: Known, memory: FloatArray, places: FloatArray, count: int) -> None:
-    """Shift the kept places by the part of the way since the last estimate that its velocities do not explain."""
+def _follow_jump(target: Known, memory: FloatArray, places: FloatArray, count: int, gap_max_s: float) -> None:
+    """Shift the kept places by the part of the way since the last estimate that its velocities do not explain.
+
+    After more than gap_max_s they explain nothing: the target counts as standing in between.
+    """
     last = memory[_LAST:]
-    half_s = 0.5 * (target.time_s - last[0])
+    step_s = target.time_s - last[0]
+    half_s = 0.5 * step_s if step_s <= gap_max_s else 0.0
     east_m = target.east_m - last[1] - half_s * (target.velocity_east_m_s + last[3])
     north_m = target.north_m - last[2] - half_s * (target.velocity_north_m_s + last[4])
     turned_m_s = math.hypot(target.velocity_east_m_s - last[3], target.velocity_north_m_s - last[4])
-    if math.hypot(east_m, north_m) > _JUMP_M + abs(half_s) * turned_m_s:
+    if step_s > gap_max_s or math.hypot(east_m, north_m) > _JUMP_M + abs(half_s) * turned_m_s:
         for i in range(count):
             places[3 * i + 1] += east_m
             places[3 * i + 2] += north_m
 
 
 @compiled
-def remember_place(target: Known, memory: FloatArray) -> None:
+def remember_place(target: Known, memory: FloatArray, gap_max_s: float) -> None:
     """Keep a place for the course made good, about one each second, and for the trail.
 
     If the estimate has jumped, the kept places jump along: the jump corrects the estimate, the target did not move.
     """
     places, count = memory[_PLACES + 1 :], int(memory[_PLACES])
     if count > 0:
-        _follow_jump(target, memory, places, count)
+        _follow_jump(target, memory, places, count, gap_max_s)
     last = memory[_LAST:]
     last[0], last[1], last[2] = target.time_s, target.east_m, target.north_m
     last[3], last[4] = target.velocity_east_m_s, target.velocity_north_m_s
@@ -425,16 +429,32 @@ def least_way_m(target: Known, memory: FloatArray) -> float:
 
 
 @compiled
-def _made_good(estimates: Estimates, horizon_s: float, memory: FloatArray) -> tuple[float, float]:
-    """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before."""
+def made_good(estimates: Estimates, horizon_s: float, memory: FloatArray, gap_max_s: float) -> tuple[float, float]:
+    """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before.
+
+    The motion between two estimates further apart than gap_max_s is unknown and counts as none.
+    """
     target = estimates.now
-    remember_place(estimates.seen, memory)
+    remember_place(estimates.seen, memory, gap_max_s)
     east_m, north_m = place_at(memory, target.time_s - horizon_s)
     east_m, north_m = target.east_m - east_m, target.north_m - north_m
     way_m = math.hypot(east_m, north_m)
     if way_m > least_way_m(estimates.seen, memory):
         memory[MADE_GOOD] = math.atan2(east_m, north_m)
     return memory[MADE_GOOD], made_good_sigma_rad(position_sigma_m(target), way_m)
+
+
+@compiled
+def courses_made_good(
+    time_s: FloatArray, place_m: FloatArray, velocity_m_s: FloatArray, horizon_s: FloatArray, gap_max_s: float
+) -> FloatArray:
+    """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`."""
+    memory, exact, courses_rad = fresh_memory(1.0), np.zeros((4, 4)), np.empty(time_s.size)
+    for i in range(time_s.size):
+        east_m_s, north_m_s = velocity_m_s[i, 0], velocity_m_s[i, 1]
+        target = Known(time_s[i], place_m[i, 0], place_m[i, 1], east_m_s, north_m_s, exact)
+        courses_rad[i] = made_good(Estimates(target, target), horizon_s[i], memory, gap_max_s)[0]
+    return courses_rad
 
 
 @compiled
@@ -446,7 +466,7 @@ def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: Wish, m
     course_rad = held_course_rad(estimates.seen, memory)
     sigma_rad = 0.0 if memory[STANDING] > 0.0 else course_sigma_rad(target)
     if wish.course_horizon_s > 0.0:
-        course_rad, sigma_rad = _made_good(estimates, wish.course_horizon_s, memory)
+        course_rad, sigma_rad = made_good(estimates, wish.course_horizon_s, memory, math.inf)
     away_rad = math.atan2(east_m - target.east_m, north_m - target.north_m)
     if math.isnan(course_rad):
         if math.isnan(memory[PRESUMED]):

@@ -9,8 +9,7 @@ import pytest
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.flight.alarm_watch import AlarmWatch
-from sidelong.app.link.queries import VehicleStatus
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.events import AlarmReported, BatteryReported, ControlAcquired, End
 
 GOOD = VehicleStatus(80, 12.0, "3D, 11 satellites", True, 99, 0.05)
@@ -32,9 +31,9 @@ class Rig:
             lambda: self.wall_s,
         )
 
-    def show(self, snapshot) -> None:
+    def show(self, snapshot) -> Present:
         self.wall_s += 1.0
-        self.watch.show(snapshot)
+        return self.watch.completed(snapshot)
 
     def alarms(self, stage):
         return [one.key for one in self.events if isinstance(one, AlarmReported) and one.stage == stage]
@@ -100,15 +99,13 @@ def test_an_acknowledgement_is_recorded_once(rig, last):
     rig.watch.acknowledge(wish)
     rig.watch.acknowledge(wish)
     assert rig.events.count(wish) == 1
-    assert rig.watch.describe(GOOD).alarms[0].acknowledged
+    assert rig.watch.status.alarms[0].acknowledged
 
 
 def test_a_silent_link_is_an_alarm_although_the_vehicle_s_clock_stands(rig, last):
     rig.show(last)
-    sensors = last.sensor_status.copy()
-    sensors.connected = False
     rig.wall_s += 3.0
-    rig.show(replace(last, sensor_status=sensors))
+    rig.show(replace(last, connected=False))
     assert rig.alarms("raised") == ["link"]
     assert "nothing received from the aircraft for 4 s" in rig.events[-1].text
     rig.show(replace(last, time_s=last.time_s + 9.0))
@@ -123,7 +120,7 @@ def test_the_battery_is_reported_and_shown_with_the_flight_home(rig, last):
     reported = [one for one in rig.events if isinstance(one, BatteryReported)]
     assert reported[-1].left_s == pytest.approx((74.0 - 20.0) * 60.0, rel=0.05)
     assert reported[-1].home_s == pytest.approx(250.0 / 15.0, rel=0.5)
-    shown = rig.watch.describe(GOOD)
+    shown = rig.watch.status
     assert (shown.endurance_s, shown.home_s) == (rig.watch.left_s, rig.watch.home_s)
 
 
@@ -144,7 +141,7 @@ def test_a_low_battery_is_reported_at_once_and_again(rig, last):
 def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
     config = Config.model_validate({"planner": {"name": "paper", "at_low_battery": action}})
     controller = controller_of(config)
-    controller.step(ControlAcquired(100.0, snapshot.present.circle, "AUTO"))
+    controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
     announced = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(3)]
     assert announced[0] == ()  # one report is not enough
     ended = [one for step in announced for one in step if isinstance(one, End)]
@@ -154,7 +151,7 @@ def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
 
 def test_a_battery_with_enough_left_ends_nothing(snapshot):
     controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
-    controller.step(ControlAcquired(100.0, snapshot.present.circle, "AUTO"))
+    controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
     for k in range(5):
         left_s = 70.0 if k % 2 else 73.0  # 120 % of the flight home, now and then
         assert controller.step(BatteryReported(101.0 + k, 22.0, left_s, 60.0)) == ()

@@ -14,10 +14,9 @@ from rich.console import Console
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.address import PageAddress
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.alarms import Alarm
+from sidelong.mission.control.present import Alarm, VehicleStatus
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.route.progress import RouteProgress
@@ -114,7 +113,7 @@ class Requests:
 def test_the_side_is_asked_of_the_fleet_and_shown_once_it_is_given(view, snapshot, refused):
     shown, wishes = view
     shown.requests = Requests(refused)
-    shown.of("plane").show(replace(snapshot, side=Side.RIGHT))  # its role: the other side
+    shown.of("plane").show(on_the_right(snapshot))  # its role: the other side
     assert shown._update()["fleet"][0]["wanted"] == Side.LEFT
     shown._pressed({"action": "side", "side": "right", "who": "operator 1"})
     assert shown.requests.asked == [(Side.RIGHT, "operator 1")]
@@ -151,7 +150,7 @@ def test_the_map_draws_the_others_with_their_circles(page, snapshot):
     assert page.locator("#map path.aircraft").count() == 2
     assert page.locator("#map path.aircraft.other").count() == 1
     circle = page.locator("#map circle.circle.other")
-    assert float(circle.get_attribute("r")) == pytest.approx(snapshot.present.circle.radius_m)
+    assert float(circle.get_attribute("r")) == pytest.approx(snapshot.plan.circle.radius_m)
 
 
 def test_of_several_targets_the_page_names_each_and_whose_decisions_are_reported(snapshot):
@@ -212,6 +211,13 @@ def test_messages_of_the_others_are_logged_by_the_time_since_their_own_start(vie
 
 
 BATTERIES = {"plane": 74, "wing": 20}
+
+
+def on_the_right(snapshot):
+    """Return the state of an aircraft whose role is the right side."""
+    return replace(snapshot, requirement=replace(snapshot.requirement, side=Side.RIGHT))
+
+
 LOST = Alarm("target", "target lost for 60 s", "Find it.", 60.0)
 
 
@@ -224,10 +230,8 @@ def described(browser, view, snapshot):
         for name in NAMES:
             alarms = (LOST,) if name == "wing" else ()
             status = VehicleStatus(BATTERIES[name], 11.0, "3D", True, 97, 0.1, alarms=alarms)
-            shown.of(name).connected(lambda status=status: status)
-        shown.of("plane").show(snapshot)
-        shown.of("wing").show(replace(alongside(snapshot), side=Side.RIGHT))
-        shown._vehicle_at_s = -math.inf
+            own = snapshot if name == "plane" else on_the_right(alongside(snapshot))
+            shown.of(name).show(replace(own, vehicle=status))
         shown.pump()
         opened = browser.new_page()
         opened.goto(shown.url)

@@ -17,7 +17,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.payload.pan_limits import usable_pan_limit_deg
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import Announce, MissionChange, RouteGiven
 from tests.app.conftest import recorded
 

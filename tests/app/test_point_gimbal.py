@@ -13,7 +13,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from tests.messages import acknowledgement
 
 PLANE = LocalPlane(47.4, 8.5)

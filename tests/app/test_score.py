@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from sidelong.app.analysis.score import Moment, judge_moments, score
-from sidelong.app.analysis.target_course import TargetCourse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.viewpoint.course_hold import TargetCourse
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 LEFT = ((0.0, REQUIREMENT),)
@@ -107,51 +107,24 @@ def test_an_estimate_that_jumps_back_after_a_dropout_turns_no_course():
 
 
 def test_the_page_follows_the_same_course_as_the_judge():
-    seen, course, followed = dropout(), TargetCourse(0.3), []
+    seen, course, followed = dropout(), TargetCourse(), []
     for one in seen:
-        course.take(one.time_s, (one.target_velocity_east_m_s, one.target_velocity_north_m_s), 20.0)
+        state = one.target_east_m, one.target_north_m, one.target_velocity_east_m_s, one.target_velocity_north_m_s
+        course.update(TargetEstimate(one.time_s, *state, np.zeros((4, 4)), TrackQuality.GOOD, one.time_s), 20.0)
         followed.append(math.nan if course.made_good_rad is None else course.made_good_rad)
     np.testing.assert_allclose(followed, judge_moments(seen, LEFT).course_rad, atol=1e-9)
-
-
-def test_a_target_that_turned_back_unseen_has_its_true_course_once_it_is_seen_again():
-    """It drives north at 3 m/s, turns back at 30 s, and is not seen from then until 35 s."""
-    course, covariance = TargetCourse(0.3), np.eye(4)
-    for time_s in np.arange(0.0, 42.5, 0.5).tolist():
-        unseen = 30.0 < time_s < 35.0
-        assumed_m, true_m = 3.0 * time_s, 3.0 * (time_s if time_s <= 30.0 else 60.0 - time_s)
-        north_m, velocity_m_s = (assumed_m, 3.0) if time_s < 35.0 else (true_m, -3.0)
-        seen_s = 30.0 if unseen else time_s
-        estimate = TargetEstimate(time_s, 0.0, north_m, 0.0, velocity_m_s, covariance, TrackQuality.GOOD, seen_s)
-        course.take_estimate(time_s, estimate, 20.0)
-        if time_s == 34.5:
-            assert course.made_good_rad == pytest.approx(0.0)
-    assert abs(course.made_good_rad) == pytest.approx(math.pi)
-
-
-def test_a_gap_longer_than_the_horizon_begins_where_the_target_was_seen_last():
-    """It drives north at 3 m/s, turns east at 30 s, and is not seen from then until 55 s."""
-    course, covariance = TargetCourse(0.3), np.eye(4)
-    for time_s in np.arange(0.0, 55.5, 0.5).tolist():
-        again = time_s == 55.0
-        state = (75.0, 90.0, 3.0, 0.0) if again else (0.0, 3.0 * time_s, 0.0, 3.0)
-        seen_s = 55.0 if again else min(time_s, 30.0)
-        estimate = TargetEstimate(time_s, *state, covariance, TrackQuality.GOOD, seen_s)
-        course.take_estimate(time_s, estimate, 20.0)
-    # A sighting counts as present for 1.5 s: in that time the target is assumed to go on north.
-    assert course.made_good_rad == pytest.approx(math.pi / 2, abs=math.radians(4.0))
 
 
 @pytest.mark.parametrize(("sigma_m", "course_rad"), [(4.0, math.pi / 2), (1.0, 0.0)])
 def test_the_page_sees_no_course_in_the_wandering_estimate_of_a_standing_target(sigma_m, course_rad):
     """It goes east, then stands; out of sight, its estimate wanders by 11 m to the north."""
-    course = TargetCourse(0.3)
+    course = TargetCourse()
     for time_s in np.arange(61.0).tolist():
         variance_m2 = sigma_m**2 if time_s >= 50.0 else 1.0
         state = 3.0 * min(time_s, 20.0), 1.1 * max(time_s - 50.0, 0.0), 3.0 * (time_s < 20.0), 0.0
         covariance, seen_s = np.diag([variance_m2, variance_m2, 0.01, 0.01]), min(time_s, 50.0)
         estimate = TargetEstimate(time_s, *state, covariance, TrackQuality.GOOD, seen_s)
-        course.take_estimate(time_s, estimate, 20.0)
+        course.update(estimate, 20.0)
     assert course.made_good_rad == pytest.approx(course_rad)
 
 

@@ -16,14 +16,12 @@ from rich.console import Console
 from sidelong.app.config import Config
 from sidelong.app.fleet.panel import FleetPanel
 from sidelong.app.fleet.view import FleetView
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay, clock
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.alarms import Alarm
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Alarm, Phase, VehicleStatus
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
 
@@ -51,7 +49,12 @@ def snapshots(flight):
     """Return the snapshots of 110 s, at whose end the circle is being moved, with the announcements."""
     taken = []
     for _, commands, controller in flight(110.0):
-        taken.append((controller.snapshot(), [command for command in commands if isinstance(command, Announce)]))
+        taken.append(
+            (
+                replace(controller.snapshot(), vehicle=STATUS),
+                [command for command in commands if isinstance(command, Announce)],
+            )
+        )
     return taken
 
 
@@ -59,7 +62,6 @@ def snapshots(flight):
 def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
     with ViewDisplay(PanelDisplay(Console(), quiet=True), config, PageAddress(port=0)) as display:
-        display.connected(lambda: STATUS)
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
         for tick, (snapshot, announced) in enumerate(snapshots):
@@ -280,8 +282,7 @@ def test_resume_is_offered_while_holding_only(page, display, snapshots):
 
 def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
     last = snapshots[-1][0]
-    sensor_status = replace(last.sensor_status, connected=False)
-    display.show(replace(last, sensor_status=sensor_status, estimate=replace(last.estimate, quality="lost")))
+    display.show(replace(last, connected=False, estimate=replace(last.estimate, quality="lost")))
     display.pump()
     page.locator("#quality.bad", has_text="track lost").wait_for()
     assert page.locator("#link.bad").inner_text() == "link lost"
@@ -309,10 +310,9 @@ def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, wi
     view = FleetView(FleetPanel(Console(), quiet=True), dict.fromkeys(names, Config()), PageAddress(port=0))
     with view:
         for name in names:
-            view.of(name).connected(lambda: VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
             view.of(name).begin(PLANE, lambda _request: None)
             view.of(name).engage(START_S, None)
-        last = snapshots[-1][0]
+        last = replace(snapshots[-1][0], vehicle=VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
         view.of(names[0]).show(last)
         view.of(names[1]).show(replace(last, aircraft=replace(last.aircraft, east_m=last.aircraft.east_m + 600.0)))
         view.show(last)
@@ -425,12 +425,11 @@ def test_everybody_can_read_it(browser, display, scheme, size, alarms):
 def alarmed(display, *alarms):
     """Show alarms as long as the context lasts."""
     status = replace(STATUS, alarms=alarms)
-    display.connected(lambda: status)
-    display._vehicle_at_s = -math.inf
+    before = display.snapshot
+    display.show(replace(before, vehicle=status))
     display.pump()
     yield
-    display.connected(lambda: STATUS)
-    display._vehicle_at_s = -math.inf
+    display.show(before)
     display.pump()
 
 
@@ -470,10 +469,9 @@ def test_band_and_side_are_reported_as_they_are(page, display, snapshots, bearin
 @pytest.mark.parametrize("unknown", ["lost", "silent", "unseen"])
 def test_anything_not_known_is_grey(page, display, snapshots, unknown):
     last = snapshots[-1][0]
-    sensors = replace(last.sensor_status, connected=unknown != "silent")
     quality = TrackQuality.LOST if unknown == "lost" else TrackQuality.GOOD
     estimate = None if unknown == "unseen" else replace(last.estimate, quality=quality)
-    display.show(replace(last, estimate=estimate, sensor_status=sensors))
+    display.show(replace(last, estimate=estimate, connected=unknown != "silent"))
     display.pump()
     page.locator("#band.unknown").wait_for()
     assert page.locator("#side.unknown strong").inner_text() == "SIDE UNKNOWN"

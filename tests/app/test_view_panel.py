@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from sidelong.app.view.panel import PanelDisplay
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import Announce
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement, Side
@@ -62,9 +62,7 @@ def test_the_panel_before_anything_is_seen(snapshots):
 
 def test_a_lost_link_is_reported(snapshots):
     last = snapshots[-1]
-    text = drawn(
-        replace(last, sensor_status=replace(last.sensor_status, connected=False), phase=Phase.HOLDING), terminal=True
-    )
+    text = drawn(replace(last, connected=False, phase=Phase.HOLDING), terminal=True)
     assert "link lost" in text
     assert "holding" in text
 

@@ -17,7 +17,7 @@ from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,

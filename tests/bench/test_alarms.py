@@ -11,22 +11,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sidelong.app.analysis.present import PresentWatch
-from sidelong.app.analysis.target_course import TargetCourse
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.flight.alarm_watch import AlarmWatch
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.target import RandomTarget
+from sidelong.app.simulation.target import RandomTarget, TargetTruth
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane, wrap_rad
+from sidelong.mission.control.present import VehicleStatus
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import AlarmReported
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.viewpoint.course_hold import TargetCourse
 from tests.bench.size import size
 from tests.faulty_payload import FaultyPayload, PayloadFaults
 
@@ -64,6 +64,12 @@ class Flown:
     alarms: list[tuple[str, bool]] = field(default_factory=list)  # key, and whether the truth supports it
 
 
+def exactly(time_s: float, true: TargetTruth) -> TargetEstimate:
+    """Return the truth as an estimate."""
+    state = true.east_m, true.north_m, true.velocity_east_m_s, true.velocity_north_m_s
+    return TargetEstimate(time_s, *state, np.zeros((4, 4)), TrackQuality.GOOD, time_s)
+
+
 def flown(seed: int) -> Flown:
     """Fly one flight and compare what the page shows with the truth."""
     config = Config()
@@ -79,15 +85,14 @@ def flown(seed: int) -> Flown:
     loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
     events: list[object] = []
     watch = AlarmWatch(config, (0.0, 0.0), lambda: STATUS, events.append, lambda _text: None, lambda: vehicle.time_s)
-    page, course = PresentWatch(), TargetCourse(0.3)
+    course = TargetCourse()
     wanted, since_s = controller.settings.requirement, {"band": 0.0, "side": 0.0}
     for tick in range(round(FLIGHT_S / STEP_S)):
         unseen_s = vehicle.time_s - payload.ranged_s + STEP_S  # a range may come in the step that raises the alarm
         loop.run(STEP_S)
         snapshot = controller.snapshot()
-        watch.show(snapshot)
-        shown, true, own = page.of(snapshot), target.at(vehicle.time_s), vehicle.state
-        course.take(vehicle.time_s, (true.velocity_east_m_s, true.velocity_north_m_s), wanted.course_horizon_s)
+        shown, true, own = watch.completed(snapshot), target.at(vehicle.time_s), vehicle.state
+        course.update(exactly(vehicle.time_s, true), wanted.course_horizon_s)
         east_m, north_m = own.east_m - true.east_m, own.north_m - true.north_m
         in_band = wanted.range_min_m <= math.hypot(east_m, north_m) <= wanted.range_max_m
         middle_rad = None if course.made_good_rad is None else course.made_good_rad + wanted.side.normal_turn_rad

@@ -20,7 +20,6 @@ from unittest import mock
 
 import numpy as np
 
-from sidelong.app.analysis.target_course import made_good_rad
 from sidelong.app.planners.value_cache import value_table
 from sidelong.app.study.closed_loop import BOOT_S, fly
 from sidelong.app.study.judging import RunResult
@@ -36,6 +35,7 @@ from sidelong.mission.predictive.decision_kernel import Looker, choices, commitm
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import FORETOLD_S, Scene, Turns, classes_about
+from sidelong.mission.viewpoint.course_hold import courses_made_good_rad
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
@@ -80,7 +80,12 @@ class Clairvoyant(PredictivePlanner):
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
         paths = self._paths(round((scene.departure_s - BOOT_S) / STEP_S), k, looker.turns)
         time_s, per_s = STEP_S * PER_S * np.arange(paths.shape[1]), STEP_S * PER_S
-        made_good = np.array([made_good_rad(time_s, np.gradient(path, per_s, axis=0), HORIZON_S) for path in paths])
+        made_good = np.array(
+            [
+                courses_made_good_rad(time_s, path, np.gradient(path, per_s, axis=0), np.full(time_s.size, HORIZON_S))
+                for path in paths
+            ]
+        )
         made_good = np.where(np.isnan(made_good), scene.course_rad, made_good)
         facing_rad = scene.mirror * (made_good[:, -k - 1 : -1] - scene.course_rad)
         off = paths[:, -k - 1 :] - (scene.frame_east_m, scene.frame_north_m)

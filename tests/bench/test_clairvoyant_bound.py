@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.analysis.target_course import made_good_rad
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.estimators.compiled import compiled
+from sidelong.mission.viewpoint.course_hold import courses_made_good_rad
 
 FloatArray = npt.NDArray[np.float64]
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
@@ -120,7 +120,9 @@ def bound(
     time_s = np.arange(0.0, min(target.duration_s, 1200.0), STEP_S)
     east, north = target.sampled(time_s)[:, :2].T
     place_m = np.stack([east, north], axis=1)
-    made_good = made_good_rad(time_s, np.gradient(place_m, STEP_S, axis=0), HORIZON_S)
+    made_good = courses_made_good_rad(
+        time_s, place_m, np.gradient(place_m, STEP_S, axis=0), np.full(time_s.size, HORIZON_S)
+    )
     known = ~np.isnan(made_good)
     way = np.column_stack([place_m, np.where(known, made_good, made_good[np.argmax(known)])])
     turn_rad = math.tau / HEADINGS

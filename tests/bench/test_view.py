@@ -122,9 +122,6 @@ class Alternating:
     def on_page(self) -> bool:
         return int(time.monotonic() / WINDOW_S) % 2 == 0
 
-    def connected(self, status):
-        self._view.connected(status)
-
     def begin(self, plane, request):
         self._view.begin(plane, request)
 

@@ -11,7 +11,7 @@ import os
 import numpy as np
 import pytest
 
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import Announce, ControlAcquired, OperatorRequest, UploadPlan, Yield
 from sidelong.mission.exchange.outbox import SendMessage
 from sidelong.sitl.arduplane.vehicle import ArduPlaneMode

@@ -8,7 +8,7 @@ import pytest
 
 from sidelong.app.analysis.replay import JournalReplay, last_digits
 from sidelong.app.records.journal import encode
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, DecisionRecord, OperatorRequest, UploadPlan, Yield
 from sidelong.mission.exchange.reports import ShutdownRequested
@@ -74,7 +74,7 @@ def test_the_recorded_results_of_the_exchange_lead_to_the_same_decisions(in_the_
     flown, replayed = flight.core.controller.snapshot(), again.snapshot()
     assert (replayed.time_s, replayed.phase, replayed.moves) == (flown.time_s, Phase.WATCHING, flown.moves)
     assert encode(replayed.estimate) == encode(flown.estimate)
-    assert encode(replayed.present) == encode(flown.present)
+    assert encode(replayed.plan) == encode(flown.plan)
 
 
 @pytest.mark.parametrize(

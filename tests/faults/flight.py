@@ -13,7 +13,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.analysis.score import Samples, judge
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
@@ -25,7 +24,7 @@ from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import Announce, ControlAcquired, DecisionRecord, End, HealthChanged, Yield
 from sidelong.mission.core.plan import AircraftState
@@ -139,7 +138,6 @@ class FaultedFlight(FaultyLoop[Message]):
         self.pilot_takes_over_s = math.inf
         self._acquired_s = math.inf
         self.flown = Flown(scenario)
-        self._page = PresentWatch()
         self._shown_on_side: list[tuple[float, bool | None]] = []  # what a display claims
         self.start(
             lambda plane: mission_controller_of(config, self.controller, autopilot, plane, _HOME), vehicle.mode
@@ -212,7 +210,7 @@ class FaultedFlight(FaultyLoop[Message]):
             return
         snapshot, requirement = self.controller.snapshot(), self.controller.settings.requirement
         estimate, truth = snapshot.estimate, self._target.at(now_s)
-        self._shown_on_side.append((now_s, self._page.of(snapshot).on_side))
+        self._shown_on_side.append((now_s, snapshot.on_side))
         if snapshot.unknown or estimate is None:
             self.flown.unknown_s += 1.0
             return

@@ -5,25 +5,37 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from sidelong.mission.control.alarms import ALARM_KEYS, Alarms, Situation
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.control.alarms import ALARM_KEYS, Alarms
+from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.inputs import Input, InputReport, InputState
+from sidelong.mission.core.plan import AircraftState
 
-GOOD = Situation(
-    0.0,
-    in_band=True,
-    on_side=True,
-    range_m=300.0,
-    unseen_s=0.1,
-    gives_up_in_s=299.9,
-    health=tuple(InputReport(one, InputState.OK, 0.0, 10.0, "") for one in Input),
-    gps="3D, 12 satellites",
-    good_gps=True,
-    battery_percent=80.0,
-    endurance_s=3000.0,
-    home_s=60.0,
-)
+STATUS = VehicleStatus(80, 12.0, "3D, 12 satellites", True, endurance_s=3000.0, home_s=60.0)
+EMPTY = controller_of(Config.model_validate({"planner": {"name": "paper"}})).snapshot()
+OK = tuple(InputReport(one, InputState.OK, 0.0, 10.0, "") for one in Input)
+
+
+def present(time_s: float, angle_rad=0.0, range_m=300.0, unseen_s=0.1, vehicle=None, **change) -> Present:
+    """Return a watch of a target that drives north, from its left. vehicle: what differs of its status."""
+    at_m = range_m * math.sin(angle_rad - math.pi / 2), range_m * math.cos(angle_rad - math.pi / 2)
+    seen_s = time_s - unseen_s
+    now = replace(
+        EMPTY,
+        time_s=time_s,
+        phase=Phase.WATCHING,
+        aircraft=AircraftState(time_s, *at_m, 0.0, 15.0, 0.0),
+        estimate=TargetEstimate(time_s, 0.0, 0.0, 0.0, 0.0, np.eye(4), TrackQuality.GOOD, seen_s),
+        course_rad=0.0,
+        health=OK,
+        vehicle=replace(STATUS, **(vehicle or {})),
+    )
+    return replace(now, **change)
 
 
 def faulty(one, state=InputState.STALE):
@@ -31,15 +43,15 @@ def faulty(one, state=InputState.STALE):
 
 
 CAUSES = {
-    "yield": {"yielded": "the flight mode was changed to LOITER", "in_hand": False},
+    "yield": {"over": "the flight mode was changed to LOITER", "phase": Phase.YIELDED},
     "separation": {"separation": "only 42 m from south; 50 m are required"},
-    "link": {"connected": False, "silent_s": 3.0},
-    "battery": {"battery_percent": 30.0, "endurance_s": 70.0},
-    "target": {"unseen_s": 12.0, "gives_up_in_s": 288.0},
+    "link": {"connected": False, "vehicle": {"silent_s": 3.0}},
+    "battery": {"vehicle": {"battery_percent": 30, "endurance_s": 70.0}},
+    "target": {"unseen_s": 12.0},
     **{one.value: {"health": faulty(one)} for one in Input if one is not Input.LINK},
-    "gps": {"gps": "2D", "good_gps": False},
-    "band": {"in_band": False, "range_m": 80.0},
-    "side": {"on_side": False},
+    "gps": {"vehicle": {"gps": "2D", "gps_good": False}},
+    "band": {"range_m": 80.0},
+    "side": {"angle_rad": 3.0},
 }
 
 
@@ -47,7 +59,7 @@ def flown(alarms, until_s, since_s=0.0, **change):
     """Show a situation every half second; return (time, key, raised) of each change."""
     changes = []
     for tick in range(int(2 * since_s), int(2 * until_s)):
-        raised, cleared = alarms.update(replace(GOOD, time_s=tick / 2, **change))
+        raised, cleared = alarms.update(present(tick / 2, **change))
         changes += [(tick / 2, one.key, True) for one in raised] + [(tick / 2, one.key, False) for one in cleared]
     return changes
 
@@ -88,8 +100,8 @@ def test_a_moment_is_no_alarm(key, moment_s):
 def test_at_the_border_of_the_side_the_alarm_waits_until_the_estimate_is_sure():
     alarms = Alarms()
     flown(alarms, 100.0)
-    assert flown(alarms, 130.0, 100.0, on_side=False, beyond_side_rad=0.02) == []
-    assert flown(alarms, 131.0, 130.0, on_side=False, beyond_side_rad=0.1) == [(130.0, "side", True)]
+    assert flown(alarms, 130.0, 100.0, angle_rad=math.pi / 2 + 0.02) == []
+    assert flown(alarms, 131.0, 130.0, angle_rad=math.pi / 2 + 0.1) == [(130.0, "side", True)]
 
 
 def test_an_alarm_does_not_flicker():
@@ -97,15 +109,15 @@ def test_an_alarm_does_not_flicker():
     flown(alarms, 100.0)
     changes = []
     for tick in range(200, 300):  # in and out of the band every half second
-        raised, cleared = alarms.update(replace(GOOD, time_s=tick / 2, in_band=tick % 5 == 0, range_m=99.0))
+        raised, cleared = alarms.update(present(tick / 2, range_m=99.0 if tick % 5 else 101.0))
         changes += [*raised, *cleared]
     assert len(changes) <= 1
 
 
 def test_on_the_way_to_the_first_circle_band_and_side_are_no_alarm():
     alarms = Alarms()
-    assert flown(alarms, 119.0, in_band=False, on_side=False) == []
-    late = flown(alarms, 150.0, 119.0, in_band=False, on_side=False)
+    assert flown(alarms, 119.0, range_m=80.0, angle_rad=3.0) == []
+    late = flown(alarms, 150.0, 119.0, range_m=80.0, angle_rad=3.0)
     assert {key for _, key, raised in late if raised} == {"band", "side"}
 
 
@@ -120,8 +132,8 @@ def test_an_input_is_an_alarm_when_it_cannot_be_used(state, raised):
 def test_a_silent_link_freezes_the_other_alarms():
     alarms = Alarms()
     flown(alarms, 100.0)
-    flown(alarms, 110.0, 100.0, in_band=False, range_m=90.0)
-    changes = flown(alarms, 120.0, 110.0, connected=False, silent_s=4.0, in_band=None, on_side=None)
+    flown(alarms, 110.0, 100.0, range_m=90.0)
+    changes = flown(alarms, 120.0, 110.0, connected=False, vehicle={"silent_s": 4.0})
     assert [key for _, key, _ in changes] == ["link"]
     assert [alarm.key for alarm in alarms.active] == ["link", "band"]
 
@@ -129,14 +141,14 @@ def test_a_silent_link_freezes_the_other_alarms():
 def test_a_lost_target_counts_down_to_the_flight_home_and_holding_stops_it():
     alarms = Alarms()
     flown(alarms, 100.0)
-    flown(alarms, 101.0, 100.0, unseen_s=30.0, gives_up_in_s=42.0)
+    flown(alarms, 101.0, 100.0, unseen_s=30.0, give_up_after_s=72.0)
     (alarm,) = alarms.active
     assert "flies home in 42 s" in alarm.text
     assert "press Hold" in alarm.advice
     assert alarm.countdown_s == 42.0
-    flown(alarms, 102.0, 101.0, unseen_s=31.0, gives_up_in_s=None)
+    flown(alarms, 102.0, 101.0, unseen_s=31.0, phase=Phase.HOLDING)
     assert alarms.active[0].countdown_s is None
-    flown(alarms, 103.0, 102.0, unseen_s=31.0, gives_up_in_s=40.0, at_give_up="hold")
+    flown(alarms, 103.0, 102.0, unseen_s=31.0, give_up_after_s=71.0, give_up_action="hold")
     assert "stays on its circle" in alarms.active[0].text
 
 
@@ -167,10 +179,10 @@ def test_acknowledging_keeps_the_alarm_until_its_cause_is_gone():
 )
 def test_the_battery_is_low_at_120_percent_of_the_flight_home(percent, endurance_s, home_s, raised):
     alarms = Alarms()
-    flown(alarms, 20.0, battery_percent=percent, endurance_s=endurance_s, home_s=home_s)
+    flown(alarms, 20.0, vehicle={"battery_percent": percent, "endurance_s": endurance_s, "home_s": home_s})
     assert ([alarm.key for alarm in alarms.active] == ["battery"]) is raised
 
 
 def test_before_the_takeover_nothing_is_judged():
-    unknown = {"in_hand": False, "in_band": False, "on_side": False, "unseen_s": 60.0, "health": faulty(Input.LASER)}
-    assert flown(Alarms(), 300.0, **unknown, battery_percent=5.0) == []
+    wrong = {"range_m": 80.0, "angle_rad": 3.0, "unseen_s": 60.0, "health": faulty(Input.LASER)}
+    assert flown(Alarms(), 300.0, phase=Phase.WAITING, **wrong, vehicle={"battery_percent": 5}) == []

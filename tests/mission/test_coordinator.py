@@ -13,7 +13,7 @@ from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading,
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.mission.viewpoint.course_hold import CourseHold, known
+from sidelong.mission.viewpoint.course_hold import CourseHold, TargetCourse, known
 from sidelong.mission.viewpoint.viewpoint_kernel import course_sigma_rad
 
 
@@ -57,3 +57,11 @@ def test_course_sigma_is_that_of_the_velocity_across():
         0.0, 0.0, 0.0, 0.0, 4.0, np.diag([1.0, 1.0, 0.2**2, 3.0**2]), TrackQuality.GOOD, 0.0
     )
     assert course_sigma_rad(known(moving_north)) == pytest.approx(0.05)
+
+
+def test_the_present_course_holds_through_a_stop():
+    course, courses = TargetCourse(), []
+    for time_s, speed_m_s in enumerate((-0.2, 3.0, -0.2)):
+        course.update(estimate(float(time_s), speed_m_s, 0.0), 20.0)
+        courses.append(course.present_rad)
+    assert courses == [None, 0.0, 0.0]

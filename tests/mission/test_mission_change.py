@@ -8,7 +8,7 @@ import pytest
 
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
@@ -86,7 +86,7 @@ def test_another_height_is_sent_at_once_and_every_plan_carries_it(watching):
     assert "150 m above home" in announced(commands)[0]
     plan = flown(controller, commands)
     assert (plan.heights.to_m, plan.circle) == (150.0, HERE)
-    assert controller.snapshot().height_m == 150.0
+    assert controller.snapshot().height_asked_m == 150.0
 
 
 def test_another_band_and_side_reach_the_planner_and_send_nothing(watching):

@@ -332,7 +332,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     scene = look.scene
     memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
     for time_s in range(30):
-        remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory)
+        remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory, math.inf)
     memory[STANDING] = 0.0
     futures = winding(scene, table.motions, wish, memory, TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0

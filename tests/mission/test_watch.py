@@ -12,7 +12,7 @@ import pytest
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from sidelong.mission.control.surroundings import Surroundings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
@@ -129,7 +129,7 @@ def test_a_plan_is_prepared_then_departs_at_its_time():
     (depart,) = kinds(fly(controller, 3.0, 12.0), ActivatePlan)
     assert depart.time_s == pytest.approx(prepare.plan.departure_s, abs=0.11)
     controller.step(PlanStatus(depart.time_s + 0.1, depart.number, "departed"))
-    assert controller.snapshot().present.circle == THERE
+    assert controller.snapshot().plan.circle == THERE
     assert controller.snapshot().moves == 1
 
 
@@ -221,7 +221,7 @@ def test_a_failed_plan_leaves_the_present_one():
     (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
     controller.step(PlanStatus(3.0, prepare.number, "failed", "timeout"))
     state = controller.snapshot()
-    assert state.present.circle == HERE
+    assert state.plan.circle == HERE
     assert (state.moves, state.upload_failures) == (0, 1)
 
 
@@ -229,7 +229,7 @@ def test_a_report_about_another_plan_is_ignored():
     controller = make(Scripted([THERE]))
     (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
     assert controller.step(PlanStatus(3.0, prepare.number + 7, "departed")) == ()
-    assert controller.snapshot().present.circle == HERE
+    assert controller.snapshot().plan.circle == HERE
 
 
 def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():

@@ -12,7 +12,7 @@ from sidelong.estimators.sensing.line_of_sight import line_of_sight
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, Source
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.tracker import Tracker
-from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.present import Phase
 from tests.faults.flight import FaultedFlight, Scenario
 
 _HEIGHT_M, _HEADING_RAD = 100.0, 0.7

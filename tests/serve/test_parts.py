@@ -13,6 +13,7 @@ import tempfile
 import threading
 from configparser import ConfigParser
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from shutil import which
@@ -21,13 +22,13 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
+from sidelong.app.assembly import controller_of
 from sidelong.app.cli import app
 from sidelong.app.commands import serve
 from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
-from sidelong.app.link.queries import VehicleStatus
 from sidelong.app.records import run_folder
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve import control_socket
@@ -35,7 +36,7 @@ from sidelong.app.serve.resident import Resident, ServiceDisplay, State, feed_wa
 from sidelong.app.serve.standby import Standby, Triggers
 from sidelong.app.view.address import PageAddress
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.alarms import Alarm
+from sidelong.mission.control.present import Alarm, VehicleStatus
 from sidelong.mission.core.events import Announce, ModeReported
 from tests.messages import heartbeat, message
 
@@ -560,13 +561,14 @@ def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, m
 
 
 def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
+    snapshot = controller_of(Config()).snapshot()
     resident = Watched(tmp_path, None)
     resident._become(State.WATCHING, "")
     display = resident._display = ServiceDisplay(print, lambda: None, print)
     alarm = Alarm("link", "nothing received from the aircraft for 3 s", "check radio and antenna", 0.0)
-    display.connected(lambda: VehicleStatus(alarms=(alarm,)))
+    display.show(replace(snapshot, vehicle=VehicleStatus(alarms=(alarm,))))
     assert str(resident.status) == "watching: nothing received from the aircraft for 3 s"
-    display.connected(VehicleStatus)
+    display.show(replace(snapshot, vehicle=VehicleStatus()))
     assert str(resident.status) == "watching"
 
 

@@ -31,7 +31,7 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
         requirement=REQUIREMENT,
         pan_limit_rad=math.pi,
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
-        sensor_status=SimpleNamespace(height_m=aircraft_m[2]),
+        height_m=aircraft_m[2],
         estimate=SimpleNamespace(
             time_s=time_s, east_m=target_m[0], north_m=target_m[1], velocity_east_m_s=1.0, velocity_north_m_s=0.0
         ),

@@ -1,0 +1,242 @@
+"""What an operator sees of a mission: one record, which alarms, displays, reports and summaries read.
+
+Source: docs/watch-endings.md; docs/health.md#inputs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.biases import Delays
+from sidelong.estimators.frames import wrap_rad
+from sidelong.mission.core.inputs import Input, InputReport, InputState
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Requirement, Side, Wind
+from sidelong.mission.route.progress import RouteProgress
+
+
+class Phase(StrEnum):
+    """Where the mission stands."""
+
+    WAITING = "waiting"  # not taken over yet
+    WATCHING = "watching"
+    HOLDING = "holding"  # by an operator's wish
+    YIELDED = "yielded"
+    ENDED = "ended"
+
+    @property
+    def in_control(self) -> bool:
+        """Whether sidelong controls the aircraft."""
+        return self in (Phase.WATCHING, Phase.HOLDING)
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One active alarm.
+
+    Attributes:
+        key: Its name, such as ``target``.
+        text: The present fault.
+        advice: Recommended action.
+        countdown_s: Time until the aircraft acts automatically; None: it does not.
+    """
+
+    key: str
+    text: str
+    advice: str
+    since_s: float
+    countdown_s: float | None = None
+    acknowledged: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """What no decision reads, as the autopilot and the link report it; None: not reported.
+
+    Attributes:
+        gps: The fix in words.
+        link_percent: Share of the frames sent to this station that arrived over the link in use.
+        round_trip_s: Its round-trip time.
+        endurance_s: Flight time left until the battery's reserve.
+        home_s: Flight time to home.
+        home_m: Home in the local plane, east and north.
+        silent_s: For how long the aircraft has not been received, by this computer's clock.
+        alarms: Those that are raised.
+    """
+
+    battery_percent: int | None = None
+    battery_v: float | None = None
+    gps: str | None = None
+    gps_good: bool | None = None
+    link_percent: int | None = None
+    round_trip_s: float | None = None
+    endurance_s: float | None = None
+    home_s: float | None = None
+    home_m: tuple[float, float] | None = None
+    silent_s: float = 0.0
+    alarms: tuple[Alarm, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """The state of the mission at one moment. Times are of the vehicle's clock, positions of the local plane.
+
+    Band, side and angles are by the estimate, with the definitions of :mod:`sidelong.app.analysis.score`.
+
+    Attributes:
+        plan: The plan that is flown.
+        coming: The plan on its way to the autopilot.
+        course_rad: The target's course made good; None until it has moved far enough.
+        present_course_rad: Its present course; None until it has moved.
+        height_m: The aircraft's, above home; NaN: unknown.
+        heading_rad: Where the nose points; NaN: unknown.
+        height_asked_m: As an operator has changed it; None: as configured.
+        range_s, gimbal_s: Time of the latest reading of the laser and the gimbal in use, -inf before the first.
+        nis: Normalised innovation squared of the latest sighting that was compared, NaN before the first.
+        delays: Of the payload's stamps, as far as they are estimated.
+        target: Which of a fleet's targets is to be watched.
+        turn_payload: Whether the payload looks at another target.
+        over: Why the mission was yielded or has ended.
+        separation: Which other aircraft is too near, in words.
+        unknown: Why it is not known how well the target is watched; '' while it is known.
+        position_age_s: Time since the latest position; by this computer's clock while the vehicle's stands still.
+        route: The target's progress along its route; None without a route.
+        vehicle: None where there is no vehicle, as in a replay.
+    """
+
+    time_s: float
+    phase: Phase
+    requirement: Requirement
+    aircraft: AircraftState | None
+    estimate: TargetEstimate | None
+    course_rad: float | None
+    present_course_rad: float | None
+    plan: Plan | None
+    coming: Plan | None
+    decision: Decision | None
+    wind: Wind
+    moves: int
+    uploads: int
+    upload_failures: int
+    latency_s: float
+    mode: str
+    height_m: float
+    bank_rad: float
+    heading_rad: float
+    radius_m: float
+    pan_limit_rad: float
+    height_asked_m: float | None
+    range_s: float
+    gimbal_s: float
+    nis: float
+    sightings: int
+    rejected: int
+    delays: Delays | None
+    give_up_after_s: float
+    give_up_action: str
+    connected: bool = True
+    target: str = ""
+    turn_payload: bool = False
+    over: str = ""
+    separation: str = ""
+    health: tuple[InputReport, ...] = ()
+    unknown: str = ""
+    position_age_s: float = 0.0
+    route: RouteProgress | None = None
+    vehicle: VehicleStatus | None = None
+
+    @property
+    def side(self) -> Side:
+        """The required side."""
+        return self.requirement.side
+
+    @property
+    def impaired_inputs(self) -> tuple[str, ...]:
+        """Each input that is not ok, in words: its state and for how long. The link has indicators of its own."""
+        now_s = self.time_s + self.position_age_s
+        return tuple(
+            f"{report.input} {report.state} for {max(now_s - report.since_s, 0.0):.0f} s"
+            for report in self.health
+            if report.state is not InputState.OK and report.input is not Input.LINK
+        )
+
+    @property
+    def from_target_m(self) -> tuple[float, float] | None:
+        """East and north of the aircraft from the target; None where one of them is unknown."""
+        if self.aircraft is None or self.estimate is None:
+            return None
+        east_m, north_m = self.estimate.position_m(self.time_s)
+        return self.aircraft.east_m - east_m, self.aircraft.north_m - north_m
+
+    @property
+    def range_m(self) -> float | None:
+        """Horizontal range."""
+        return None if self.from_target_m is None else math.hypot(*self.from_target_m)
+
+    @property
+    def watch_course_rad(self) -> float | None:
+        """The target's course that defines the sides: the present one until it has made one good."""
+        return self.present_course_rad if self.course_rad is None else self.course_rad
+
+    @property
+    def angle_rad(self) -> float | None:
+        """Observation angle, from the middle of where the target is to be watched from."""
+        course_rad, from_target_m = self.watch_course_rad, self.from_target_m
+        middle_rad = self.requirement.middle_rad(math.nan if course_rad is None else course_rad)
+        if from_target_m is None or math.isnan(middle_rad):
+            return None
+        return wrap_rad(math.atan2(*from_target_m) - middle_rad)
+
+    @property
+    def beyond_side_rad(self) -> float:
+        """How far the observation angle is beyond the allowed one, negative: within it; NaN: unknown."""
+        angle_rad = self.angle_rad
+        return math.nan if angle_rad is None else abs(angle_rad) - self.requirement.allowed_rad
+
+    @property
+    def is_side_known(self) -> bool:
+        """Whether the target has made good a course, or the side does not depend on it."""
+        requirement = self.requirement
+        made_good = self.course_rad is not None or requirement.sector is not None
+        return self.from_target_m is not None and (made_good or requirement.either_side)
+
+    @property
+    def _is_judged(self) -> bool:
+        """Whether band and side are known: not while an input or the link fails, or the payload looks elsewhere."""
+        if self.estimate is None or self.estimate.quality is TrackQuality.LOST:
+            return False
+        return self.connected and not (self.unknown or self.turn_payload)
+
+    @property
+    def in_band(self) -> bool | None:
+        """Whether the range is the required one; None: unknown."""
+        range_m = self.range_m
+        if range_m is None or not self._is_judged:
+            return None
+        return self.requirement.range_min_m <= range_m <= self.requirement.range_max_m
+
+    @property
+    def on_side(self) -> bool | None:
+        """Whether the side is the required one; None: unknown."""
+        if not (self._is_judged and self.is_side_known):
+            return None
+        return self.requirement.either_side or self.beyond_side_rad <= 0.0
+
+    @property
+    def unseen_s(self) -> float | None:
+        """Time since the last accepted sighting; None: never, or the payload looks at another target."""
+        return None if self.estimate is None or self.turn_payload else self.time_s - self.estimate.last_sighting_s
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the track is lost."""
+        return self.unseen_s is not None and self.estimate is not None and self.estimate.quality is TrackQuality.LOST
+
+    @property
+    def gives_up_in_s(self) -> float | None:
+        """Time until the mission ends because the target is not seen; None: it does not."""
+        unseen_s = self.unseen_s
+        return self.give_up_after_s - unseen_s if unseen_s is not None and self.phase is Phase.WATCHING else None
