@@ -70,7 +70,7 @@ def documented_modules() -> list[str]:
     api = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(api)
     names = re.findall(r"^::: sidelong\.(\S+)", "\n".join(api.pages(ROOT).values()), re.MULTILINE)
-    assert len(names) > 100
+    assert len(names) > 60
     return [f"{name.replace('.', '/')}.py" for name in names]
 
 

@@ -13,8 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from sidelong.app.config import Config
-from sidelong.mission.control.alarms import Alarms, battery_is_low
-from sidelong.mission.control.endurance import Endurance, time_to_s
+from sidelong.mission.control.alarms import Alarms, Endurance, battery_is_low, time_to_s
 from sidelong.mission.control.present import Present, VehicleStatus
 from sidelong.mission.core.events import AlarmReported, BatteryReported
 

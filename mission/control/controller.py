@@ -3,7 +3,7 @@
 Rules
 -----
 1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
-2. At most one plan is under way to the autopilot (:mod:`sidelong.mission.control.plan_changes`), and while one is,
+2. At most one plan is under way to the autopilot (:mod:`sidelong.mission.control.planning`), and while one is,
    nothing is decided. A plan that is dropped or fails leads to a new decision.
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
@@ -50,14 +50,11 @@ from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.alarms import battery_is_low
 from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
-from sidelong.mission.control.plan_changes import PlanChanges
-from sidelong.mission.control.planning import Planning
+from sidelong.mission.control.planning import PlanChanges, Planning, UploadLatency
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.present import Phase, Present
 from sidelong.mission.control.surroundings import Flown, Surroundings
-from sidelong.mission.control.target_news import JumpNews, PayloadNews, TargetNews
-from sidelong.mission.control.unseen import UnseenTarget
-from sidelong.mission.control.upload_latency import UploadLatency
+from sidelong.mission.control.target_news import JumpNews, PayloadNews, TargetNews, UnseenTarget
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     AlarmReported,
@@ -99,7 +96,7 @@ _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height
 _SILENT_S = 2.0
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
-_GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: it is no mere gap of the laser
+_GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
 _SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
 _LOW_BATTERY_REPORTS = 2  # in a row
 

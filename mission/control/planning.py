@@ -1,17 +1,34 @@
-"""The planner in use, and the data that it needs. Source: docs/explanation/planners.md."""
+"""The planner in use, the plan that is flown, and the plan on its way to the autopilot.
+
+At most one plan is pending. It is uploaded while the autopilot still flies the previous path, then activated at its
+planned time. A plan that is ready too late to be joined is dropped. If only a command starts it, the command is sent
+earlier by the autopilot's response time. An activated plan stays pending until the autopilot confirms it; the
+confirmation may arrive late.
+
+The circle that is sent has the radius that makes the autopilot fly the planned radius. ArduPlane flies 116 m when
+asked for 100 m: its loiter law has no integral part and scales with altitude. The ratio is steady for an aircraft at
+one speed, so it is measured and divided out.
+
+Source: docs/explanation/planners.md; docs/explanation/exchange.md; docs/retries.md#3-one-plan.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.mission.core.events import RouteGiven
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, RouteGiven, StepOutput, UploadPlan
 from sidelong.mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
-from sidelong.mission.geometry.progress import dead_reckoned
+from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, off_track, point_at
 from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe, progress_of
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route, route_from
@@ -173,3 +190,309 @@ class Planning:
         if off_m < 0.5 * self._aircraft.radius_m or (begun and ahead_m < self._requirement.range_max_m):
             return Decision(aircraft.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
         return Decision(aircraft.time_s, plan, f"approaching: the target is {range_m:.0f} m away")
+
+
+# The second longest of this many plans, once there are three: a stalled upload is an outlier. Each took as many round
+# trips as the next will take: an upload at least two (the count's and the items'), a command one.
+_PLANS, _MARGIN_S = 5, 0.1
+_UPLOAD_ROUND_TRIPS, _COMMAND_ROUND_TRIPS = 2.0, 1.0
+
+
+class UploadLatency:
+    """expected_s: of the next plan, on the vehicle's clock; as it is given until one was measured.
+
+    command_s: from a command that is sent until it is obeyed, as a rule; 0 before one was measured.
+    """
+
+    def __init__(self, expected_s: float) -> None:
+        self.expected_s = self._given_s = expected_s
+        self.command_s = 0.0
+        self._by_command = False
+        self._round_trip_s: float | None = None  # of the link, now
+        self._took_s: deque[tuple[float, float | None]] = deque([(expected_s, None)], _PLANS)
+
+    def note(self, took_s: float, *, by_command: bool = False) -> None:
+        """Process the duration of an upload, also of one that was abandoned and would have taken longer.
+
+        Args:
+            took_s: Duration until the plan could be flown, s.
+            by_command: The plan was not uploaded, but flown as soon as one command was obeyed.
+        """
+        self._by_command = by_command
+        self._took_s.append((took_s, self._round_trip_s))
+        self._expect()
+
+    def note_round_trip(self, round_trip_s: float) -> None:
+        """Process a measured round trip of the link."""
+        self._round_trip_s = round_trip_s
+        self._expect()
+
+    def _expect(self) -> None:
+        now_s = self._round_trip_s
+        round_trips = _COMMAND_ROUND_TRIPS if self._by_command else _UPLOAD_ROUND_TRIPS
+        min_s = 0.0 if now_s is None else round_trips * now_s
+        expected = sorted(
+            took_s if now_s is None or then_s is None else took_s + round_trips * (now_s - then_s)
+            for took_s, then_s in self._took_s
+        )
+        if len(expected) > 1:
+            self.expected_s = expected[-2 if len(expected) > 2 else -1] + _MARGIN_S
+        else:
+            self.expected_s = self._given_s
+        self.expected_s = max(self.expected_s, min_s)
+        if self._by_command:
+            self.command_s = max(expected[(len(expected) - 1) // 2], min_s)
+
+
+_MIN_RATIO, _MAX_RATIO = 0.7, 1.5
+
+
+class FlownRadius:
+    """Ratio of flown to commanded radius, averaged over the last lap; as given until the first whole lap is flown.
+
+    Only samples near the circle and along it count, so that transitions do not spoil the average.
+    """
+
+    def __init__(self, ratio: float = 1.0) -> None:
+        self.ratio = ratio
+        self._circle: Circle | None = None
+        self._turned_rad = 0.0
+        self._sum_m = 0.0
+        self._count = 0
+        self._last_rad: float | None = None
+
+    def observe(self, aircraft: AircraftState, commanded: Circle) -> None:
+        """Process one position of the aircraft.
+
+        Args:
+            aircraft: State of the aircraft.
+            commanded: The circle as it was sent to the autopilot.
+        """
+        if commanded != self._circle:
+            self._restart(commanded)
+        east_m, north_m = aircraft.east_m - commanded.east_m, aircraft.north_m - commanded.north_m
+        flown_m = math.hypot(east_m, north_m)
+        if not _MIN_RATIO * commanded.radius_m <= flown_m <= _MAX_RATIO * commanded.radius_m:
+            self._restart(commanded)
+            return
+        bearing_rad = math.atan2(east_m, north_m)
+        if self._last_rad is not None:
+            step_rad = (bearing_rad - self._last_rad + math.pi) % (2.0 * math.pi) - math.pi
+            self._turned_rad += step_rad if commanded.clockwise else -step_rad
+        self._last_rad = bearing_rad
+        if self._turned_rad < math.pi:
+            return  # the first half lap still shows the entry
+        self._sum_m += flown_m
+        self._count += 1
+        if self._turned_rad >= 3.0 * math.pi:
+            self.ratio = self._sum_m / self._count / commanded.radius_m
+            self._restart(commanded)
+            self._turned_rad = math.pi  # settled: the next lap counts from here
+
+    def _restart(self, circle: Circle) -> None:
+        self._circle, self._turned_rad, self._sum_m, self._count, self._last_rad = circle, 0.0, 0.0, 0, None
+
+    def commanded(self, wanted: Circle) -> Circle:
+        """Return the circle to command so that the aircraft flies ``wanted``."""
+        return Circle(wanted.east_m, wanted.north_m, wanted.radius_m / self.ratio, wanted.clockwise)
+
+
+# A late plan still departs within this time, while the aircraft is near its path: a transition leaves the previous
+# path slowly. After it the aircraft banks the wrong way for the plan.
+_LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
+# An aircraft that is off its transition for this time does not return automatically. The same holds if it turns this
+# much tighter than any plan: it orbits a waypoint that it cannot reach, near its path all the time.
+_OFF_TRACK_S, _ORBITS = 6.0, 2.0
+# The present circle is sent again when its flown radius is off by more than this share.
+_RADIUS_TOLERANCE = 0.03
+
+
+@dataclass(slots=True)
+class PlanChange:
+    """A plan on its way to the autopilot."""
+
+    command: UploadPlan
+    stage: Literal["preparing", "ready", "departing"] = "preparing"
+    by_command: bool = False  # nothing of it is on board: it departs when one command is obeyed
+    activated_s: float = math.inf
+
+
+class PlanChanges:
+    """One flight's. present: the plan that is flown, None before the aircraft was taken over.
+
+    under_way: the change that is; flown_since_s: when the change was decided that led to the present plan.
+    """
+
+    def __init__(self, door: Plausibility, latency: UploadLatency) -> None:
+        self.present: Plan | None = None
+        self.under_way: PlanChange | None = None
+        self.flown_since_s = -math.inf
+        self.moves = self.uploads = self.failures = 0
+        self._door, self._latency = door, latency
+        self._not_taken: PlanChange | None = None  # the last departure that failed: should it be flown after all
+        self._commanded: Circle | None = None  # the present circle as sent to the autopilot
+        self._flown_radius = FlownRadius()
+        self._on_line_s = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
+
+    def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
+        """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``.
+
+        Args:
+            plan: The plan.
+            flown: The circle that is flown.
+            commanded: The circle as it was sent to the autopilot.
+        """
+        self.present, self._commanded, self._not_taken = plan, commanded, None
+        self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
+
+    def observe(self, aircraft: AircraftState) -> None:
+        """Update the aircraft's state, unless it is dead reckoned."""
+        if self._commanded is not None:
+            self._flown_radius.observe(aircraft, self._commanded)
+
+    def upload(
+        self,
+        time_s: float,
+        plan: Plan,
+        wind: Wind,
+        reason: str,
+        text: str = "",
+        kind: Literal["decision", "plan"] = "decision",
+    ) -> tuple[Announce, UploadPlan]:
+        """Announce a plan, and begin to upload it.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            plan: The plan.
+            wind: Estimate of the wind.
+            reason: Reason of the decision, in words.
+            text: What is announced; empty: the reason.
+            kind: Kind of the announcement.
+        """
+        assert self.present is not None
+        self.uploads += 1
+        commanded = self._flown_radius.commanded(plan.circle)
+        command = UploadPlan(time_s, self.uploads, plan, commanded, self.present, wind, reason)
+        self.under_way = PlanChange(command)
+        return Announce(time_s, kind, text or reason), command
+
+    def withdraw(self) -> None:
+        """Let go of the plan under way."""
+        self.under_way = None
+
+    def activate_due(self, now_s: float, *, watching: bool) -> tuple[StepOutput, ...]:
+        """Activate the plan that is ready, at its time of departure.
+
+        Args:
+            now_s: Present time, vehicle's clock, s.
+            watching: Whether control of the aircraft is confirmed.
+        """
+        change = self.under_way
+        if change is None or change.stage != "ready":
+            return ()
+        due_s = change.command.plan.departure_s - (self._latency.command_s if change.by_command else 0.0)
+        if now_s < due_s:
+            return ()
+        if not watching:
+            self.under_way = None
+            return ()
+        late_s = now_s - due_s
+        if (self._door.faulty or self._door.no_heartbeat) and late_s <= _LATE_S:
+            return ()
+        if self._door.doubt is not None or late_s > _LATE_S:
+            self.under_way = None
+            why = self._door.doubt or f"its time was {late_s:.1f} s ago"
+            return (Announce(now_s, "plan", f"plan {change.command.number} does not depart: {why}"),)
+        change.stage, change.activated_s = "departing", now_s
+        return (ActivatePlan(now_s, change.command.number),)
+
+    def report(
+        self, event: PlanStatus, now_s: float, aircraft: AircraftState | None, *, watching: bool
+    ) -> tuple[StepOutput, ...]:
+        """Process the status of a plan.
+
+        Args:
+            event: The status.
+            now_s: Present time, vehicle's clock, s.
+            aircraft: State of the aircraft; None if unknown.
+            watching: Whether control of the aircraft is confirmed.
+        """
+        late = self._not_taken
+        if event.stage == "departed" and late is not None and late.command.number == event.number:
+            self.failures -= 1
+            self._departed(late, event.time_s)
+            return ()
+        change = self.under_way
+        if change is None or change.command.number != event.number:
+            return ()
+        match event.stage:
+            case "unconfirmed":
+                return (Announce(event.time_s, "plan", f"plan {event.number}: {event.detail} yet"),)
+            case "failed":
+                return self._failed(change, event)
+            case "ready":
+                change.by_command = event.by_command
+                if not event.by_command:
+                    self._latency.note(event.time_s - change.command.time_s)
+                late_s = event.time_s - change.command.plan.departure_s
+                if late_s > 0.0 and not _can_still_join(aircraft, change.command.plan, late_s):
+                    self.under_way = None
+                    text = f"plan {event.number} was on board {late_s:.1f} s too late: the present circle goes on"
+                    return (Announce(event.time_s, "plan", text),)
+                change.stage = "ready"
+                return self.activate_due(now_s, watching=watching)
+        if change.by_command:
+            self._latency.note(event.time_s - change.activated_s, by_command=True)
+        self._departed(change, event.time_s)
+        return ()
+
+    def _failed(self, change: PlanChange, event: PlanStatus) -> tuple[StepOutput, ...]:
+        if change.stage == "departing":
+            self._not_taken = change
+        took_s = event.time_s - (change.activated_s if change.by_command else change.command.time_s)
+        awaited = change.by_command or change.stage == "preparing"
+        if awaited and took_s > self._latency.expected_s:
+            self._latency.note(took_s, by_command=change.by_command)
+        self.under_way = None
+        self.failures += 1
+        return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)
+
+    def _departed(self, change: PlanChange, time_s: float) -> None:
+        """Take over a plan that is flown: in good time, or one that was thought not to have been taken."""
+        assert self.present is not None
+        self.moves += change.command.plan.circle != self.present.circle
+        self.present, self._commanded = change.command.plan, change.command.commanded
+        self.under_way = self._not_taken = None
+        self.flown_since_s = change.command.time_s
+        self._on_line_s = time_s
+
+    # -- how the present plan is flown ---------------------------------------------------------------------
+
+    def is_off_track(self, aircraft: AircraftState) -> bool:
+        """Return whether the aircraft has left its transition for good."""
+        present = self.present
+        if present is None or present.transition is None:
+            return False
+        nearest = point_at(present, nearest_arc_m(present, aircraft), aircraft)
+        orbits = abs(aircraft.curvature_per_m) * present.circle.radius_m > _ORBITS
+        if not orbits and not off_track(aircraft, nearest):
+            self._on_line_s = aircraft.time_s
+        return aircraft.time_s - self._on_line_s > _OFF_TRACK_S
+
+    def wanted_radius_m(self) -> float | None:
+        """Return the radius to command for the present circle, None where it is the commanded one."""
+        assert self.present is not None
+        assert self._commanded is not None
+        wanted_m = self._flown_radius.commanded(self.present.circle).radius_m
+        return wanted_m if abs(wanted_m / self._commanded.radius_m - 1.0) > _RADIUS_TOLERANCE else None
+
+
+def _can_still_join(aircraft: AircraftState | None, plan: Plan, late_s: float) -> bool:
+    """Return whether the aircraft, which has flown on, is still near enough to the plan's path to join it."""
+    assert aircraft is not None
+    if late_s > _LATE_S:
+        return False
+    if plan.transition is None:
+        return True  # a circle is flown to from anywhere
+    line = point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
+    return not off_track(aircraft, line, _JOINABLE_M, _JOINABLE_RAD)

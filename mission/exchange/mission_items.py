@@ -1,25 +1,32 @@
-"""Plans as mission items: written next to the flown ones. Source: docs/explanation/exchange.md."""
+"""Plans as mission items: written next to the flown ones, one upload at a time, and activated on time.
+
+An aircraft is never sent back to an item that lies behind it.
+
+Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>; docs/explanation/exchange.md;
+docs/retries.md.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
+from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.exchange.activation import Activation, Answer
-from sidelong.mission.exchange.dialect import AutopilotDialect
+from sidelong.mission.exchange.dialect import AutopilotDialect, Home
 from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.exchange.line_progress import first_ahead, flown_after, is_skipped, place_of
 from sidelong.mission.exchange.mission_ownership import MissionOwnership
 from sidelong.mission.exchange.mission_read import MissionRead
-from sidelong.mission.exchange.mission_upload import MissionUpload
-from sidelong.mission.exchange.mission_write import WriteResult
-from sidelong.mission.exchange.outbox import Outbox
+from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
+from sidelong.mission.exchange.outbox import CANCELLED, Outbox
 from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.reports import (
     MissionCountReported,
@@ -28,10 +35,328 @@ from sidelong.mission.exchange.reports import (
     PositionTargetReported,
     VehicleReport,
 )
+from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, plan_items
-from sidelong.mission.upload.mission_item import MissionItem
+from sidelong.mission.upload.mission_item import MissionItem, at_place
 from sidelong.mission.upload.waypoints import UnflyableError, first_to_fly
+
+_SENDS = 5
+_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.4, 2.0
+# After the last request: a later report comes from a vehicle that has received it.
+_SETTLED_S, _SETTLED_ROUND_TRIPS = 0.5, 1.5
+_REPORTS = 2  # of the line before, after that
+_ON_M, _ON_RAD = 25.0, math.radians(25.0)  # so near to a plan the aircraft flies it
+_TRACK_S, _TRACK_BEFORE_S, _TRACK_NEITHER_S = 2.0, 10.0, 15.0  # durations on the vehicle's clock
+
+
+class Answer(StrEnum):
+    """What became of a switch."""
+
+    OPEN = "open"
+    FLOWN = "flown"
+    NOT_TAKEN = "not taken"
+
+
+class Activation:
+    """Makes the path of ``layout`` current while that of ``before`` is flown.
+
+    MISSION_SET_CURRENT is repeated. Each request names an item that the aircraft cannot have passed if it received
+    the previous request. A vehicle that reads items in order ignores requests while it waits for a MISSION_ACK after
+    a download, or for the items of an upload that was announced twice: the acknowledgement is sent again. If no
+    answer comes, a query over the same link shows which reports are newer than the last request.
+    """
+
+    def __init__(
+        self,
+        outbox: Outbox,
+        command: UploadPlan,
+        layout: MissionLayout,
+        before: MissionLayout,
+        round_trip_s: float,
+        target: PositionTargetReported | None,
+        read_in_order: bool,
+    ) -> None:
+        self._read_in_order = read_in_order
+        self._outbox, self._command, self.layout, self.before = outbox, command, layout, before
+        self._round_trip_s = round_trip_s
+        self._target_was_on_line = target is not None and self._is_on_line(target)
+        self._sends = 0
+        self._sent_s = -math.inf
+        self._settled = False
+        self._reports_before = 0
+        self._since_s: dict[Answer, float] = {}
+        self._due_s = -math.inf
+        self.answer = Answer.OPEN
+        self.unanswered = False  # it was asked for often enough; now only the answer is waited for
+        self.index = layout.first  # the farthest item of the line that is known to be flown
+
+    @property
+    def repeated(self) -> bool:
+        """Whether the next request is not the first."""
+        return self._sends > 0
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        return self._due_s if self.answer is Answer.OPEN else math.inf
+
+    def expire(self, first_ahead: int) -> None:
+        """Repeat the request.
+
+        Args:
+            first_ahead: Number of the first item that the aircraft cannot have passed when the request arrives.
+        """
+        now_s = self._outbox.link_s
+        if self.answer is not Answer.OPEN or now_s < self._due_s:
+            return
+        again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self._round_trip_s)
+        if self._sends < _SENDS:
+            self._sends, self._sent_s, self._due_s = self._sends + 1, now_s, now_s + again_s
+            if self._read_in_order and self._sends > 1:
+                self._outbox.end_reading()
+                self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
+            self._outbox.send("MISSION_SET_CURRENT", seq=first_ahead)
+            return
+        settled_s = self._sent_s + max(again_s, _SETTLED_S + _SETTLED_ROUND_TRIPS * self._round_trip_s)
+        if now_s < settled_s:
+            self._due_s = settled_s
+            return
+        self.unanswered = True
+        if self._settled:
+            self._due_s = math.inf
+            return
+        self._due_s = now_s + again_s
+        self._outbox.send_mission("MISSION_REQUEST_LIST")
+
+    def current(self, seq: int) -> None:
+        """Process a MISSION_CURRENT."""
+        if seq in self.layout:
+            self.answer, self.index = Answer.FLOWN, seq
+        elif seq in self.before and self._settled:
+            self._reports_before += 1
+            if self._reports_before >= _REPORTS and self.answer is Answer.OPEN:
+                self.answer = Answer.NOT_TAKEN
+
+    def target(self, report: PositionTargetReported) -> None:
+        """Process the reported position target; a new one is evidence of the switch."""
+        if self._sends and not self._target_was_on_line and self._is_on_line(report):
+            self.answer = Answer.FLOWN
+
+    def counted(self) -> None:
+        """Process the answer to the query: later reports are newer than the last request."""
+        if self.unanswered and not self._settled:
+            self._settled = True
+            self._outbox.end_reading()
+
+    def track(self, aircraft: AircraftState) -> None:
+        """Process the aircraft's position: it is on the new plan, the old one, or neither."""
+        if not self._sends or self.answer is not Answer.OPEN:
+            return
+        on_plan, off_plan = _flies(aircraft, self._command.plan)
+        on_before, off_before = _flies(aircraft, self._command.present)
+        reported = {
+            Answer.FLOWN: on_plan and off_before,
+            Answer.NOT_TAKEN: self.unanswered and on_before and off_plan,
+            Answer.OPEN: self.unanswered and off_plan and off_before,
+        }
+        for answer, holds in reported.items():
+            if not holds:
+                self._since_s.pop(answer, None)
+        bounds_s = {Answer.FLOWN: _TRACK_S, Answer.NOT_TAKEN: _TRACK_BEFORE_S, Answer.OPEN: _TRACK_NEITHER_S}
+        for answer, holds in reported.items():
+            since_s = self._since_s.setdefault(answer, aircraft.time_s) if holds else math.inf
+            if aircraft.time_s - since_s >= bounds_s[answer]:
+                self.answer = Answer.FLOWN if answer is Answer.FLOWN else Answer.NOT_TAKEN
+
+    def _is_on_line(self, report: PositionTargetReported) -> bool:
+        return any(at_place(report.x, report.y, item) for item in self.layout.line())
+
+
+def _flies(aircraft: AircraftState, plan: Plan) -> tuple[bool, bool]:
+    """Return whether an aircraft is close to a plan, and whether it has left it."""
+    point = point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
+    return not off_track(aircraft, point, _ON_M, _ON_RAD), off_track(aircraft, point)
+
+
+_NEAR_M = 100.0  # off its line, an aircraft passes a waypoint at such a distance
+SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
+
+
+def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: float) -> int:
+    """Return the first item that is ahead on a path.
+
+    Args:
+        layout: The items on board.
+        path: The path.
+        plane: The local plane of the mission.
+        flown_m: Distance flown along the path, m.
+
+    Returns:
+        Number of the item, at most that of the circle.
+    """
+    for seq in range(layout.first, layout.end - 1):
+        east_m, north_m = place_of(layout.items[seq], plane)
+        nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
+        if path.arc_m[nearest] > flown_m + SWITCH_M:
+            return seq
+    return layout.end - 1
+
+
+def flown_after(
+    layout: MissionLayout, seq: int | None, aircraft: AircraftState | None, plane: LocalPlane, duration_s: float
+) -> int:
+    """Return the item that will be flown after ``duration_s``: a waypoint may be passed until then.
+
+    Args:
+        layout: The items on board.
+        seq: Number of the item flown now; None if unknown.
+        aircraft: State of the aircraft; None if unknown: no waypoint is passed.
+        plane: The local plane of the mission.
+        duration_s: How far to look ahead, s.
+    """
+    index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
+    if aircraft is None or index == layout.end - 1:
+        return index
+    east_m, north_m = place_of(layout.items[index], plane)
+    off_m = math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m)
+    return index + (off_m < SWITCH_M + aircraft.ground_speed_m_s * duration_s)
+
+
+def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: LocalPlane, flown_m: float) -> bool:
+    """Return whether ``seq`` is flown although the aircraft cannot have passed the waypoint before it.
+
+    Args:
+        layout: The line that is flown.
+        seq: Item that is flown now.
+        aircraft: Where the aircraft is.
+        plane: Local plane.
+        flown_m: How far it may have flown since it passed that waypoint.
+    """
+    if seq - 1 not in layout or seq not in layout:
+        return False
+    east_m, north_m = place_of(layout.items[seq - 1], plane)
+    return math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m) > _NEAR_M + flown_m
+
+
+def place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
+    """Return where an item lies (east, north), m."""
+    return plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+
+
+_DURATION_WEIGHT = 0.5
+_LOSES_UPLOADS = 5  # number of uploads for which a link that lost items is treated as lossy
+
+
+class MissionUpload:
+    """Writes only the items that differ, where the autopilot stores them one by one.
+
+    took_s: what an upload takes, of the vehicle's clock; round_trip_s is of the link's.
+    """
+
+    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, home: Home, ownership: MissionOwnership) -> None:
+        self._outbox, self._quirks, self._ownership = outbox, dialect.quirks, ownership
+        self._tail = dialect.tail(home)
+        self._onboard: tuple[MissionItem | None, ...] = ()  # None where a failed upload leaves doubt
+        self._write: MissionWrite | None = None
+        self._result: WriteResult | None = None
+        self._began_s = 0.0
+        self._since_lost = _LOSES_UPLOADS  # number of uploads without a lost item
+        self.took_s = 0.0
+        self.round_trip_s = 0.0
+
+    @property
+    def under_way(self) -> bool:
+        """Whether something is being written."""
+        return self._write is not None
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        return self._write.next_timer_s if self._write is not None else math.inf
+
+    def adopted(self, items: tuple[MissionItem, ...]) -> None:
+        """Register the items that were read from the vehicle."""
+        self._onboard = items
+
+    def begin(self, items: Sequence[MissionItem], bound_s: float, marked: Callable[[], int]) -> None:
+        """Begin the upload of a mission.
+
+        Args:
+            items: The items to upload. Items that are never reached are added at the end (PX4 wants a landing).
+            bound_s: Time limit, s.
+            marked: Returns the number of the item to fly once the mission is accepted.
+        """
+        items, self._result = (*items, *self._tail), None
+        changed = range(len(items))
+        if len(self._onboard) == len(items):
+            differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
+            if not differing:
+                self._result = WriteResult.ACCEPTED
+                return
+            if self._quirks.stores_items_one_by_one:
+                changed = range(differing[0], differing[-1] + 1)
+        self._began_s = self._outbox.time_s
+        self._ownership.writing(len(items))
+        self._write = MissionWrite(
+            self._outbox,
+            self._quirks,
+            items,
+            changed,
+            self._outbox.link_s + bound_s,
+            marked,
+            self._ownership.mission_ids,
+            self._ownership.doubtful,
+            self.round_trip_s,
+            self._since_lost < _LOSES_UPLOADS,
+        )
+
+    def receive(self, report: VehicleReport) -> None:
+        """Process a report of the autopilot."""
+        if self._write is not None:
+            self._write.receive(report)
+
+    def expire(self) -> None:
+        """Do what is due."""
+        if self._write is not None:
+            self._write.expire()
+
+    def break_off(self) -> None:
+        """Write not one item more."""
+        if self._write is not None:
+            self._write.cancel()
+
+    def forget(self) -> None:
+        """Ignore further messages about the running upload; what is on board is then unknown."""
+        if self._write is not None:
+            self._ownership.written(self._write.items, 0, False)
+        self._write = self._result = None
+        self._onboard = ()
+
+    def ended(self) -> WriteResult | None:
+        """Return, once, what became of the upload; None while it goes on."""
+        write, result = self._write, self._result
+        if write is not None and write.result is not None:
+            self._write, result = None, write.result
+            self._learn(write, result)
+        self._result = None
+        return result
+
+    def _learn(self, write: MissionWrite, result: WriteResult) -> None:
+        self._since_lost = 0 if write.has_lost else self._since_lost + 1
+        if write.round_trip_s is not None:
+            self.round_trip_s = write.round_trip_s
+            self._ownership.measured(write.round_trip_s)
+        if result is WriteResult.ACCEPTED:
+            self.took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self.took_s)
+            self._onboard = write.items
+        elif len(write.items) == len(self._onboard):
+            doubtful = zip(write.items, self._onboard, strict=True)
+            self._onboard = tuple(b if a == b else None for a, b in doubtful)
+        else:
+            self._onboard = ()
+        self._ownership.written(write.items, write.mission_id, result is WriteResult.ACCEPTED)
+
 
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
 _NEGLIGIBLE_S, _MISSED_S = 0.3, 1.0  # a report may have been missed before

@@ -1,4 +1,4 @@
-"""The courses of a target: the one that is held while it stands, the one made good, and the present one.
+"""The courses of a target: its course held while it stands, its course made good, and its present course.
 
 A slowing estimate turns about at random before its speed falls below the threshold, so the course that is held is
 the one of some seconds earlier. The course made good, which defines the sides, is the direction in which the target

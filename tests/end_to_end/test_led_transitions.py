@@ -7,7 +7,7 @@ import pytest
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.exchange.leading_circle import leading_circle
+from sidelong.mission.exchange.orbit_command import leading_circle
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.planner import stretched_lap

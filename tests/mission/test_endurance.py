@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sidelong.mission.control.endurance import Endurance, time_to_s
+from sidelong.mission.control.alarms import Endurance, time_to_s
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 
