@@ -29,8 +29,7 @@ from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.control.surroundings import Surroundings
-from sidelong.mission.core.heights import ClimbRates, Heights, OneHeight
-from sidelong.mission.core.plan import CheckedPlannerFactory
+from sidelong.mission.core.plan import CheckedPlannerFactory, ClimbRates, Heights, OneHeight
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 from sidelong.mission.exchange.plan_backend import BackendSettings

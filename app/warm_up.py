@@ -24,8 +24,8 @@ from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.route.progress import RoutePlanner
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import route_of
+from sidelong.mission.upload.items import lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.upload.waypoints import lay_out
 from sidelong.mission.viewpoint.course_hold import TargetCourse, courses_made_good_rad
 
 if TYPE_CHECKING:

@@ -21,8 +21,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.upload.items import circle_item
+from sidelong.mission.upload.items import MissionLayout, circle_item
 from sidelong.mission.upload.mission_item import e7
 from sidelong.sitl import settings as sitl
 from sidelong.sitl.arduplane.vehicle import ArduPlaneMode, SimulatedArduPlane

@@ -78,9 +78,17 @@ from sidelong.mission.core.events import (
     YieldRequested,
 )
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
-from sidelong.mission.core.heights import ClimbRates, Heights, OneHeight
 from sidelong.mission.core.inputs import Input
-from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlannerFactory, settled_m
+from sidelong.mission.core.plan import (
+    AircraftState,
+    ClimbRates,
+    Decision,
+    Heights,
+    OneHeight,
+    Plan,
+    PlannerFactory,
+    settled_m,
+)
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
@@ -187,7 +195,7 @@ class StandoffController:
         if type(admitted) in _SENSED:  # most of all events
             self._read(admitted)  # type: ignore[arg-type]
             return announced
-        commands = self._admitted(admitted)
+        commands = self._position(admitted) if type(admitted) is PositionReading else self._admitted(admitted)
         return announced + commands if announced else commands
 
     def _health_changes(self) -> tuple[StepOutput, ...]:
@@ -202,8 +210,6 @@ class StandoffController:
 
     def _admitted(self, event: Event) -> tuple[StepOutput, ...]:
         match event:
-            case PositionReading():
-                return self._position(event)
             case WindReported() | WindPrepared() | RouteGiven():
                 return self._planning_input(event)
             case ModeReported():

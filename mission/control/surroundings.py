@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from sidelong.mission.core.heights import Heights
-from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.plan import AircraftState, Heights, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
 from sidelong.mission.geometry.separation import Separation

@@ -22,7 +22,6 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import AutopilotDialect, Home
-from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.mission_ownership import MissionOwnership
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
@@ -37,9 +36,15 @@ from sidelong.mission.exchange.reports import (
 )
 from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
 from sidelong.mission.geometry.wind import STILL_AIR
-from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, plan_items
+from sidelong.mission.upload.items import (
+    NAV_LOITER_UNLIM,
+    NAV_WAYPOINT,
+    MissionLayout,
+    UnflyableError,
+    first_to_fly,
+    plan_items,
+)
 from sidelong.mission.upload.mission_item import MissionItem, at_place
-from sidelong.mission.upload.waypoints import UnflyableError, first_to_fly
 
 _SENDS = 5
 _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.4, 2.0

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Iterable
 
 from sidelong.mission.exchange.dialect import ProtocolQuirks
-from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox
 from sidelong.mission.exchange.ownership import MissionIdentity, Suspicion
@@ -20,6 +19,7 @@ from sidelong.mission.exchange.reports import (
     PositionTargetReported,
     VehicleReport,
 )
+from sidelong.mission.upload.items import MissionLayout
 from sidelong.mission.upload.mission_item import MissionItem, at_place, same_item, same_items
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown

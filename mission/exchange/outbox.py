@@ -91,7 +91,8 @@ class Outbox:
 
     def send_item(self, seq: int, item: MissionItem, current: bool) -> None:
         """Send MISSION_ITEM_INT."""
-        self.send("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item), mission_type=MISSION)
+        fields = {"seq": seq, "current": int(current), **asdict(item), "mission_type": MISSION}
+        self.sent.append(SendMessage(self.time_s, "MISSION_ITEM_INT", fields))
 
     def report(self, event: Derived | Announce | TakeoverFailed) -> None:
         """Report to the control step, or to the operator."""

@@ -32,9 +32,8 @@ from sidelong.estimators.terrain.ground_kernel import (
     mean_height,
 )
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.heights import ClimbRates
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.plan import ClimbRates, Plan
 
 # A height within this share of the required one is as good.
 _HEIGHT_SLACK = 0.2
@@ -71,13 +70,13 @@ class FlightHeights:
         self._highest = _highest_about(ground, rules.margin_m)
 
     def at(self, height_m: float) -> FlightHeights:
-        """See :class:`sidelong.mission.core.heights.Heights`."""
+        """See :class:`sidelong.mission.core.plan.Heights`."""
         other = copy(self)
         other._rules, other._carried = replace(self._rules, height_m=height_m), True
         return other
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
-        """See :class:`sidelong.mission.core.heights.Heights`.
+        """See :class:`sidelong.mission.core.plan.Heights`.
 
         Where the ground under the target is unknown, that below the circle serves.
         """

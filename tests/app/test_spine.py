@@ -54,7 +54,7 @@ FORMS = (
 )
 """In the order of the path. With the frame at both of its ends they are 13."""
 
-MOST = {Flavour.ARDUPLANE: (24, 55), Flavour.PX4: (24, 55)}
+MOST = {Flavour.ARDUPLANE: (19, 52), Flavour.PX4: (19, 52)}
 """Files and functions."""
 
 Function = tuple[str, str]

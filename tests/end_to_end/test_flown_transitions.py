@@ -13,8 +13,8 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.planner import stretched_lap
+from sidelong.mission.upload.items import lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.upload.waypoints import lay_out
 from sidelong.sitl.arduplane.navigator import L1Guidance
 from sidelong.sitl.px4.navigator import PathFollower
 from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.upload.items import MissionLayout
 from sidelong.mission.upload.mission_item import MissionItem
 
 WAYPOINT, LOITER, HOME = 16, 17, 99

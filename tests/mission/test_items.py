@@ -13,10 +13,10 @@ from sidelong.mission.upload.items import (
     FRAME_GLOBAL_RELATIVE_ALT,
     NAV_LOITER_UNLIM,
     NAV_WAYPOINT,
+    UnflyableError,
     circle_item,
     plan_items,
 )
-from sidelong.mission.upload.waypoints import UnflyableError
 
 arduplane, px4 = ArduPlane().tracking, Px4().tracking
 

@@ -14,8 +14,8 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.line_kernel import LinePoint
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.planner import stretched_lap
+from sidelong.mission.upload.items import UnflyableError, first_to_fly, lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.upload.waypoints import UnflyableError, first_to_fly, lay_out
 
 arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
