@@ -92,7 +92,7 @@ class Samples:
     def of(moments: Sequence[Moment]) -> Samples:
         """Return moments of one target as arrays."""
         names = [field.name for field in fields(Moment)][:7]
-        rows = np.array([[getattr(one, name) for name in names] for one in moments]).reshape(-1, 7)
+        rows = np.array([[getattr(moment, name) for name in names] for moment in moments]).reshape(-1, 7)
         return Samples(rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:7])
 
 
@@ -127,7 +127,7 @@ class Judgement:
     @staticmethod
     def joined(parts: Sequence[Judgement]) -> Judgement:
         """Return several as one, in order of time."""
-        whole = [np.concatenate([getattr(one, field.name) for one in parts]) for field in fields(Judgement)]
+        whole = [np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Judgement)]
         order = np.argsort(whole[0], kind="stable")
         return Judgement(*(values[order] for values in whole))
 
@@ -168,27 +168,28 @@ def judge(samples: Samples, asked: Asked) -> Judgement:
     range_m, sight_rad = np.hypot(east_m, north_m), np.arctan2(east_m, north_m)
     which = np.maximum(np.searchsorted([since_s for since_s, _ in asked], time_s, side="right") - 1, 0)
     requirements = [requirement for _, requirement in asked]
-    horizon_s = np.array([one.course_horizon_s for one in requirements])[which]
+    horizon_s = np.array([requirement.course_horizon_s for requirement in requirements])[which]
     present = _present_rad(velocity_m_s)
     made_good = courses_made_good_rad(time_s, samples.target_m, velocity_m_s, horizon_s, _COURSE_GAP_MAX_S)
     made_good = np.where(horizon_s > 0.0, made_good, present)
     in_band, on_side, now, known = (np.ones(time_s.size, bool) for _ in range(4))
     observation_rad = np.full(time_s.size, math.nan)
-    for k, one in enumerate(requirements):
+    for k, requirement in enumerate(requirements):
         here = which == k
-        in_band[here] = (range_m[here] >= one.range_min_m) & (range_m[here] <= one.range_max_m)
+        in_band[here] = (range_m[here] >= requirement.range_min_m) & (range_m[here] <= requirement.range_max_m)
         off_rad, off_now_rad = (
-            _wrapped(sight_rad[here] - one.middle_rad(course_rad[here])) for course_rad in (made_good, present)
+            _wrapped(sight_rad[here] - requirement.middle_rad(course_rad[here]))
+            for course_rad in (made_good, present)
         )
         observation_rad[here] = off_rad
-        on_side[here], now[here] = (~(np.abs(angle) > one.allowed_rad) for angle in (off_rad, off_now_rad))
-        known[here] = one.either_side | ~np.isnan(off_rad)
+        on_side[here], now[here] = (~(np.abs(angle) > requirement.allowed_rad) for angle in (off_rad, off_now_rad))
+        known[here] = requirement.either_side | ~np.isnan(off_rad)
     return Judgement(time_s, range_m, in_band, on_side, now, known, made_good, observation_rad)
 
 
 def judge_moments(moments: Sequence[Moment], asked: Asked) -> Judgement:
     """Judge moments in order of time; where the target changes, its course starts again."""
-    runs = [list(run) for _, run in itertools.groupby(moments, key=lambda one: one.target)]
+    runs = [list(run) for _, run in itertools.groupby(moments, key=lambda moment: moment.target)]
     return Judgement.joined([judge(Samples.of(run), asked) for run in runs or [[]]])
 
 

@@ -50,10 +50,10 @@ class InputTimes:
         if reports is self._latest:  # displays ask at every event
             return
         self._latest = reports
-        for one in reports:
-            changes = self._changes[one.input]
-            if not changes or changes[-1] != (one.since_s, one.state):
-                changes.append((one.since_s, one.state))
+        for report in reports:
+            changes = self._changes[report.input]
+            if not changes or changes[-1] != (report.since_s, report.state):
+                changes.append((report.since_s, report.state))
 
     def between(self, start_s: float, end_s: float) -> tuple[InputTime, ...]:
         """Return how long each input was not ok, and in which state; the present ones last until ``end_s``."""
@@ -150,9 +150,9 @@ class Summary:
         yield "sightings", f"{self.sightings}, rejected {self.rejected}"
         error_m = self.estimate_rmse_m
         yield "error of the estimate (RMS)", "-" if error_m is None else f"{error_m:.2f} m"
-        for one in self.inputs:
-            times = "" if one.times == 1 else f", {one.times} times"
-            yield f"input {one.input}", f"{one.state} for {one.seconds:.0f} s{times}"
+        for fault in self.inputs:
+            times = "" if fault.times == 1 else f", {fault.times} times"
+            yield f"input {fault.input}", f"{fault.state} for {fault.seconds:.0f} s{times}"
         if self.gimbal_delay_s is not None and self.range_delay_s is not None:
             yield "delay of the payload", f"gimbal {self.gimbal_delay_s:.2f} s, laser {self.range_delay_s:.2f} s"
             if max(abs(self.gimbal_delay_s), abs(self.range_delay_s)) > _PROMPT_S:
@@ -247,7 +247,7 @@ class SummaryCollector:
 
     def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
         """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
-        estimated = {one.time_s: one for one in self._estimated if one.time_s >= start_s}
+        estimated = {moment.time_s: moment for moment in self._estimated if moment.time_s >= start_s}
         squares = [
             (estimated[true.time_s].target_east_m - true.target_east_m) ** 2
             + (estimated[true.time_s].target_north_m - true.target_north_m) ** 2
@@ -261,7 +261,7 @@ class SummaryCollector:
     ) -> tuple[Sequence[Moment], Literal["truth", "estimate"]]:
         """Return what there is to judge since ``start_s``, and by what it is judged."""
         if truth is None or plane is None or not self._estimated:
-            return [one for one in self._estimated if one.time_s >= start_s], "estimate"
+            return [moment for moment in self._estimated if moment.time_s >= start_s], "estimate"
         return truth.moments(plane, start_s, max(self.judged_s, self._blind_s), _TRUTH_STEP_S), "truth"
 
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
@@ -271,7 +271,7 @@ class SummaryCollector:
         judged = judge_moments(moments, self._asked)
         if source == "truth" or not moments:
             return score(judged, source, self._departures_s)
-        known = np.array([one.known for one in moments])
+        known = np.array([moment.known for moment in moments])
         end_s = max(moments[-1].time_s, self._blind_s) + self._position_age_s
         return score(judged, source, self._departures_s, end_s, known)
 

@@ -30,7 +30,7 @@ Json = dict[str, Any]
 def _limits(section: type[BaseModel], name: str) -> list[float]:
     """Return the least and the greatest value of a configuration's field."""
     limits = section.model_fields[name].metadata
-    return [next(getattr(one, key) for one in limits if hasattr(one, key)) for key in ("ge", "le")]
+    return [next(getattr(limit, key) for limit in limits if hasattr(limit, key)) for key in ("ge", "le")]
 
 
 _LIMITS = {name: _limits(AircraftSection, name) for name in ("radius_m", "height_m")} | {
@@ -73,7 +73,7 @@ def setting(
         "keep_out": outlines(config.fences.keep_out),
         "name": name,
         "display": config.display.model_dump(),
-        "routes": [[_rounded(*point) for point in one.outline_m(_ROUTE_POINTS).tolist()] for one in routes],
+        "routes": [[_rounded(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()] for route in routes],
         "origin": None if plane is None else _origin(plane),
     }
 

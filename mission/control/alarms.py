@@ -234,11 +234,11 @@ def _well_beyond_side(now: Present) -> bool:
     return not now.beyond_side_rad < _SIDE_MARGIN_RAD
 
 
-def _input(one: Input) -> Callable[[Alarms, Present], str]:
+def _input(watched: Input) -> Callable[[Alarms, Present], str]:
     """Return the text of an input's alarm."""
 
     def text(_alarms: Alarms, now: Present) -> str:
-        bad = (report.text for report in now.health if report.input is one and report.state in _BAD)
+        bad = (report.text for report in now.health if report.input is watched and report.state in _BAD)
         return next(bad, "") if now.phase.in_control and not now.turn_payload else ""
 
     return text
@@ -293,7 +293,7 @@ _RULES = (
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
     _Rule("target", _target, "point the camera at the target, or press Hold to keep circling here"),
-    *(_Rule(one.value, _input(one), advice, clear_s=0.0) for one, advice in _INPUTS.items()),
+    *(_Rule(watched.value, _input(watched), advice, clear_s=0.0) for watched, advice in _INPUTS.items()),
     _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),
     _Rule("band", _band, "wait for the next relocation, or change the band or the circle", after_s=2.0),
     _Rule("side", _side, "wait for the next relocation, or change the side", after_s=20.0, sure=_well_beyond_side),

@@ -313,7 +313,9 @@ class StandoffController:
             jumps_s = tracker.payload.jumps_s
             self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
             self._jump_news.note(self.sighted)
-            self._nis = next((one.nis for one in reversed(self.sighted) if math.isfinite(one.nis)), self._nis)
+            self._nis = next(
+                (outcome.nis for outcome in reversed(self.sighted) if math.isfinite(outcome.nis)), self._nis
+            )
         match reading:
             case AttitudeReading():
                 self._attitude = reading
@@ -430,7 +432,7 @@ class StandoffController:
             return ()
         settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
         plans = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
-        plan = next((one for one in map(self.surroundings.cleared, plans) if isinstance(one, Plan)), None)
+        plan = self.surroundings.first_cleared(plans)
         if plan is None and self._crossed == _CROSSED_COUNT:
             text, layer_m = f"no separated circle is free: {crossed}", self.planning.layer_m
             if layer_m > self._height_m + _BELOW_LAYER_M:  # as after the takeover of two that circle together
@@ -456,7 +458,7 @@ class StandoffController:
         if clear_m < keep_m:
             start, later = dead_reckoned(aircraft, latency_s), reach.after(latency_s)
             plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
-            plan = next((one for one in map(self.surroundings.cleared, plans) if isinstance(one, Plan)), None)
+            plan = self.surroundings.first_cleared(plans)
         if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
             self._hold("the target is not seen")
             return ()

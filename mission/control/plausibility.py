@@ -116,7 +116,7 @@ class PositionCheck:
             jumped: Whether rejected readings are jumps. They may continue or return; neither is flown motion.
         """
         places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
-        return any(one is not None and _stayed(one, place, passed_s) for one in places)
+        return any(earlier is not None and _stayed(earlier, place, passed_s) for earlier in places)
 
     def take(
         self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool
@@ -583,12 +583,12 @@ class Plausibility:
         kind = type(reading)
         latest, source = self._latest[kind]
         if reading.source is not latest:
-            found = self._sources.get((kind, reading.source))
-            if found is None:
+            known = self._sources.get((kind, reading.source))
+            if known is None:
                 if len(self._sources) >= _SOURCES_MAX:
                     return None
-                found = self._sources[kind, reading.source] = SourceClock()
-            source = found
+                known = self._sources[kind, reading.source] = SourceClock()
+            source = known
             self._latest[kind] = reading.source, source
         before_s = source.ahead_s
         time_s = source.corrected_s(reading.time_s, clock)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -81,6 +81,10 @@ class Surroundings:
             return near
         self._cleared = cleared
         return cleared
+
+    def first_cleared(self, plans: Iterable[Plan]) -> Plan | None:
+        """Return the first of several plans that passes the check, with its heights; None: none does."""
+        return next((plan for plan in map(self.cleared, plans) if isinstance(plan, Plan)), None)
 
     def levelled(
         self,

@@ -99,7 +99,7 @@ class JumpNews:
 
     def note(self, outcomes: Sequence[SightingOutcome]) -> None:
         """Process the outcomes of sightings."""
-        self._restarted |= any(one.reason == RESTARTED for one in outcomes)
+        self._restarted |= any(outcome.reason == RESTARTED for outcome in outcomes)
 
     def announce(
         self, time_s: float, before: TargetEstimate | None, estimate: TargetEstimate | None
