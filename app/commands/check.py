@@ -18,7 +18,7 @@ from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
-from sidelong.app.study.prediction import FLIGHT_S, is_studied, predict
+from sidelong.app.study.prediction import FLIGHT_S, predict
 from sidelong.app.study.study import is_compiled
 from sidelong.mission.paper.scope import ThresholdBounds, scope, threshold_bounds
 from sidelong.mission.paper.scope import optimise as optimum
@@ -114,9 +114,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     values: dict[str, Any] = {"planner": settings.planner.name, "prediction": None}
     if settings.planner.name == _PAPER:
         values |= _paper_values(settings, airspeeds_m_s)
-    if not reasons and not is_studied(settings):
-        console.print(f"planner {settings.planner.name}: its own limits are kept; simulated flights do not fly it")
-    elif not reasons:
+    if not reasons:
         if not is_compiled(settings.planner.name):
             console.print("compiling the simulated flights, once for this version of the program: up to a minute")
         prediction = predict(settings, table_progress(console.print))

@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
+from sidelong.app.commands.options import Overrides, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.commands.payload_status import degrees_of, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
@@ -41,18 +42,16 @@ def connect(
         ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
-    timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
     listen_s: Annotated[
         float, typer.Option("--listen", min=0.5, max=3600.0, help="Listen to the sensors this long, s.")
     ] = 3.0,
-    system_id: Annotated[int | None, typer.Option(min=1, max=255, help="MAVLink system id of the vehicle.")] = None,
     payload: Annotated[
         str | None,
         typer.Option(
             metavar="KIND://HOST[:PORT]", help=f"Read the payload by its own protocol: {', '.join(KIND_NAMES)}."
         ),
     ] = None,
-    signing_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Key of the link's signing.")] = None,
+    set_: SetOption = None,
     json: JsonOption = None,
 ) -> None:
     """List the detected components (autopilot, mode, position, sensors, parameters) and failing pre-flight checks.
@@ -64,19 +63,16 @@ def connect(
       sidelong connect udpin://0.0.0.0:14540
       sidelong connect serial:///dev/ttyUSB0:57600 --config mission.toml
       sidelong connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
+      sidelong connect udpin://0.0.0.0:14540 --set link.system_id=2
       sidelong connect --config fleet.toml
     """
     checked_output(json)
     payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
-    overrides: dict[str, dict[str, Any]] = {
+    of_options: Overrides = {
         "payload": {"kind": payload_kind, "url": payload_url},
-        "link": {
-            "urls": urls or None,
-            "heartbeat_timeout_s": timeout,
-            "signing_key_file": signing_key,
-            "system_id": system_id,
-        },
+        "link": {"urls": urls or None},
     }
+    overrides = changed_keys(set_, of_options)
     if not names_a_fleet(config):
         settings = load_config(config, overrides)
         for url in _links(settings):
@@ -86,8 +82,8 @@ def connect(
         write_json(json, report)
         _check_ready([report])
         return
-    if urls or system_id is not None:
-        raise InputError(f"{config} has the links of its aircraft; leave out the URL and --system-id.")
+    if urls or overrides["link"].get("system_id") is not None:
+        raise InputError(f"{config} has the links of its aircraft; leave out the URL and link.system_id.")
     fleet = load_fleet(config, overrides)
     check_files(fleet, fleet.target)
     reports, missing = [], []

@@ -44,6 +44,9 @@ from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 
+_Wanted = tuple[Path | None, Overrides]
+"""The configuration in place of the flight's own, and values that differ from it."""
+
 
 def replay(
     log: Annotated[Path, typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.")],
@@ -89,7 +92,7 @@ def replay(
             )
 
         def one(folder: RunFolder) -> Summary:
-            return _replay_run(folder, judged_by, None, changes, verify, quiet)
+            return _replay_run(folder, judged_by, (None, changes), verify, quiet)
 
         from sidelong.app.commands.replay_fleet import replay_fleet  # noqa: PLC0415  # it takes half a second to load
 
@@ -106,24 +109,23 @@ def replay(
         result = _replay_log(log, judged_by, settings, quiet, frames)
     else:
         # A page shows the flown decisions, and those with other values alongside.
-        result = _replay_run(folder, judged_by, config, changes if frames is None else {}, verify, quiet, frames)
+        result = _replay_run(folder, judged_by, (config, changes if frames is None else {}), verify, quiet, frames)
     console.print(result.table())
     write_json(json, result.as_json())
     if address is not None and frames is not None:
-        _show(log, folder, frames, config, changes, address, view_speed)
+        _show(log, folder, frames, (config, changes), address, view_speed)
 
 
 def _show(
     log: Path,
     run: RunFolder | None,
     frames: Frames,
-    config: Path | None,
-    changes: Overrides,
+    wanted: _Wanted,
     address: PageAddress,
     speed: float,
 ) -> None:
     """Serve the replay's page until the operator closes it, with what other values would have decided."""
-    name = f"replay of {log.name}"
+    (config, changes), name = wanted, f"replay of {log.name}"
     if not frames.times_s:
         raise InputError(f"{name}: there is nothing to show, it contains no position of the vehicle.")
     journal = None if run is None else JournalReader(run.journal, JOURNAL_TYPES)
@@ -185,12 +187,12 @@ def _replay_log(
 def _replay_run(
     folder: RunFolder,
     truth: Truth | None,
-    config: Path | None,
-    changes: Overrides,
+    wanted: _Wanted,
     verify: bool,
     quiet: bool,
     frames: Frames | None = None,
 ) -> Summary:
+    config, changes = wanted
     progress, task = progress_bar(folder.path.name)
     with progress:
         journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))

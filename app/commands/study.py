@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import Field, TypeAdapter, ValidationError
 
-from sidelong.app.commands.options import AIRCRAFT, OUTPUT, panel
+from sidelong.app.commands.options import AIRCRAFT, OUTPUT, SetOption, changed_keys, panel
 from sidelong.app.commands.output import (
     JsonOption,
     checked_file,
@@ -45,9 +46,12 @@ from sidelong.app.study.report import (
 )
 from sidelong.app.study.routes import route_next_to
 from sidelong.app.study.settings import (
+    CONTROLLER,
     LAG_S,
+    LAWS,
     MISSION_PLANNERS,
-    PlannerName,
+    PREDICTIVE,
+    SHAPING,
     StudySettings,
     StudyTerrain,
 )
@@ -60,7 +64,13 @@ _TARGETS = panel("Targets")
 _COMPARISON = panel("Comparison")
 _COMPUTATION = panel("Computation")
 
-_LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
+_Seconds = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+# Keys of section study: how long a random target keeps its course, whether laser and gimbal err, runs per target.
+_OWN_KEYS: dict[str, TypeAdapter[Any]] = {
+    "legs_s": TypeAdapter(tuple[_Seconds, _Seconds]),
+    "perfect_sensors": TypeAdapter(bool),
+    "noise_draws": TypeAdapter(Annotated[int, Field(ge=1)]),
+}
 _OF_BENCHMARK = {"benchmark", "targets", "planner", "controller", "runs", "jobs", "json"}
 # What does not belong to the command that flies one run again.
 _OF_WHOLE = {"planner", "run", "sweep", "store", "export", "report", "json", "jobs", "scheduler"}
@@ -85,10 +95,9 @@ def study(
     runs: Annotated[
         int | None, _TARGETS(min=1, help="Number of targets; default 20 random ones, or all recorded.")
     ] = None,
-    noise_draws: Annotated[int, _TARGETS(min=1, help="Runs per target, each with different noise.")] = 1,
     run: Annotated[list[int] | None, _TARGETS(min=0, help="Fly only the run of this number (repeatable).")] = None,
     seed: Annotated[int, _TARGETS(min=0, help="Seed of all targets and noise.")] = 1,
-    planner: Annotated[list[PlannerName] | None, _COMPARISON(help="Compare only this planner (repeatable).")] = None,
+    planner: Annotated[list[str] | None, _COMPARISON(help="Compare only this planner (repeatable).")] = None,
     controller: Annotated[
         str | None,
         _COMPARISON(help="Command of your own controller: states as CSV rows in, a turn rate out for each."),
@@ -105,26 +114,18 @@ def study(
             "recorded ones whose 95th percentile is above are skipped."
         ),
     ] = None,
-    wind: Annotated[float | None, AIRCRAFT(help="Steady wind, m/s.")] = None,
     autopilot: Annotated[
         str | None,
         AIRCRAFT(help="The simulated autopilot that flies: arduplane (default) or px4."),
-    ] = None,
-    lag: Annotated[
-        float | None, AIRCRAFT(help="Time constant of the aircraft's bank, s; by default that of the autopilot.")
     ] = None,
     sweep: Annotated[
         list[str] | None,
         _COMPARISON(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
     ] = None,
-    legs: Annotated[str, _TARGETS(help="How long a random target keeps its course and speed, s.")] = "40-200",
     duration: Annotated[
         float | None, _TARGETS(help="Longest run, s; default 1200, or a recorded target's whole track.")
     ] = None,
     fidelity: Annotated[str | None, typer.Option(hidden=True)] = None,  # noqa: ARG001  # refused where it is given
-    perfect_sensors: Annotated[
-        bool, _COMPARISON("--perfect-sensors", help="Fly with a laser and a gimbal without errors.")
-    ] = False,
     fleet: Annotated[
         int,
         AIRCRAFT(
@@ -134,6 +135,7 @@ def study(
     terrain: Annotated[
         Path | None, AIRCRAFT(help="Compare the default planner with and without this elevation data (folder).")
     ] = None,
+    set_: SetOption = None,
     home: Annotated[str | None, AIRCRAFT(metavar="LAT,LON", help="Position of the study on the terrain.")] = None,
     jobs: Annotated[int | None, _COMPUTATION(min=1, help="Processes; by default one for each core.")] = None,
     scheduler: Annotated[
@@ -160,7 +162,7 @@ def study(
       sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
       sidelong study --targets tracks --routes --planner predictive
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
-      sidelong study --autopilot arduplane --wind 4
+      sidelong study --autopilot px4 --set simulation.wind_speed_m_s=4 --set study.noise_draws=3
       sidelong study --fleet 2 --runs 50
       sidelong study --terrain dem --home 36.59,-84.24 --runs 50
       sidelong study --benchmark --json benchmark.json
@@ -178,18 +180,15 @@ def study(
         return
     _check_effect(given, fleet)
     _check_places(export, report, store, scheduler)
-    if autopilot not in (None, *LAG_S):
-        raise InputError(f"--autopilot: there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}.")
     values = configured(load_config(config)) if config is not None else {}
     for section, field, value in (
         ("aircraft", "airspeed_m_s", airspeed),
         ("aircraft", "radius_m", radius),
         ("requirement", "target_speed_max_m_s", target_speed_max),
-        ("simulation", "wind_speed_m_s", wind),
-        ("study", "lag_s", lag),
     ):
         if value is not None:
             values.setdefault(section, {})[field] = value
+    own = _own_values(values, set_, targets is not None)
     sweeps = [parsed_sweep(words) for words in sweep or ()]
     airspeed_m_s = values.get("aircraft", {}).get("airspeed_m_s", 10.0)
     _check_values(None if "aircraft.airspeed_m_s" in dict(sweeps) else airspeed_m_s, target_speed_max, duration)
@@ -197,15 +196,13 @@ def study(
         planners=_planners(planner, controller),
         runs=20 if runs is None else runs,
         seed=seed,
-        legs_s=_legs(legs),
-        perfect_sensors=perfect_sensors,
         duration_s=1200.0 if duration is None else duration,
-        noise_draws=noise_draws,
         autopilot=autopilot or "arduplane",
         controller=controller or "",
+        **own,
     )
     if terrain is not None:
-        base = replace(base, planners=(PlannerName.PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
+        base = replace(base, planners=(PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
         if "study.terrain" not in dict(sweeps):
             sweeps.append(parsed_sweep("study.terrain=known,ignored"))
     found = designs(base, values, sweeps, console.print)
@@ -250,13 +247,16 @@ def _given(context: typer.Context) -> dict[str, list[str]]:
     return found
 
 
-def _planners(chosen: list[PlannerName] | None, controller: str | None) -> tuple[PlannerName, ...]:
-    own = (PlannerName.CONTROLLER,) if controller else ()
+def _planners(chosen: list[str] | None, controller: str | None) -> tuple[str, ...]:
+    known, own = (*MISSION_PLANNERS, *LAWS, CONTROLLER), (CONTROLLER,) if controller else ()
+    for name in chosen or ():
+        if name not in known:
+            raise InputError(f"--planner: there is no {name!r}; known: {', '.join(known)}.")
     return tuple(dict.fromkeys(chosen or (*MISSION_PLANNERS, *own)))
 
 
-def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, fleet: int) -> StudyTerrain:
-    if fleet > 1 or (planners and set(planners) != {PlannerName.PREDICTIVE}):
+def _hills(terrain: Path, home: str | None, planners: list[str] | None, fleet: int) -> StudyTerrain:
+    if fleet > 1 or (planners and set(planners) != {PREDICTIVE}):
         raise InputError("--terrain flies one aircraft by the default planner; leave out --fleet and other planners.")
     home_deg = latitude_longitude_deg("--home", home)
     if home_deg is None:
@@ -267,7 +267,7 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
 
 
 def _fly_fleet(
-    settings: StudySettings, designs: int, planners: list[PlannerName] | None, workers: Workers, json: Path | None
+    settings: StudySettings, designs: int, planners: list[str] | None, workers: Workers, json: Path | None
 ) -> None:
     if planners:
         names = ", ".join(FleetPlannerName)
@@ -287,7 +287,7 @@ def _fly_fleet(
 
 
 def _benchmark(benchmark: Benchmark, jobs: int | None, json: Path | None) -> None:
-    if not is_compiled(PlannerName.PREDICTIVE):
+    if not is_compiled(PREDICTIVE):
         console.print("compiling the flights, once for this version of the program: up to a minute")
     with runs_progress(benchmark.total) as (advance, computing):
         rows = benchmark.fly(jobs, advance, computing)
@@ -382,19 +382,36 @@ def _check_values(airspeed_m_s: float | None, target_speed_max_m_s: float | None
         raise InputError(f"--duration: {duration_s:g} s is not from 10 s to a day.")
 
 
-def _legs(words: str) -> tuple[float, float]:
-    match = _LEGS.fullmatch(words)
-    if match is None or not 0.0 < float(match[1]) <= float(match[2]):
-        raise InputError(f"--legs: {words!r} is no range of seconds such as 40-200.")
-    return float(match[1]), float(match[2])
+def _own_values(values: dict[str, dict[str, Any]], given: list[str] | None, is_recorded: bool) -> dict[str, Any]:
+    """Put values of ``--set`` into those of the configuration; return those of section ``study`` but for its lag."""
+    changes, known = changed_keys(given), SHAPING | {"study": (*_OWN_KEYS, "lag_s")}
+    for section, keys in changes.items():
+        for key in keys:
+            if key not in known.get(section, ()):
+                of_section = f"{section}.{', '.join(known[section])}" if section in known else ", ".join(known)
+                raise InputError(f"--set {section}.{key} shapes no study; known: {of_section}.")
+        values.setdefault(section, {}).update(keys)
+    own: dict[str, Any] = {key: values["study"].pop(key) for key in _OWN_KEYS if key in values.get("study", {})}
+    for key, value in own.items():
+        try:
+            own[key] = _OWN_KEYS[key].validate_python(value)
+        except ValidationError as error:
+            raise InputError(f"study.{key}: {error.errors()[0]['msg']}, not {value!r}.") from error
+    if is_recorded and "legs_s" in own:
+        raise InputError("study.legs_s: recorded targets move as recorded; leave it out.")
+    if "legs_s" in own and own["legs_s"][0] > own["legs_s"][1]:
+        raise InputError(f"study.legs_s: {list(own['legs_s'])} is no [LEAST, GREATEST] in seconds.")
+    return own
 
 
 def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
     """Raise InputError for an option that would have no effect."""
+    autopilot = given.get("autopilot", [""])[-1]
+    if autopilot and autopilot not in LAG_S:
+        raise InputError(f"--autopilot: there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}.")
     useless = {
         "fidelity": (True, "every study flies the closed loop; leave it out"),
         "home": ("terrain" not in given, "it places the study on elevation data; give --terrain with it"),
-        "legs": ("targets" in given, "recorded targets move as recorded; leave it out"),
         "jobs": ("scheduler" in given, "the workers of --scheduler compute; leave it out"),
         **dict.fromkeys(("export", "report", "store"), (fleet > 1, "--fleet prints a table; give --json instead")),
     }
@@ -403,8 +420,8 @@ def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
             raise InputError(f"{given[name][0]}: {words}.")
 
 
-def _check_controller(planners: list[PlannerName] | None, controller: str | None, store: Path | None) -> None:
-    if planners and PlannerName.CONTROLLER in planners and not controller:
+def _check_controller(planners: list[str] | None, controller: str | None, store: Path | None) -> None:
+    if planners and CONTROLLER in planners and not controller:
         raise InputError("--planner controller flies your own program; give its command by --controller.")
     if controller is not None and store is not None:
         raise InputError("--store: results of a program that may change are not stored; leave out --controller.")

@@ -23,7 +23,13 @@ from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.report import right_aligned
 from sidelong.app.study.routes import own_route, route_next_to
-from sidelong.app.study.settings import OWN_PLANNERS, PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    CONTROLLER,
+    OWN_PLANNERS,
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.store import ResultStore, code_version
 from sidelong.app.study.study import Study, table_of
 
@@ -76,7 +82,7 @@ class Benchmark:
     """What is to be flown, and the results."""
 
     def __init__(
-        self, places: list[Path] | None, planners: Sequence[PlannerName] | None, controller: str, runs: int | None
+        self, places: list[Path] | None, planners: Sequence[str] | None, controller: str, runs: int | None
     ) -> None:
         """Read the targets.
 
@@ -92,7 +98,7 @@ class Benchmark:
         self.targets = [
             recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_next_to) for one in CLASSES
         ]
-        own = *OWN_PLANNERS, *((PlannerName.CONTROLLER,) if controller else ())
+        own = *OWN_PLANNERS, *((CONTROLLER,) if controller else ())
         self._all = planners is None
         self._planners = own if planners is None else tuple(dict.fromkeys(planners))
         self._settings = [self._of(CLASSES[k], read.flown[:runs], controller) for k, read in enumerate(self.targets)]
@@ -136,7 +142,7 @@ class Benchmark:
         found, routed = [Design(settings)], settings
         if self._all:
             routed = replace(settings, tracks=tuple(map(_with_route, self.targets[k].flown[: settings.runs])))
-            found.append(Design(replace(routed, planners=(PlannerName.PREDICTIVE,))))
+            found.append(Design(replace(routed, planners=(PREDICTIVE,))))
         with closing(ResultStore()) as store:
             study = Study(found, store)
             study.fly(on_processes(jobs), lambda of: table_of(of, computing), 1, advance)

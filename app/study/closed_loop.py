@@ -12,6 +12,8 @@ from sidelong.app.assembly import mission_controller_of, surroundings_of
 from sidelong.app.autopilots.registry import AUTOPILOTS as FLOWN_AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
+from sidelong.app.planners.planner_kind import PlannerNeeds
+from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload
@@ -19,7 +21,11 @@ from sidelong.app.simulation.target import RandomTarget, TargetTruth
 from sidelong.app.study.judging import RunResult, judged, judged_log
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
-from sidelong.app.study.settings import LAG_S, PlannerName, StudySettings, StudyTerrain
+from sidelong.app.study.settings import (
+    LAG_S,
+    StudySettings,
+    StudyTerrain,
+)
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
@@ -30,7 +36,6 @@ from sidelong.mission.core.plan import CheckedPlannerFactory, Plan, PlanCheck, P
 from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.fleet.team_planner import IN_TEAM
-from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.route.route import event_of
@@ -156,14 +161,15 @@ class StudiedAircraft(ClosedLoop[Message]):
 
 
 def run(
-    settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
+    settings: StudySettings, planner: str, number: int, table: ValueTable | None, keep_track: bool = False
 ) -> RunResult:
     """Fly one run. Target and sensor noise depend on the seed and ``number`` only, not on the planner."""
+    if table is None:
+        own, wanted = settings.aircraft(), settings.requirement()
+        needs = PlannerNeeds(own, wanted, (), settings.config.planner.lost_after_s, lambda _share: None)
+        return fly(settings, number, planner_by_name(planner).factory(needs), keep_track)
 
     def make_planner(aircraft: Aircraft, requirement: Requirement, plans: PlanCheck) -> Planner:
-        if planner is PlannerName.PAPER:
-            return PaperPlanner(aircraft, requirement)
-        assert table is not None
         own = IN_TEAM if settings.config.requirement.fleet_size > 1 else USUAL
         return PredictivePlanner(aircraft, requirement, table, own, check=plans.cleared, sight=plans.sight)
 

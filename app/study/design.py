@@ -137,7 +137,7 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
         fitted["requirement"] = {"target_speed_max_m_s": 0.5 * airspeed_m_s}
     lag_s = own.get("lag_s", base.lag_s)
     if not isinstance(lag_s, float | int) or not 0.0 <= lag_s <= _LAG_MAX_S:
-        raise InputError(f"--lag: {lag_s} s is not from 0 to {_LAG_MAX_S:g} s.")
+        raise InputError(f"study.lag_s: {lag_s} s is not from 0 to {_LAG_MAX_S:g} s.")
     terrain = own.get("terrain", base.terrain)
     if terrain not in ("known", "ignored") or (terrain != base.terrain and base.hills is None):
         raise InputError("--sweep: study.terrain is known or ignored, and needs --terrain.")

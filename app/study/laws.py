@@ -17,7 +17,7 @@ from sidelong.app.simulation.payload import Payload
 from sidelong.app.study.controller import ExternalController
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import CONTROLLER, LVFG, ORBIT, PARK, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.readings import (
     AttitudeReading,
@@ -148,7 +148,7 @@ def fly_steered(
     return np.stack([np.hstack([np.array(craft.rows), truth[:, [0, 1, 4]]]) for craft in crafts])
 
 
-def run_law(settings: StudySettings, planner: PlannerName, number: int, keep_track: bool = False) -> RunResult:
+def run_law(settings: StudySettings, planner: str, number: int, keep_track: bool = False) -> RunResult:
     """Fly one run of a guidance law or of the user's program."""
     flown = scene(settings, number)
     circle = first_circle(settings, flown)
@@ -165,17 +165,14 @@ def run_law(settings: StudySettings, planner: PlannerName, number: int, keep_tra
         return np.asarray(log)
 
     clockwise = settings.requirement().side.clockwise
-    match planner:
-        case PlannerName.CONTROLLER:
-            limit_per_m, wanted = _BANK_RESERVE / settings.still_air_radius_m, settings.config.requirement
-            band_m = wanted.range_min_m, wanted.range_max_m
-            with ExternalController(settings.controller, limit_per_m, band_m, wanted.side) as controller:
-                log = fly(controller)
-        case PlannerName.LVFG:
-            log = fly(VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m)
-        case PlannerName.ORBIT:
-            orbit = StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_GAIN_PER_S, _ORBIT_APPROACH_PER_M)
-            log = fly(orbit.curvature_per_m)
-        case _:
-            log = fly(LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m)
-    return judged(settings, log, [], watch.taken_s, keep_track)
+    if planner == CONTROLLER:
+        limit_per_m, wanted = _BANK_RESERVE / settings.still_air_radius_m, settings.config.requirement
+        band_m = wanted.range_min_m, wanted.range_max_m
+        with ExternalController(settings.controller, limit_per_m, band_m, wanted.side) as controller:
+            return judged(settings, fly(controller), [], watch.taken_s, keep_track)
+    law = {
+        LVFG: VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m,
+        ORBIT: StandoffOrbit(_ORBIT_RADIUS_M, clockwise, _ORBIT_GAIN_PER_S, _ORBIT_APPROACH_PER_M).curvature_per_m,
+        PARK: LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m,
+    }[planner]
+    return judged(settings, fly(law), [], watch.taken_s, keep_track)

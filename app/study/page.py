@@ -15,7 +15,6 @@ from sidelong.app.report.plot_style import BAD, figure, legend_above, styled
 from sidelong.app.study.design import word
 from sidelong.app.study.measures import BAND, EXPLAINED, MOVES, SIDE, Measure
 from sidelong.app.study.report import measures_of, study_parts, study_title, sweep_rows
-from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.study import StudyResult, flown_again
 
 _BINS, _WORST = 40, 4
@@ -72,9 +71,7 @@ def _maps(results: Sequence[StudyResult]) -> Iterator[html.Drawing]:
             yield _map(f"map-{k}-{planner}", planner, of, varied, results)
 
 
-def _map(
-    name: str, planner: PlannerName, of: Measure, keys: Sequence[str], results: Sequence[StudyResult]
-) -> html.Drawing:
+def _map(name: str, planner: str, of: Measure, keys: Sequence[str], results: Sequence[StudyResult]) -> html.Drawing:
     across_key, up_key = (*keys, "")[:2]
     swept = [{"": "", **dict(one.design.swept)} for one in results]
     across, up = (list(dict.fromkeys(values[key] for values in swept)) for key in (across_key, up_key))

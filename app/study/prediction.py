@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from sidelong.app.config import Config, with_values
-from sidelong.app.errors import InputError
 from sidelong.app.study.design import configured, designs
 from sidelong.app.study.judging import RunResult
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+)
 from sidelong.app.study.study import one_flown, table_of
 
 FLIGHTS, FLIGHTS_MAX, FLIGHT_S = 20, 80, 600.0  # more flights while the verdict is in doubt
@@ -122,20 +124,9 @@ class Prediction:
         return {"flights": self.flights, "flight_s": FLIGHT_S, "in_doubt": bool(self.doubt()), **shown}
 
 
-def is_studied(config: Config) -> bool:
-    """Return whether a study flies the configured planner: it does not know those of other distributions."""
-    return config.planner.name in tuple(PlannerName)
-
-
 def studied(config: Config) -> StudySettings:
-    """Return the study whose flights predict what a configuration achieves.
-
-    Raises:
-        InputError: A study does not fly its planner.
-    """
-    if not is_studied(config):
-        raise InputError(f"a study does not fly planner.name = {config.planner.name!r} of another distribution")
-    planner, autopilot = PlannerName(config.planner.name), config.simulation.autopilot
+    """Return the study whose flights predict what a configuration achieves."""
+    planner, autopilot = config.planner.name, config.simulation.autopilot
     base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S, autopilot=autopilot)
     (design,) = designs(base, configured(config), [])
     together = with_values(design.settings.config, {"requirement": {"fleet_size": config.requirement.fleet_size}}, "")
@@ -154,7 +145,7 @@ def predict(
     """
     settings = studied(config)
     (planner,) = settings.planners
-    table = table_of(settings, progress) if planner is PlannerName.PREDICTIVE else None
+    table = table_of(settings, progress) if planner == PREDICTIVE else None
     return prediction_of(lambda number: one_flown(settings, planner, number, table), flights)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal
 
 from sidelong.app.config import Config, with_values
+from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 
@@ -16,29 +16,21 @@ if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
 
 
-class PlannerName(StrEnum):
-    """What can be compared: this project's planners, three laws of the literature, and a program of the user."""
-
-    PREDICTIVE = "predictive"
-    PAPER = "paper"
-    LVFG = "lvfg"
-    PARK = "park"
-    ORBIT = "orbit"
-    CONTROLLER = "controller"
-
+PREDICTIVE, PAPER = "predictive", "paper"
+LAWS = LVFG, PARK, ORBIT = "lvfg", "park", "orbit"
+"""Guidance laws of the literature, which steer an aircraft directly."""
+CONTROLLER = "controller"
+"""A program of the user."""
+MISSION_PLANNERS = PLANNER_NAMES
+"""The planners that the closed loop flies, those of other distributions included."""
+OWN_PLANNERS = (PREDICTIVE, PAPER, *LAWS)
+"""What the benchmark compares without a program of the user."""
 
 PARTS = (
     "MAVLink decoding, plausibility checks, filter, planner, control step and exchange with the autopilot; a "
     "simulated vehicle flies the uploaded mission items by its own guidance"
 )
 """What a study consists of."""
-
-OWN_PLANNERS = tuple(one for one in PlannerName if one is not PlannerName.CONTROLLER)
-"""Everything that can be compared without a program of the user."""
-
-MISSION_PLANNERS = (PlannerName.PREDICTIVE, PlannerName.PAPER)
-"""The planners that the closed loop flies; guidance laws have no plans to upload."""
-
 
 # Fitted to the bank that flights in SITL asked for and flew, a quarter of an hour each (to 0.045 and 0.011 rad RMS).
 LAG_S = {"arduplane": 0.45, "px4": 0.43}
@@ -104,7 +96,7 @@ class StudySettings:
     hills: what targets and aircraft move over, None: flat ground. terrain: whether planner and filter know it.
     """
 
-    planners: tuple[PlannerName, ...] = OWN_PLANNERS
+    planners: tuple[str, ...] = OWN_PLANNERS
     runs: int = 20
     seed: int = 1
     config: Config = STUDIED

@@ -21,7 +21,10 @@ import numpy as np
 
 from sidelong.app.errors import InputError
 from sidelong.app.study.judging import RunResult
-from sidelong.app.study.settings import PlannerName, StudySettings, shaping
+from sidelong.app.study.settings import (
+    StudySettings,
+    shaping,
+)
 from sidelong.estimators.compiled import code_digest
 
 MEASURES = tuple(field.name for field in fields(RunResult) if field.type == "float")
@@ -52,13 +55,13 @@ class RunId:
     """Which run, and the key it is kept under."""
 
     key: str
-    planner: PlannerName
+    planner: str
     number: int
     target: str
     draw: int
 
 
-def run_ids(settings: StudySettings, planner: PlannerName) -> Iterator[RunId]:
+def run_ids(settings: StudySettings, planner: str) -> Iterator[RunId]:
     """Return a design's runs of one planner, in order."""
     values = {
         field.name: getattr(settings, field.name)

@@ -15,7 +15,11 @@ from sidelong.app.planners.value_cache import value_table
 from sidelong.app.study.design import Design
 from sidelong.app.study.judging import JudgedTrack, RunResult
 from sidelong.app.study.parallel import Task, Workers, parallel
-from sidelong.app.study.settings import MISSION_PLANNERS, PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    MISSION_PLANNERS,
+    PREDICTIVE,
+    StudySettings,
+)
 from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.path import FloatArray
@@ -61,7 +65,7 @@ class StudyResult:
     """Of one design. wall_s: how long the whole study took."""
 
     design: Design
-    planners: dict[PlannerName, PlannerResult]
+    planners: dict[str, PlannerResult]
     wall_s: float
 
     @property
@@ -93,7 +97,7 @@ class Study:
 
         def batches() -> Iterator[Task]:
             for settings, planner, missing in self._missing():
-                table = tables(settings) if missing and planner is PlannerName.PREDICTIVE else None
+                table = tables(settings) if missing and planner == PREDICTIVE else None
                 for i in range(0, len(missing), batch_size):
                     yield settings, planner, tuple(missing[i : i + batch_size]), table
 
@@ -119,21 +123,19 @@ class Study:
             for design in self.designs
         ]
 
-    def _missing(self) -> Iterator[tuple[StudySettings, PlannerName, list[RunId]]]:
+    def _missing(self) -> Iterator[tuple[StudySettings, str, list[RunId]]]:
         for design in self.designs:
             for planner in design.settings.planners:
                 yield design.settings, planner, self.store.missing(run_ids(design.settings, planner))
 
 
-def flown(
-    settings: StudySettings, planner: PlannerName, runs: Sequence[RunId], table: ValueTable | None
-) -> list[RunResult]:
+def flown(settings: StudySettings, planner: str, runs: Sequence[RunId], table: ValueTable | None) -> list[RunResult]:
     """Fly some runs."""
     return [one_flown(settings, planner, one.number, table) for one in runs]
 
 
 def one_flown(
-    settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
+    settings: StudySettings, planner: str, number: int, table: ValueTable | None, keep_track: bool = False
 ) -> RunResult:
     """Fly one run: a planner by the whole core in a closed loop, a law by its commands alone."""
     # What is compiled takes a second to load.
@@ -156,7 +158,7 @@ def is_compiled(*planners: str) -> bool:
 
 def flown_again(flown: RunId, settings: StudySettings) -> JudgedTrack:
     """Return the path of a run, which is not kept: the run is flown again."""
-    table = table_of(settings) if flown.planner is PlannerName.PREDICTIVE else None
+    table = table_of(settings) if flown.planner == PREDICTIVE else None
     track = one_flown(settings, flown.planner, flown.number, table, keep_track=True).track
     assert track is not None
     return track

@@ -48,7 +48,10 @@ from tests.command_line import sidelong
         (["study", "--scheduler", "here"], "--scheduler: 'here' is no address"),
         (["study", "--store", "tests"], "tests is a folder; give a file to --store"),
         (["study", "--home", "47.4,8.5"], "--home: it places the study on elevation data; give --terrain with it"),
-        (["study", "--legs", "20-60", "--targets", "tests"], "--legs: recorded targets move as recorded"),
+        (
+            ["study", "--set", "study.legs_s=[20,60]", "--targets", "tests"],
+            "study.legs_s: recorded targets move",
+        ),
         (["study", "--fleet", "2", "--export", "x.csv"], "--export: --fleet prints a table; give --json instead"),
         (
             ["launch", "--view", "--set", "display.key_file=a.pem"],

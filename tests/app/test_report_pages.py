@@ -10,7 +10,19 @@ from sidelong.app.cli import app
 from sidelong.app.commands.report import write_report
 
 STUDY = (
-    *("study", "--planner", "lvfg", "--planner", "park", "--perfect-sensors", "--runs", "2", "--duration", "60"),
+    *(
+        "study",
+        "--planner",
+        "lvfg",
+        "--planner",
+        "park",
+        "--set",
+        "study.perfect_sensors=true",
+        "--runs",
+        "2",
+        "--duration",
+        "60",
+    ),
     *("--jobs", "1", "--sweep", "aircraft.airspeed_m_s=10,12", "--sweep", "requirement.range_max_m=400,500"),
 )
 

@@ -15,11 +15,17 @@ from typer.testing import CliRunner
 from sidelong.app.commands.study import study
 from sidelong.app.errors import InputError
 from sidelong.app.study.report import study_json
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    LVFG,
+    ORBIT,
+    PAPER,
+    PARK,
+    StudySettings,
+)
 from sidelong.app.study.store import MEASURES
 from tests.studies import run_study
 
-LAWS = (PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK, PlannerName.ORBIT)
+LAWS = (PAPER, LVFG, PARK, ORBIT)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +73,18 @@ def test_the_summary_has_every_key(small):
 def test_the_command_prints_a_table_and_writes_its_files(command, tmp_path):
     summary, page = tmp_path / "study.json", tmp_path / "study.html"
     result = command(
-        *("--runs", "1", "--duration", "60", "--planner", "lvfg", "--planner", "park", "--perfect-sensors"),
+        *(
+            "--runs",
+            "1",
+            "--duration",
+            "60",
+            "--planner",
+            "lvfg",
+            "--planner",
+            "park",
+            "--set",
+            "study.perfect_sensors=true",
+        ),
         *("--jobs", "1", "--json", str(summary), "--report", str(page)),
     )
     assert result.exit_code == 0, result.output
@@ -81,9 +98,9 @@ def test_the_command_prints_a_table_and_writes_its_files(command, tmp_path):
     [
         (("--target-speed-max", "10"), "--target-speed-max"),
         (("--target-speed-max", "nan"), "--target-speed-max"),
-        (("--wind", "9"), "--wind"),
-        (("--legs", "200-40"), "--legs"),
-        (("--legs", "fast"), "--legs"),
+        (("--set", "simulation.wind_speed_m_s=90"), "simulation.wind_speed_m_s"),
+        (("--set", "study.legs_s=[200,40]"), "study.legs_s"),
+        (("--set", "study.legs_s=fast"), "study.legs_s"),
         (("--duration", "0"), "--duration"),
         (("--report", "study.doc"), "study.doc"),
         (("--report", "nowhere/study.html"), "nowhere"),
@@ -102,7 +119,7 @@ def test_an_interrupt_ends_all_processes():
     code = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         "from tests.studies import run_study; from sidelong.app.study.settings import *;"
-        "s = StudySettings((PlannerName.LVFG,), runs=2000, perfect_sensors=True, duration_s=20.0);"
+        "s = StudySettings((LVFG,), runs=2000, perfect_sensors=True, duration_s=20.0);"
         "run_study(s, None, jobs=2, progress=lambda runs: print(runs, flush=True))"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as whole:

@@ -15,11 +15,17 @@ from sidelong.app.commands.study import study
 from sidelong.app.study import closed_loop
 from sidelong.app.study.closed_loop import run
 from sidelong.app.study.scene import scene
-from sidelong.app.study.settings import PARTS, PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PAPER,
+    PARTS,
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.study import table_of
 from sidelong.mission.route.route import route_of
 
-SETTINGS = StudySettings((PlannerName.PAPER,), runs=1, duration_s=400.0, config=studied(target_speed_max_m_s=4.0))
+SETTINGS = StudySettings((PAPER,), runs=1, duration_s=400.0, config=studied(target_speed_max_m_s=4.0))
 
 
 @pytest.fixture
@@ -31,7 +37,7 @@ def command():
 
 @pytest.mark.parametrize("autopilot", ["arduplane", "px4"])
 def test_a_run_watches_its_target_by_the_plans_that_it_uploads(autopilot):
-    found = run(replace(SETTINGS, autopilot=autopilot), PlannerName.PAPER, 0, None, keep_track=True)
+    found = run(replace(SETTINGS, autopilot=autopilot), PAPER, 0, None, keep_track=True)
     target = scene(SETTINGS, 0).target.at(200.0)
     assert found.duration_s == pytest.approx(400.0, abs=0.3)
     assert tuple(found.track.target_m[2000]) == pytest.approx((target.east_m, target.north_m), abs=1.0)
@@ -42,10 +48,7 @@ def test_a_run_watches_its_target_by_the_plans_that_it_uploads(autopilot):
 
 def test_the_start_and_the_noise_do_not_depend_on_the_planner():
     settings = replace(SETTINGS, duration_s=60.0)
-    found = [
-        run(settings, planner, 0, table_of(settings), keep_track=True).track
-        for planner in (PlannerName.PAPER, PlannerName.PREDICTIVE)
-    ]
+    found = [run(settings, planner, 0, table_of(settings), keep_track=True).track for planner in (PAPER, PREDICTIVE)]
     np.testing.assert_array_equal(found[0].target_m, found[1].target_m)
     np.testing.assert_array_equal(found[0].aircraft_m[:20], found[1].aircraft_m[:20])
 
@@ -59,14 +62,14 @@ def test_the_planner_knows_the_route_of_a_run(monkeypatch):
     monkeypatch.setattr(
         closed_loop.PredictivePlanner, "follow", lambda self, *of: (made.append(of[0]), follow(self, *of))
     )
-    run(settings, PlannerName.PREDICTIVE, 0, table_of(settings))
+    run(settings, PREDICTIVE, 0, table_of(settings))
     assert [one.length_m for one in made] == [pytest.approx(500.0)]
 
 
 @pytest.mark.parametrize("wind_m_s", [0.0, 3.0])
 def test_a_laser_without_errors_brings_the_aircraft_no_farther_from_its_target(wind_m_s):
     config = studied(target_speed_max_m_s=4.0, wind_speed_m_s=wind_m_s, radius_m=50.0 if not wind_m_s else 84.5)
-    found = run(replace(SETTINGS, config=config, perfect_sensors=True), PlannerName.PAPER, 0, None, keep_track=True)
+    found = run(replace(SETTINGS, config=config, perfect_sensors=True), PAPER, 0, None, keep_track=True)
     range_m = np.hypot(*(found.track.aircraft_m - found.track.target_m).T)
     assert found.min_range_m == pytest.approx(range_m.min())
     assert math.isnan(found.min_clearance_m)

@@ -10,14 +10,18 @@ import pytest
 from sidelong.app.errors import InputError
 from sidelong.app.study.design import Design
 from sidelong.app.study.parallel import on_cluster
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    LVFG,
+    PARK,
+    StudySettings,
+)
 from sidelong.app.study.store import MEASURES, ResultStore
 from sidelong.app.study.study import Study
 from tests.studies import run_study
 
 distributed = pytest.importorskip("distributed")
 
-SETTINGS = StudySettings((PlannerName.LVFG, PlannerName.PARK), runs=30, perfect_sensors=True, duration_s=60.0)
+SETTINGS = StudySettings((LVFG, PARK), runs=30, perfect_sensors=True, duration_s=60.0)
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,15 @@ from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
 from sidelong.app.study.fleet_study import fleet_json
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.routes import own_route
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.study import table_of
 
 TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
-SETTINGS = StudySettings(
-    (PlannerName.PREDICTIVE,), runs=2, config=studied(fleet_size=2), duration_s=240.0, legs_s=(30.0, 60.0)
-)
+SETTINGS = StudySettings((PREDICTIVE,), runs=2, config=studied(fleet_size=2), duration_s=240.0, legs_s=(30.0, 60.0))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,10 @@ from sidelong.app.study.judging import judged
 from sidelong.app.study.laws import run_law
 from sidelong.app.study.recorded import prepared, recorded_targets
 from sidelong.app.study.scene import scene
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    LVFG,
+    StudySettings,
+)
 from sidelong.sitl.world.track import RecordedTrack, read_track
 
 TARGETS = Path(__file__).parents[2] / "app" / "study" / "tracks"
@@ -215,7 +218,7 @@ def test_wrong_input_is_one_sentence(command, words, named):
 def test_the_whole_track_is_flown():
     tracks = recorded_targets([TARGETS / "hike_014.csv"], 5.0).flown
     settings = StudySettings(tracks=tracks, runs=1, duration_s=math.inf, perfect_sensors=True)
-    flown = run_law(settings, PlannerName.LVFG, 0, keep_track=True).track
+    flown = run_law(settings, LVFG, 0, keep_track=True).track
     assert flown.time_s[-1] == pytest.approx(tracks[0].duration_s, abs=0.2)
     end = tracks[0].at(flown.time_s[-1])
     assert tuple(flown.target_m[-1]) == pytest.approx((end.east_m, end.north_m))

@@ -12,7 +12,13 @@ from sidelong.app.study import closed_loop
 from sidelong.app.study.design import designs
 from sidelong.app.study.laws import SteeredAircraft, fly_steered, run_law
 from sidelong.app.study.scene import first_circle, scene
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    LVFG,
+    PAPER,
+    PARK,
+    StudySettings,
+    studied,
+)
 from sidelong.mission.core.circle import Circle
 
 
@@ -111,7 +117,7 @@ def the_papers_example(monkeypatch, threshold):
     with monkeypatch.context() as patched:
         patched.setattr(closed_loop, "scene", lambda *of: replace(scene(*of), target=Eastward(3.0)))
         patched.setattr(closed_loop, "first_circle", lambda *_: Circle(0.0, 150.0, 50.0, clockwise=True))
-        track = closed_loop.run(study, PlannerName.PAPER, 0, None, keep_track=True).track
+        track = closed_loop.run(study, PAPER, 0, None, keep_track=True).track
     return np.hypot(*(track.aircraft_m - track.target_m).T)
 
 
@@ -124,7 +130,7 @@ def test_the_papers_ranges_come_out_of_the_study_too(monkeypatch):
 
 def test_target_and_noise_are_the_same_for_every_law():
     settings = StudySettings(perfect_sensors=True, duration_s=120.0)
-    field, park = (run_law(settings, name, 5, keep_track=True).track for name in (PlannerName.LVFG, PlannerName.PARK))
+    field, park = (run_law(settings, name, 5, keep_track=True).track for name in (LVFG, PARK))
     np.testing.assert_array_equal(field.target_m, park.target_m)
     assert field.judged.range_m[0] == park.judged.range_m[0]
     assert 240.0 < field.judged.range_m[0] < 360.0

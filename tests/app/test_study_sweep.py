@@ -17,13 +17,17 @@ from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.study.design import Design, configured, designs, parsed_sweep
 from sidelong.app.study.parallel import on_processes
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    LVFG,
+    PAPER,
+    StudySettings,
+)
 from sidelong.app.study.store import MEASURES, ResultStore, run_ids
 from sidelong.app.study.study import Study
 from tests.studies import run_study
 
-SMALL = StudySettings((PlannerName.LVFG,), runs=4, perfect_sensors=True, duration_s=20.0)
-QUICK = ("--planner", "lvfg", "--runs", "3", "--duration", "30", "--perfect-sensors", "--jobs", "1")
+SMALL = StudySettings((LVFG,), runs=4, perfect_sensors=True, duration_s=20.0)
+QUICK = ("--planner", "lvfg", "--runs", "3", "--duration", "30", "--set", "study.perfect_sensors=true", "--jobs", "1")
 
 
 @pytest.fixture
@@ -107,7 +111,7 @@ def test_what_cannot_be_flown_is_passed_over_and_reported():
         (("--sweep", "aircraft.airspeed_m_s=fast"), "aircraft.airspeed_m_s"),
         (("--sweep", "aircraft.radius_m=300"), "radius_m"),
         (("--fidelity", "closed-loop"), "--fidelity: every study flies the closed loop; leave it out"),
-        (("--lag", "nan"), "--lag"),
+        (("--set", "study.lag_s=nan"), "study.lag_s"),
         (("--autopilot", "inav"), "--autopilot: there is no simulated 'inav'; give arduplane or px4"),
         (("--run", "20"), "--run"),
         (("--export", "a.xlsx"), "--export"),
@@ -128,7 +132,7 @@ def test_a_configuration_is_studied_as_it_would_be_flown(command, tmp_path):
     file.write_text("[aircraft]\nairspeed_m_s = 18\nradius_m = 80\n[requirement]\nside = 'right'\n")
     assert command(str(file), *QUICK, "--json", str(summary)).exit_code == 0
     settings = replace(SMALL, runs=3, duration_s=30.0, config=load_config(file))
-    expected = run_study(settings, None, jobs=1).planners[PlannerName.LVFG]
+    expected = run_study(settings, None, jobs=1).planners[LVFG]
     given = json.loads(summary.read_text())["planners"]["lvfg"]
     assert given["min_range_m"]["worst"] == expected["min_range_m"].min()
     assert given["time_on_side"]["mean"] == pytest.approx(expected["time_on_side"].mean())
@@ -140,14 +144,14 @@ def test_an_autopilot_stands_for_its_lag(command, tmp_path):
         assert command("--planner", "paper", *QUICK[2:], *words, "--json", str(summary)).exit_code == 0
         return json.loads(summary.read_text())["planners"]["paper"]["max_range_m"]
 
-    assert given("--autopilot", "arduplane") == given("--lag", "0.45") == given()
-    assert given("--autopilot", "px4") == given("--autopilot", "px4", "--lag", "0.43") != given()
+    assert given("--autopilot", "arduplane") == given("--set", "study.lag_s=0.45") == given()
+    assert given("--autopilot", "px4") == given("--autopilot", "px4", "--set", "study.lag_s=0.43") != given()
 
 
 def test_autopilot_and_lag_shape_a_flight():
-    settings = replace(SMALL, planners=(PlannerName.PAPER,), runs=1, duration_s=300.0)
+    settings = replace(SMALL, planners=(PAPER,), runs=1, duration_s=300.0)
     found = [
-        run_study(one, None, jobs=1).planners[PlannerName.PAPER]
+        run_study(one, None, jobs=1).planners[PAPER]
         for one in (settings, replace(settings, autopilot="px4"), replace(settings, lag_s=1.0))
     ]
     assert found[0]["moves_per_hour"].max() > 0.0
@@ -173,9 +177,9 @@ def test_what_is_stored_is_not_flown_again(tmp_path):
     assert flown == [2, 2, 1]
     counted(again, replace(SMALL, runs=5, lag_s=1.0))
     assert flown == [2, 2, 1, 2, 2, 1]
-    expected = run_study(replace(SMALL, runs=5), None, jobs=1).planners[PlannerName.LVFG]
+    expected = run_study(replace(SMALL, runs=5), None, jobs=1).planners[LVFG]
     for name in MEASURES:
-        np.testing.assert_array_equal(result.planners[PlannerName.LVFG][name], expected[name])
+        np.testing.assert_array_equal(result.planners[LVFG][name], expected[name])
 
 
 def test_a_study_that_fails_keeps_what_was_flown(tmp_path):
@@ -196,9 +200,9 @@ def test_a_study_that_fails_keeps_what_was_flown(tmp_path):
 
 
 def test_other_code_is_another_result(monkeypatch):
-    own = next(run_ids(SMALL, PlannerName.LVFG))
+    own = next(run_ids(SMALL, LVFG))
     monkeypatch.setattr("sidelong.app.study.store.code_version", lambda: "other")
-    assert next(run_ids(SMALL, PlannerName.LVFG)).key != own.key
+    assert next(run_ids(SMALL, LVFG)).key != own.key
 
 
 KILLED_AFTER_TWO = """
@@ -218,12 +222,23 @@ main()
 
 def test_a_killed_study_goes_on_where_it_stopped(tmp_path):
     file = tmp_path / "study.db"
-    words = ["--planner", "lvfg", "--runs", "60", "--duration", "60", "--perfect-sensors", "--store", str(file)]
+    words = [
+        "--planner",
+        "lvfg",
+        "--runs",
+        "60",
+        "--duration",
+        "60",
+        "--set",
+        "study.perfect_sensors=true",
+        "--store",
+        str(file),
+    ]
     command = [sys.executable, "-c", KILLED_AFTER_TWO, "study", *words, "--jobs", "2"]
     assert subprocess.run(command, timeout=120.0, check=False).returncode == -signal.SIGKILL
     before = rows(file)
     assert 2 <= len(before) < 60
-    settings = StudySettings((PlannerName.LVFG,), runs=60, perfect_sensors=True, duration_s=60.0)
+    settings = StudySettings((LVFG,), runs=60, perfect_sensors=True, duration_s=60.0)
     store, whole = ResultStore(file), ResultStore(tmp_path / "whole.db")
     resumed, study = Study([Design(settings)], store), Study([Design(settings)], whole)
     flown = []

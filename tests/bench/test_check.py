@@ -12,7 +12,9 @@ from sidelong.app.config import Config, unflyable
 from sidelong.app.errors import InputError
 from sidelong.app.study.closed_loop import run
 from sidelong.app.study.prediction import FLIGHTS_MAX, Prediction, Share, predict, prediction_of, studied
-from sidelong.app.study.settings import PlannerName
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+)
 from sidelong.app.study.study import table_of
 from tests.bench.size import size
 
@@ -43,7 +45,7 @@ def flown(config: Config) -> Prediction:
     """Return what flights in the closed loop come to, by the same rule, next to other targets."""
     settings = studied(config)
     table = table_of(settings)
-    return prediction_of(lambda number: run(settings, PlannerName.PREDICTIVE, FLIGHTS_MAX + number, table))
+    return prediction_of(lambda number: run(settings, PREDICTIVE, FLIGHTS_MAX + number, table))
 
 
 def verdict(prediction: Prediction, config: Config) -> str:

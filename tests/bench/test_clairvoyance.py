@@ -25,7 +25,11 @@ from sidelong.app.study.closed_loop import BOOT_S, fly
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.scene import scene
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlanCheck
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
@@ -125,7 +129,7 @@ def flown(study: StudySettings, known_s: float) -> Iterator[tuple[str, RunResult
 def study_of(folder: Path, airspeed_m_s: float, radius_m: float, speed_max_m_s: float, draws: int) -> StudySettings:
     tracks = recorded_targets([folder], speed_max_m_s).flown
     return StudySettings(
-        (PlannerName.PREDICTIVE,),
+        (PREDICTIVE,),
         len(tracks),
         config=studied(airspeed_m_s=airspeed_m_s, radius_m=radius_m, target_speed_max_m_s=speed_max_m_s),
         tracks=tracks,

@@ -22,7 +22,11 @@ import pytest
 
 from sidelong.app.study import closed_loop
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.study import table_of
 from sidelong.estimators.tracking.tracker import Tracker
 from tests.faulty_payload import FaultyPayload, PayloadFaults
@@ -84,7 +88,7 @@ def fly(
         patched.setattr(closed_loop, "Payload", FaultyPayload)
         patched.setattr(closed_loop, "Tracker", _Observed)
         for number in flown.numbers:
-            result = closed_loop.run(flown, PlannerName.PREDICTIVE, number, table)
+            result = closed_loop.run(flown, PREDICTIVE, number, table)
             log = np.array(_Observed.seen.pop())
             at = log[np.searchsorted(log[:, 0], log[0, 0] + BY_S)]
             rows.append((result.time_on_side, result.min_range_m, at[1] - gimbal_s, at[2] - range_s))

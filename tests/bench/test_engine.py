@@ -21,16 +21,16 @@ try:
     from sidelong.app.study.closed_loop import run
 except ImportError:
     from sidelong.app.study.closed_loop import run_closed_loop as run
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (PREDICTIVE, StudySettings,)
 from sidelong.app.planners.value_cache import value_table
 from sidelong.mission.predictive.planner import table_configuration
 settings = StudySettings(runs=20, seed=1)
 table = value_table(table_configuration(settings.aircraft(), settings.requirement()))
-run(settings, PlannerName.PREDICTIVE, 0, table)
+run(settings, PREDICTIVE, 0, table)
 taken_s, decisions_s, figures = [], [], []
 for number in range(4):
     begun_s = time.thread_time()
-    flown = run(settings, PlannerName.PREDICTIVE, number, table)
+    flown = run(settings, PREDICTIVE, number, table)
     taken_s.append(time.thread_time() - begun_s)
     decisions_s += flown.decision_s.tolist()
     names = "time_in_band", "time_on_side", "min_range_m", "max_range_m", "moves_per_hour"

@@ -21,7 +21,11 @@ from sidelong.app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fl
 from sidelong.app.study.fleet_study import fleet_table, fly_fleets
 from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.study import table_of
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
@@ -54,7 +58,7 @@ CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))[: size(3, 
 
 @pytest.fixture(scope="module")
 def settings() -> StudySettings:
-    return StudySettings((PlannerName.PREDICTIVE,), runs=RUNS, config=studied(fleet_size=2))
+    return StudySettings((PREDICTIVE,), runs=RUNS, config=studied(fleet_size=2))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +81,7 @@ def test_two_next_to_recorded_targets_and_one_alone():
         tracks = recorded_targets([TARGETS], speed_max_m_s).flown
         of_class = {"airspeed_m_s": airspeed_m_s, "radius_m": radius_m, "target_speed_max_m_s": speed_max_m_s}
         alone = StudySettings(
-            planners=(PlannerName.PREDICTIVE,),
+            planners=(PREDICTIVE,),
             runs=len(tracks),
             tracks=tracks,
             noise_draws=DRAWS,
@@ -85,7 +89,7 @@ def test_two_next_to_recorded_targets_and_one_alone():
             duration_s=math.inf,
         )
         both = replace(alone, config=studied(**of_class, fleet_size=2))
-        one = run_study(alone, table_of(alone)).planners[PlannerName.PREDICTIVE]
+        one = run_study(alone, table_of(alone)).planners[PREDICTIVE]
         two = fly_fleets(both, table_of(both), on_processes(None), lambda _runs: None, [FleetPlannerName.JOINT])
         runs = two[FleetPlannerName.JOINT]
         off_alone.append(1.0 - np.array(one["time_on_side"]))
@@ -120,7 +124,7 @@ def regained_s(run: FleetResult, loss: Loss, for_s: float = 0.1) -> float:
 
 
 def test_one_aircraft_lost_at_a_random_moment(table):
-    settings = StudySettings((PlannerName.PREDICTIVE,), runs=50, config=studied(fleet_size=2), duration_s=420.0)
+    settings = StudySettings((PREDICTIVE,), runs=50, config=studied(fleet_size=2), duration_s=420.0)
     took_s, stayed_s, errors_m = [], [], []
     for number in range(size(50, 1)):
         rng = np.random.default_rng(number)

@@ -254,10 +254,10 @@ def studied(flavour: str, folder: Path, *, known: bool) -> Watched:
         "pieces",
         "--autopilot",
         flavour,
-        "--wind",
-        WIND_M_S[flavour],
-        "--noise-draws",
-        DRAWS,
+        "--set",
+        f"simulation.wind_speed_m_s={WIND_M_S[flavour]}",
+        "--set",
+        f"study.noise_draws={DRAWS}",
     ]
     command = [
         sys.executable,

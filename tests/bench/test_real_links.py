@@ -71,7 +71,7 @@ def test_signed_as_unsigned(tmp_path, flavour):
 def signed_up(key, *arguments):
     """Return what ``sidelong sign`` reports."""
     command = [sys.executable, "-m", "sidelong.app", "sign", str(key)]
-    command += ["--connect", *arguments, "--timeout", "60"] if arguments else []
+    command += ["--connect", *arguments, "--set", "link.heartbeat_timeout_s=60"] if arguments else []
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     return done.stdout + done.stderr
 

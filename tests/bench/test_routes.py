@@ -25,7 +25,12 @@ from sidelong.app.study.closed_loop import BOOT_S, fly, run
 from sidelong.app.study.fleet import run_fleet
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.routes import own_route, route_next_to
-from sidelong.app.study.settings import STUDIED, PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    STUDIED,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.study import table_of
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
@@ -53,7 +58,7 @@ def settings_of(
     fleet_size: int = 1,
 ) -> StudySettings:
     return StudySettings(
-        (PlannerName.PREDICTIVE,),
+        (PREDICTIVE,),
         len(tracks),
         config=studied(**asdict(one), course_horizon_s=horizon_s, fleet_size=fleet_size),
         tracks=tracks,
@@ -98,7 +103,7 @@ def _routed(target: RecordedTarget, tracks: tuple[RecordedTarget, ...], mode: st
 def _flown(study: StudySettings, number: int, table: ValueTable) -> tuple[tuple[float, ...], np.ndarray]:
     """Return side, band, least range, moves and reversals of a run, and the times of its decisions."""
     if study.config.requirement.fleet_size == 1:
-        x = run(study, PlannerName.PREDICTIVE, number, table)
+        x = run(study, PREDICTIVE, number, table)
         values = x.time_on_side, x.time_in_band, x.min_range_m, x.moves_per_hour, x.reversals_per_hour
         return values, x.decision_s
     pair = run_fleet(study, number, table)

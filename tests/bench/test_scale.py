@@ -21,12 +21,15 @@ import pytest
 
 from sidelong.app.study.design import Design
 from sidelong.app.study.parallel import on_cluster
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+)
 from sidelong.app.study.store import MEASURES, ResultStore
 from sidelong.app.study.study import Study, table_of
 
 ROOT = Path(__file__).resolve().parents[2]
-PREDICTIVE = StudySettings((PlannerName.PREDICTIVE,))
+PREDICTIVE = StudySettings((PREDICTIVE,))
 SAMPLE_S = 2.0
 
 
@@ -108,7 +111,7 @@ def test_two_workers_of_a_cluster_against_one():
             study = Study([Design(settings)], ResultStore(None))
             study.fly(on_cluster(cluster.scheduler_address), lambda _settings: table, 25, lambda _runs: None)
             busy_s = [sum(one.cpu_times()[:2]) - s for one, s in zip(processes, before_s, strict=True)]
-        rows.append(study.results()[0].planners[PlannerName.PREDICTIVE])
+        rows.append(study.results()[0].planners[PREDICTIVE])
         runs_per_s.append(settings.runs / study.wall_s)
         runs_per_cpu_s.append(settings.runs / sum(busy_s))
         shares = ", ".join(f"{100.0 * s / study.wall_s:.0f} %" for s in busy_s)

@@ -44,9 +44,11 @@ def test_a_key_is_made_given_demanded_and_taken_back(tmp_path, vehicle, capsys):
     sign(key, url, timeout=20.0)
     assert "refuses frames that are not signed" in " ".join(capsys.readouterr().out.split())
     assert simulation.vehicle.radio.signing.required
-    assert "AIRSPEED_CRUISE 15" in sidelong("connect", url, "--signing-key", key, "--listen", 1)
+    assert "AIRSPEED_CRUISE 15" in sidelong("connect", url, "--set", f"link.signing_key_file={key}", "--listen", 1)
     sign(other)
-    refusal = sidelong("connect", url, "--signing-key", other, "--timeout", 3, code=2)
+    refusal = sidelong(
+        "connect", url, "--set", f"link.signing_key_file={other}", "--set", "link.heartbeat_timeout_s=3", code=2
+    )
     assert "signed with another key" in refusal
     sign(key, url, remove=True, timeout=20.0)
     assert not simulation.vehicle.radio.signing.required

@@ -43,10 +43,12 @@ def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
         assert "several vehicles share the link: system 1 (" in unnamed.stderr
         assert "system 7 (px4" in unnamed.stderr
         assert "--set link.system_id=ID" in unnamed.stderr
-        named = sidelong("connect", url, "--system-id", 7, "--listen", 1, "--json", tmp_path / "found.json")
+        named = sidelong(
+            "connect", url, "--set", "link.system_id=7", "--listen", 1, "--json", tmp_path / "found.json"
+        )
         assert named.returncode == 0, named.stderr
         assert json.loads((tmp_path / "found.json").read_text())["system_id"] == 7
-        absent = sidelong("connect", url, "--system-id", 3, "--timeout", 2)
+        absent = sidelong("connect", url, "--set", "link.system_id=3", "--set", "link.heartbeat_timeout_s=2")
         assert absent.returncode == 2
         assert "system 3 sends nothing, only system 1" in absent.stderr
 

@@ -71,7 +71,7 @@ def test_a_busy_port():
 
 @pytest.mark.udp
 def test_no_heartbeat(free_port):
-    announced = refused("connect", f"udpin://127.0.0.1:{free_port()}", "--timeout", 1)
+    announced = refused("connect", f"udpin://127.0.0.1:{free_port()}", "--set", "link.heartbeat_timeout_s=1")
     assert "no autopilot was received within 1 s" in announced
 
 
@@ -82,13 +82,13 @@ def test_no_heartbeat(free_port):
 def test_a_vehicle_that_this_cannot_fly(kind, autopilot, named, free_port):
     port = free_port()
     with heartbeats(port, kind, autopilot):
-        assert named in refused("connect", f"udpin://127.0.0.1:{port}", "--timeout", 5)
+        assert named in refused("connect", f"udpin://127.0.0.1:{port}", "--set", "link.heartbeat_timeout_s=5")
 
 
 @pytest.mark.udp
 def test_a_vehicle_s_texts_reach_the_terminal_as_words_only(free_port):
     port = free_port()
-    command = [str(SIDELONG), "connect", f"udpin://127.0.0.1:{port}", "--timeout", "5"]
+    command = [str(SIDELONG), "connect", f"udpin://127.0.0.1:{port}", "--set", "link.heartbeat_timeout_s=5"]
     with heartbeats(port, 2, 3, text=b"\xff\x1b[2Jgone"):
         done = subprocess.run(command, capture_output=True, timeout=60, check=False)
     assert b"no fixed wing" in done.stderr

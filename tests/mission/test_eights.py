@@ -10,7 +10,11 @@ from sidelong.app.study.benchmark import TRACKS
 from sidelong.app.study.closed_loop import run
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.routes import own_route
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.app.study.study import table_of
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import wrap_rad
@@ -179,7 +183,7 @@ def test_figures_of_eight_are_planned_along_a_known_route():
     known = replace(unknown, tracks=routed)
     value_table, off_side = table_of(unknown), []
     for settings in (known, unknown):
-        runs = [run(settings, PlannerName.PREDICTIVE, number, value_table) for number in range(2)]
+        runs = [run(settings, PREDICTIVE, number, value_table) for number in range(2)]
         assert all(one.time_within_pan_limits > 0.98 for one in runs)
         off_side.append(sum(1.0 - one.time_on_side for one in runs))
     assert off_side[0] < 0.7 * off_side[1]

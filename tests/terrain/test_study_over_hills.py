@@ -12,12 +12,16 @@ from typer.testing import CliRunner
 from sidelong.app.cli import app
 from sidelong.app.errors import InputError
 from sidelong.app.study.closed_loop import hills_of, run
-from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.settings import (
+    PREDICTIVE,
+    StudySettings,
+    studied,
+)
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.value_iteration import compute
 
-SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=2, duration_s=60.0)
+SETTINGS = StudySettings((PREDICTIVE,), runs=2, duration_s=60.0)
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +32,11 @@ def table():
 
 def test_over_hills_the_clearance_is_kept_and_on_flat_ground_nothing_is_hidden(ground: Ground, table) -> None:
     for number in range(2):
-        flown = run(replace(SETTINGS, hills=hills_of(ground)), PlannerName.PREDICTIVE, number, table)
+        flown = run(replace(SETTINGS, hills=hills_of(ground)), PREDICTIVE, number, table)
         assert flown.min_clearance_m >= 45.0  # the kinematic aircraft flies some metres next to its line
         assert flown.time_in_sight <= flown.time_in_sight_where_possible <= 1.0
     flat = replace(ground, heights_m=np.zeros_like(ground.heights_m))
-    flown = run(replace(SETTINGS, hills=hills_of(flat)), PlannerName.PREDICTIVE, 0, table)
+    flown = run(replace(SETTINGS, hills=hills_of(flat)), PREDICTIVE, 0, table)
     assert flown.time_in_sight == 1.0
     assert flown.min_clearance_m == pytest.approx(100.0)
     assert flown.time_in_band == 1.0
@@ -41,7 +45,7 @@ def test_over_hills_the_clearance_is_kept_and_on_flat_ground_nothing_is_hidden(g
 def test_known_hills_are_cleared_higher_than_ignored_ones(ground: Ground, table) -> None:
     settings = replace(SETTINGS, runs=20, hills=hills_of(ground), config=studied(height_m=60.0), duration_s=200.0)
     known, ignored = (
-        [run(replace(settings, terrain=one), PlannerName.PREDICTIVE, number, table) for number in (5, 9)]
+        [run(replace(settings, terrain=one), PREDICTIVE, number, table) for number in (5, 9)]
         for one in ("known", "ignored")
     )
     assert min(one.min_clearance_m for one in known) >= 45.0
@@ -59,7 +63,7 @@ def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
     rng = np.random.default_rng(3)
     walls = np.where(about & (rng.random(pit.shape) < 0.5), 500.0, 0.0).astype(np.float32)
     walled = hills_of(replace(ground, heights_m=walls))
-    flown = run(replace(SETTINGS, hills=walled, terrain="ignored"), PlannerName.PREDICTIVE, 1, table)
+    flown = run(replace(SETTINGS, hills=walled, terrain="ignored"), PREDICTIVE, 1, table)
     assert flown.time_in_sight < 0.3
     assert flown.moves_per_hour < 60.0
 
