@@ -21,7 +21,7 @@ from tests.command_line import sidelong
             "planner.guidance: PX4 obeys an orbit in any flight",
         ),
         (["launch", "--target", "nope"], "simulation.target: 'nope' is none of still"),
-        (["launch", "--target", "none.gpx"], "simulation.target: none.gpx cannot be read"),
+        (["launch", "--target", "none.gpx"], "simulation.target: none.gpx: cannot be read"),
         (["launch", "--route", "none.gpx"], "route.file: none.gpx: cannot be read"),
         (["launch", "--set", "sharing.cot=foo"], "sharing.cot: 'foo' is no address"),
         (["launch", "--set", "sharing.beacon=udp://127.0.0.1:70000"], "sharing.beacon"),
@@ -117,7 +117,7 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
     ("text", "words"),
     [
         ('[route]\nfile = "none.gpx"', "route.file: none.gpx: cannot be read"),
-        ('[route]\nfile = "."', "route.file: .: is not a route file"),
+        ('[route]\nfile = "."', "route.file: .: cannot be read: it is not a file"),
         ('[route]\nfile = ""', "route.file: is empty"),
         ('[route]\nfile = "one.csv"', "route.file: one.csv: contains 1 points"),
         (
@@ -133,7 +133,7 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
         (_TLS + 'cot_authority_file = "\\u0000"', "holds no certificates (embedded null byte)"),
         (_TLS + 'cot_certificate_file = "\\u0000"', "its key cannot be used (embedded null byte)"),
         (_TLS + 'cot_certificate_file = "none.pem"', "sharing.cot: none.pem and its key cannot be used"),
-        ('[simulation]\ntarget = "none.gpx"', "simulation.target: none.gpx cannot be read"),
+        ('[simulation]\ntarget = "none.gpx"', "simulation.target: none.gpx: cannot be read"),
         (
             "[fences]\nkeep_out = [[[4.0, 8.0], [4.1, 8.1], [4.1, 8.0], [4.0, 8.1]]]",
             "keep_out polygon 1 has sides that",
@@ -144,7 +144,7 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
             "no circle of aircraft.radius_m = 50 fits into keep_in with margin_m = 20",
         ),
         (_AIRCRAFT + f"[fences]\nkeep_in = [{_SMALL}]", "no circle of aircraft.radius_m = 50 fits into keep_in"),
-        (_AIRCRAFT + '[[target]]\nname = "bike"\nmotion = "none.csv"', "target 'bike': motion: none.csv cannot be"),
+        (_AIRCRAFT + '[[target]]\nname = "bike"\nmotion = "none.csv"', "target 'bike': motion: none.csv: cannot be"),
     ],
 )
 def test_a_file_or_fence_that_cannot_be_used_is_reported_by_each_command(tmp_path, monkeypatch, command, text, words):
