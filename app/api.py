@@ -14,10 +14,9 @@ from sidelong.app.assembly import prepared
 from sidelong.app.config import Config, config_from, load_config, with_values
 from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.flight.life import Life
 from sidelong.app.flight.loop import Wish
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.single import FlightEnded, fly_single
+from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, fly
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
@@ -108,7 +107,7 @@ class Watch:
 
     def ended(self, flown: FlightEnded | None, error: BaseException | None) -> None:
         """Take how it ended."""
-        self.summary = None if flown is None else flown.summary
+        self.summary = flown.summary if flown is not None and isinstance(flown.summary, Summary) else None
         self._error = error or (None if flown is None else flown.reason)
         self._over, self._request = True, None
         self._news.set()
@@ -151,16 +150,15 @@ async def watch(
     recording = Recording(folder, settings, note_safely)
     lives: list[Life] = []
 
-    async def fly() -> None:
+    async def recorded() -> None:
         life = Life(lambda: recording.begun, watched.note)
         lives.append(life)
         flown: FlightEnded | None = None
         error: Exception | None = None
         try:
             with contextlib.closing(recording):
-                flown = await fly_single(
-                    settings, duration_s, folder, recording, watched, life, note_safely, lambda: done
-                )
+                aircraft = FlyingAircraft(settings, folder, recording, watched, note_safely, lambda: done)
+                flown = await fly([aircraft], duration_s, life, watched.note)
             folder.write_summary(flown.summary.as_json())
         except asyncio.CancelledError:
             error = None if life.failure is None else FlightError(life.failure)
@@ -168,7 +166,7 @@ async def watch(
             error = raised
         watched.ended(flown, error)
 
-    flight = asyncio.create_task(fly())
+    flight = asyncio.create_task(recorded())
     try:
         yield watched
     finally:

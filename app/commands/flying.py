@@ -1,29 +1,45 @@
-"""Functions shared by flights of one aircraft and of a fleet: predicting, running and retaining its records."""
+"""``sidelong launch``: the flight of one aircraft or of a fleet, with its displays and its records."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import shutil
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
 
-from sidelong.app.config import Config
+from sidelong.app.analysis.summary import Summary
+from sidelong.app.assembly import Prepared, prepared
+from sidelong.app.commands.output import console, say, warn
+from sidelong.app.commands.progress import table_progress
+from sidelong.app.config import DEMONSTRATION, Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
-from sidelong.app.flight.life import Life
+from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
+from sidelong.app.flight.loop import FlightDisplay
+from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.shell import Coordinator, FlightEnded, FlyingAircraft, Life, fly
 from sidelong.app.process import interrupt_dropped, run
+from sidelong.app.records.run_folder import FleetFolder, RunFolder
+from sidelong.app.view.address import PageAddress
+from sidelong.app.view.display import ViewDisplay, served
+from sidelong.app.view.panel import Panel
+from sidelong.app.view.prompt import keyboard_descriptor
 
 _FLIGHTS = 4  # predicted before a launch: 3 s
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 
-T = TypeVar("T")
 
+def fly_recorded(
+    settings: Config, duration_s: float, out: Path, quiet: bool, address: PageAddress | None
+) -> FlightEnded:
+    """Fly the aircraft of a configuration, or of a fleet file, to the end; address: of the live map.
 
-def run_flight(flight: Coroutine[Any, Any, T]) -> T:
-    """Run a flight to its end. Raises Interrupted where it was ended before anything was commanded."""
+    Raises Interrupted where it was ended before anything was commanded.
+    """
     try:
-        return run(flight)
+        return run(_recorded(settings, duration_s, out, quiet, address))
     except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
         raise Interrupted(_NOTHING_COMMANDED) from interrupted
     except Exception as error:
@@ -32,27 +48,91 @@ def run_flight(flight: Coroutine[Any, Any, T]) -> T:
         raise
 
 
-@contextlib.contextmanager
-def kept_if_armed(records: Path) -> Iterator[Callable[[Life], Life]]:
-    """Remove a run folder if the body of the ``with`` fails before an aircraft was armed.
-
-    Yields a function to call with each flight's life. Raises FlightError if the flight itself failed.
-    """
-    lives: list[Life] = []
-
-    def begun(life: Life) -> Life:
-        lives.append(life)
-        return life
-
+async def _recorded(
+    settings: Config, duration_s: float, out: Path, quiet: bool, address: PageAddress | None
+) -> FlightEnded:
+    fleet = settings if isinstance(settings, FleetFile) else None
+    folder = (RunFolder if fleet is None else FleetFolder).create(out, datetime.now(UTC))
+    configs = {"": settings} if fleet is None else {member.name: member.config for member in fleet.members}
+    reserves = [False] if fleet is None else [member.reserve for member in fleet.members]
+    life: Life | None = None
+    aircraft: list[FlyingAircraft] = []
     try:
-        yield begun
+        async with _displayed(settings, configs, quiet, address) as (displays, note, view):
+            coordinator: Coordinator | None = None
+            if fleet is not None and isinstance(folder, FleetFolder):
+                from sidelong.app.fleet.flight import FleetFlight  # noqa: PLC0415  # one aircraft needs no coordinator
+
+                coordinator = flight = FleetFlight(fleet, folder, displays, note, table_progress(note))
+                if view is not None:
+                    view.requests = flight
+            for (name, config), reserve in zip(configs.items(), reserves, strict=True):
+                own = folder.make(name) if isinstance(folder, FleetFolder) else folder
+                aircraft.append(_aircraft(config, own, displays[name], name, reserve))
+            life = Life(lambda: any(one.recording.begun for one in aircraft), note)
+            with life.heeding_signals():
+                try:
+                    ended = await fly(aircraft, duration_s, life, note, coordinator)
+                finally:
+                    for one in aircraft:
+                        one.recording.close()
+                if ended.is_internal:
+                    warn(f"this is a fault of the program; {ended.aircraft}.")
+                return _with_records_lost(ended, {one.name: one.recording.lost for one in aircraft})
     except BaseException as error:
-        if not any(life.was_armed for life in lives):
-            shutil.rmtree(records, ignore_errors=True)
-        failure = lives[0].failure if lives else None
-        if isinstance(error, asyncio.CancelledError) and failure is not None:
-            raise FlightError(failure) from None
+        if life is None or not life.was_armed:
+            shutil.rmtree(folder.path, ignore_errors=True)
+        if isinstance(error, asyncio.CancelledError) and life is not None and life.failure is not None:
+            raise FlightError(life.failure) from None
         raise
+
+
+def _aircraft(config: Config, folder: RunFolder, display: FlightDisplay, name: str, reserve: bool) -> FlyingAircraft:
+    """Return one of the aircraft to fly, with its records."""
+    loop = asyncio.get_running_loop()
+
+    def trouble(text: str) -> None:
+        loop.call_soon_threadsafe(display.note, text)
+
+    def prepare() -> Prepared:
+        warn_of_prediction(config, display.note)  # a first flight does not wait for it: nothing is compiled
+        return prepared(config, table_progress(display.note), display.note, planner_in_fleet(config))
+
+    recording = Recording(folder, config, trouble)
+    return FlyingAircraft(config, folder, recording, display, trouble, prepare, name, reserve)
+
+
+def _with_records_lost(ended: FlightEnded, lost: dict[str, str]) -> FlightEnded:
+    """Let summary and exit code report that records of a flight are incomplete; lost: why, '' if they are not."""
+    words = "; ".join(f"{name}: {why}" if name else why for name, why in lost.items() if why)
+    if not words:
+        return ended
+    summary = ended.summary
+    if isinstance(summary, Summary):
+        summary = replace(summary, records_lost=words)
+    reason = ended.reason or FlightError(f"the flight has ended, but its records are incomplete: {words}.")
+    return replace(ended, summary=summary, reason=reason)
+
+
+Displayed = tuple[Mapping[str, FlightDisplay], Callable[[str], None], ViewDisplay | None]
+
+
+@contextlib.asynccontextmanager
+async def _displayed(
+    settings: Config, configs: dict[str, Config], quiet: bool, address: PageAddress | None
+) -> AsyncIterator[Displayed]:
+    """Show the flight on the terminal, and in the browser if it has an address there."""
+    fleet = settings if isinstance(settings, FleetFile) else None
+    keyboard = keyboard_descriptor() if fleet is None else None
+    calm = fleet is None and settings.simulation.target == DEMONSTRATION
+    with Panel(console, quiet, keyboard, calm, fleet is not None and len(fleet.target) > 1) as panel:
+        displays = {name: panel.of(name) for name in configs}
+        if address is None:
+            yield displays, panel.note, None
+            return
+        sides = {} if fleet is None else {name: asked.side for name, asked in fleet.asked.items()}
+        async with served(ViewDisplay(displays, configs, address, sides), say) as view:
+            yield {name: view.of(name) for name in configs}, view.note if fleet is None else panel.note, view
 
 
 def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,8 +36,7 @@ from sidelong.app.records.run_folder import check_space
 from sidelong.app.view.address import PageAddress, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
-    from sidelong.app.fleet.flight import FleetEnded
-    from sidelong.app.flight.single import FlightEnded
+    from sidelong.app.flight.shell import FlightEnded
 
 _MISSION = panel("Mission")
 _VEHICLE = panel("Vehicle and link")
@@ -158,22 +155,16 @@ def launch(
         flown = settings = load_config(config, overrides)
     address = _map_address(view, silent, flown)
     _check_simulated(flown, {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot})
-    # The flight modules take a second to load; report a wrong option first.
-    fly: Callable[[float, Path, bool, PageAddress | None], FlightEnded | FleetEnded]
     if settings is None:
         _check_fleet(several)
-        check_space(out, duration, len(several.aircraft), warn)
-        from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
-
-        fly = partial(fly_fleet, several)
     else:
-        settings = _checked(settings, speed, payload_url)
-        check_space(out, duration, 1, warn)
-        from sidelong.app.commands.launch_one import fly_one  # noqa: PLC0415
+        flown = _checked(settings, speed, payload_url)
+    check_space(out, duration, 1 if settings is not None else len(several.aircraft), warn)
+    # The flight modules take a second to load; report a wrong option first.
+    from sidelong.app.commands.flying import fly_recorded  # noqa: PLC0415
 
-        fly = partial(fly_one, settings)
     with shielded_output():
-        ended = fly(duration, out, quiet, address)
+        ended = fly_recorded(flown, duration, out, quiet, address)
         _announce(ended, json)
         if ended.reason is not None:
             raise ended.reason
@@ -265,7 +256,7 @@ def _write_mcap(run: Path) -> None:
     write_export(run, Format.MCAP)
 
 
-def _announce(ended: FlightEnded | FleetEnded, json: Path | None) -> None:
+def _announce(ended: FlightEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
     say(f"run folder: {ended.folder.path}")
     try:

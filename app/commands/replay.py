@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.progress import Progress
@@ -28,8 +28,9 @@ from sidelong.app.autopilots.registry import autopilot_by_name
 from sidelong.app.commands.options import MAP, OUTPUT, Overrides, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, warn_of_log, write_json
 from sidelong.app.commands.progress import progress_bar, table_progress
-from sidelong.app.config import Config, check_flyable, load_config, with_values
+from sidelong.app.config import Config, check_flyable, load_config, validated, with_values
 from sidelong.app.errors import FlightError, InputError
+from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
@@ -91,12 +92,10 @@ def replay(
                 f"{log} is the run of a fleet; give one aircraft's folder in it with --view or --config."
             )
 
-        def one(folder: RunFolder) -> Summary:
+        def replayed(folder: RunFolder) -> Summary:
             return _replay_run(folder, judged_by, (None, changes), verify, quiet)
 
-        from sidelong.app.commands.replay_fleet import replay_fleet  # noqa: PLC0415  # it takes half a second to load
-
-        write_json(json, replay_fleet(fleet, one, verify))
+        write_json(json, _replay_fleet(fleet, replayed, verify))
         return
     folder = RunFolder.open(log) if log.is_dir() else None
     if verify and folder is None:
@@ -114,6 +113,41 @@ def replay(
     write_json(json, result.as_json())
     if address is not None and frames is not None:
         _show(log, folder, frames, (config, changes), address, view_speed)
+
+
+def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary], verify: bool) -> dict[str, Any]:
+    """Replay each aircraft of a fleet's run, then the coordinator's messages to them; return what ``--json`` writes.
+
+    Raises FlightError if the coordinator's output differs from the flight's.
+    """
+    from sidelong.app.fleet.assembly import coordinator_of  # noqa: PLC0415  # it takes half a second to load
+    from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, compare_coordination  # noqa: PLC0415
+
+    progress, task = progress_bar(folder.path.name)
+    journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
+    advice = f"{folder.journal}: its configuration cannot be used; replay the aircraft by themselves"
+    fleet = validated(FleetFile, journal.header.config, advice)
+    aircraft = []
+    for member in fleet.members:
+        own = RunFolder(folder.path / member.name)
+        if not own.journal.is_file():
+            console.print(f"{member.name}: it did not fly")
+            continue
+        console.print(f"{member.name}:")
+        summary = replayed(own)
+        console.print(summary.table())
+        aircraft.append({"name": member.name, **summary.as_json()})
+    if not aircraft:
+        raise InputError(f"{folder.path} holds no flight of an aircraft.")
+    compared = None
+    if verify:
+        with progress:
+            steps = compare_coordination(coordinator_of(fleet, table_progress(console.print)), journal)
+        if steps.difference is not None:
+            raise FlightError(f"{folder.path}: the coordinator's replay differs from the flight {steps.difference}")
+        compared = steps.compared
+        say(f"{compared} commands of the coordinator compared: {steps.sameness()}")
+    return {"aircraft": aircraft, "coordinator_commands_compared": compared}
 
 
 def _show(
@@ -238,12 +272,7 @@ def _replay_run(
 
 
 def _prepared(settings: Config) -> Prepared:
-    kind = None
-    if settings.requirement.fleet_size > 1:
-        from sidelong.app.fleet.planner import planner_in_fleet  # noqa: PLC0415  # a single flight is read without
-
-        kind = planner_in_fleet(settings)
-    return prepared(settings, table_progress(console.print), console.print, kind)
+    return prepared(settings, table_progress(console.print), console.print, planner_in_fleet(settings))
 
 
 def _exchange_of(settings: Config, controller: StandoffController, header: Header) -> MissionController | None:

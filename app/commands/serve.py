@@ -89,7 +89,7 @@ async def _on_map(
     async with contextlib.AsyncExitStack() as stack:
         shown: FlightDisplay = display
         try:
-            shown = await stack.enter_async_context(served(ViewDisplay(display, settings, address), log))
+            shown = await stack.enter_async_context(served(ViewDisplay({"": display}, {"": settings}, address), log))
         except InputError as error:
             log(f"the watch goes on without the live map: {error}")
         yield shown

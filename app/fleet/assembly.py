@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from sidelong.app.assembly import planner_needs, tracker_settings
-from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.fleet.planner import TeamPredictive
+from sidelong.app.fleet.fleet_file import FleetFile, TeamPredictive
 from sidelong.app.warm_up import MADE_UP_ROUTE
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings

@@ -9,18 +9,18 @@ from dataclasses import dataclass, fields
 from html import escape
 
 from sidelong.app.analysis.score import Asked
+from sidelong.app.analysis.summary import (
+    AircraftSummary,
+    FleetSummary,
+    FlownAircraft,
+    MissionTrack,
+    TargetSummary,
+    summarise_fleet,
+)
 from sidelong.app.config import validated
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.fleet.summary import (
-    AircraftSummary,
-    FleetSummary,
-    FlownAircraft,
-    FlownTrack,
-    TargetSummary,
-    summarise_fleet,
-)
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.mapped_file import Progress
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
@@ -59,7 +59,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES)
     fleet = validated(FleetFile, journal.header.config, f"{folder.journal}: its configuration cannot be used")
     offsets_s: dict[str, float] = {}
-    tracks: dict[str, FlownTrack] = defaultdict(FlownTrack)
+    tracks: dict[str, MissionTrack] = defaultdict(MissionTrack)
     announced: list[FleetAnnounce] = []
     asked = {name: [(-math.inf, first)] for name, first in fleet.asked.items()}
     for record in journal:

@@ -26,10 +26,9 @@ from sidelong.app.flight.alarm_watch import AlarmWatch
 from sidelong.app.flight.changes import MissionChanges, PanLimitInput, WindTables
 from sidelong.app.flight.loop import ControlLoop, Display, FlightDisplay, Observer, Stepped, Wish
 from sidelong.app.flight.outputs import GimbalPointer, PayloadPointer, open_beacon, outputs
-from sidelong.app.flight.payload_input import PayloadRunner
+from sidelong.app.flight.payload_input import PayloadRunner, check_route, give_route
 from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.route_input import check_route, give_route
 from sidelong.app.flight.session import InputHealth, Session
 from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, ask_for_streams, wants_few
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters

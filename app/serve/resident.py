@@ -32,12 +32,11 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.assembly import Prepared, prepared
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.flight.life import Life
 from sidelong.app.flight.loop import FlightDisplay, Wish
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected
-from sidelong.app.flight.single import FlightEnded, fly_single
+from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, fly
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.run_folder import RunFolder, rotate
@@ -432,9 +431,8 @@ class Resident:
         try:
             async with self._decorate(display) as shown:
                 self._recording = recording
-                return await fly_single(
-                    self._config, None, folder, recording, shown, life, self._log, self._prepared, session
-                )
+                own = self._config, folder, recording, shown, self._log, self._prepared
+                return await fly([FlyingAircraft(*own, session=session)], None, life, shown.note)
         finally:
             self._recording = None  # from now on no frame is recorded
             recording.close()

@@ -1,4 +1,4 @@
-"""A ``Display`` that feeds the page in the browser, in addition to the terminal, and passes on its button presses."""
+"""The page in the browser, fed with one or several aircraft alongside other displays, and its button presses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import tempfile
 import time
 import webbrowser
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from types import MappingProxyType
+from typing import Protocol, TypeVar
 
 from sidelong.app.config import Config
 from sidelong.app.flight.loop import FlightDisplay, Wish
@@ -33,7 +35,16 @@ _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
 
 T = TypeVar("T")
-View = TypeVar("View", bound="ViewDisplay")
+
+
+class FleetRequests(Protocol):
+    """What a person may ask of the whole fleet; each returns why not, '' where it is passed on."""
+
+    def watch_from(self, side: Side, who: str) -> str:
+        """Set the required side."""
+
+    def relieve(self, name: str, who: str) -> str:
+        """Let another one take that aircraft's place."""
 
 
 class ShownAircraft:
@@ -46,17 +57,18 @@ class ShownAircraft:
         start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
     """
 
-    def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str = "") -> None:
+    def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str) -> None:
         self._inner, self._page, self.name = inner, page, name
         self.encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
         self.snapshot: Present | None = None
         self.start_s: float | None = None
         self._received_at_s = time.monotonic()
         self._trail_s = -math.inf
+        self._request: Callable[[Wish], None] | None = None
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._inner.begin(plane, request)
-        self.encoder.plane = plane
+        self.encoder.plane, self._request = plane, request
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)
@@ -85,10 +97,19 @@ class ShownAircraft:
             self._page.trail.append([*point, self.name])
         self._page.pump_if_due()
 
+    @property
+    def is_flown(self) -> bool:
+        """Whether the aircraft takes requests."""
+        return self._request is not None and self.snapshot is not None and math.isfinite(self.snapshot.time_s)
+
+    def ask(self, wish: Wish) -> None:
+        """Pass a person's wish on to the aircraft, at its own time."""
+        if self.is_flown and self._request is not None and self.snapshot is not None:
+            self._request(replace(wish, time_s=self.snapshot.time_s))
+
     def state(self, snapshot: Present) -> Json:
         """Return the state for the page."""
-        silent_s = time.monotonic() - self._received_at_s
-        return self.encoder.state(snapshot, silent_s, self.name)
+        return self.encoder.state(snapshot, time.monotonic() - self._received_at_s, self.name)
 
 
 class ViewDisplay(ShownAircraft):
@@ -96,35 +117,49 @@ class ViewDisplay(ShownAircraft):
 
     Whatever the page's process does, every call returns at once and raises nothing: the page gets what fits.
 
+    Attributes:
+        requests: Takes what is asked of a whole fleet; needed before a button is pressed.
+
     Args:
-        name: What the page calls the vehicle; by default its links.
-        fleet: The names of the aircraft that may be relieved; empty for a flight of one aircraft.
+        displays: Another display of each aircraft, by its name; '' where there is one aircraft only.
+        configs: The configuration of each aircraft, by its name.
+        address: Where the page is served.
+        sides: The required side of each target of a fleet.
     """
+
+    requests: FleetRequests
 
     def __init__(
         self,
-        inner: FlightDisplay,
-        config: Config,
+        displays: Mapping[str, FlightDisplay],
+        configs: Mapping[str, Config],
         address: PageAddress,
-        name: str = "",
-        fleet: Sequence[str] = (),
+        sides: Mapping[str, Side] = MappingProxyType({}),
     ) -> None:
-        super().__init__(inner, config, self, *fleet[:1])
+        first, *others = configs
+        config = self._config = configs[first]
+        super().__init__(displays[first], config, self, first)
         self.url = self.viewer_url = ""
-        self._fleet = tuple(fleet)
-        self._config, self.address = config, address
-        self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
-        self._shown: list[ShownAircraft] = [self]
+        self.address = address
+        several = ", ".join(configs) or ", ".join(config.link.connections)
+        self._title = several or f"simulated {config.simulation.autopilot}"
+        self._shown: dict[str, ShownAircraft] = {first: self}
+        self._shown |= {name: ShownAircraft(displays[name], configs[name], self, name) for name in others}
+        self._fleet = tuple(filter(None, configs))
         self._feed: Feed | None = None
         self.trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
+        self._wanted, self._sides = self._requirement.side, dict(sides)
         self._routes: dict[str, Route] = {}  # by the target's name
         self._shading: Shading | None = None
         self._sent_at_s = -math.inf
-        self._request: Callable[[Wish], None] | None = None
         self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
+
+    def of(self, name: str) -> ShownAircraft:
+        """Return the display of one aircraft."""
+        return self._shown[name]
 
     # -- life ----------------------------------------------------------------------------------------------
 
@@ -153,7 +188,6 @@ class ViewDisplay(ShownAircraft):
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         super().begin(plane, request)
-        self._request = request
         self._setting = self._set()
         if self._config.terrain.folder is not None and self._shading is None:
             self._shading = Shading(self._config, plane)
@@ -163,8 +197,13 @@ class ViewDisplay(ShownAircraft):
         self.pump()
 
     def received(self, aircraft: ShownAircraft, time_s: float | None, kind: str, text: str) -> None:
-        """Add a message of an aircraft to the log of the page. time_s: by its vehicle's clock."""
-        self._announced.append([time_s, kind, text])
+        """Add a message of an aircraft to the log of the page, at the time since it began to watch.
+
+        time_s: By its vehicle's clock.
+        """
+        if time_s is not None and aircraft is not self and aircraft.start_s is not None:
+            time_s = None if self.start_s is None else self.start_s + (time_s - aircraft.start_s)
+        self._announced.append([time_s, kind, f"{aircraft.name}: {text}" if aircraft.name else text])
 
     # -- to and from the page ------------------------------------------------------------------------------
 
@@ -201,12 +240,13 @@ class ViewDisplay(ShownAircraft):
                 self._inner.note(f"{fault}; the flight continues")
 
     def _set(self) -> Json:
-        base = setting(self._config, self.encoder.plane, self._name, self._requirement, self._routes.values())
-        return base | under_flight(self.address, self._shading)
+        base = setting(self._config, self.encoder.plane, self._title, self._requirement, self._routes.values())
+        base |= under_flight(self.address, self._shading)
+        return base | {"fleet": list(self._fleet)} if self._fleet else base
 
     def _renew_setting(self) -> None:
         """Send the setting again if the requirement or the route of a target has changed."""
-        snapshots = [one.snapshot for one in self._shown if one.snapshot is not None]
+        snapshots = [one.snapshot for one in self._shown.values() if one.snapshot is not None]
         routes = {one.target: one.route.route for one in snapshots if one.route is not None}
         requirement = self._requirement if self.snapshot is None else self.snapshot.requirement
         if (requirement, routes) != (self._requirement, self._routes):
@@ -224,11 +264,21 @@ class ViewDisplay(ShownAircraft):
             update["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
             update["setting"] = self._setting
-        return update | self._states()
+        states = [self._state_of(one, one.snapshot) for one in self._shown.values() if one.snapshot is not None]
+        if self._fleet:
+            return update | {"fleet": states}
+        return update | {"state": states[0]} if states else update
 
-    def _states(self) -> Json:
-        """Return the part of an update that says how the flight stands."""
-        return {} if self.snapshot is None else {"state": self.state(self.snapshot)}
+    def _state_of(self, one: ShownAircraft, snapshot: Present) -> Json:
+        """Return the state of an aircraft; in a fleet with the required side, and the side of its role."""
+        state = one.state(snapshot)
+        if not self._fleet:
+            return state
+        if len(self._sides) > 1 and state["target"] is not None:
+            state["target"]["name"] = snapshot.target
+        if snapshot.requirement.sector is None and not snapshot.requirement.either_side:
+            state["asked"]["side"] = snapshot.side
+        return state | {"start_s": one.start_s, "wanted": self._sides.get(snapshot.target, self._wanted)}
 
     def _answer(self, text: str) -> None:
         """Answer a request of the page, on the terminal too."""
@@ -236,22 +286,48 @@ class ViewDisplay(ShownAircraft):
         self._announced.append([None, "operator", text])
 
     def _pressed(self, press: Json) -> None:
-        if self._request is None or self.snapshot is None or not math.isfinite(self.snapshot.time_s):
-            self._answer(f"{press['action']} refused: nothing is flown yet")
+        action, who = press["action"], press["who"]
+        if action == "relieve":
+            name = press["name"]
+            refused = self.requests.relieve(name, who) if name in self._fleet else "there is no such aircraft"
+            self._answer(f"relieving {name} refused: {refused}" if refused else f"relieve {name} by {who}")
             return
-        self.note(f"{press['action']} by {press['who']}")
-        time_s, who = self.snapshot.time_s, press["who"]
-        if press["action"] == "acknowledge":
-            self._request(AlarmReported(time_s, press["alarm"], "acknowledged", who=who))
+        asked = self._shown.get(press["aircraft"], self) if action == "acknowledge" else self
+        if not asked.is_flown:
+            self._answer(f"{action} refused: nothing is flown yet")
             return
-        if press["action"] == "change":
+        self.note(f"{action} by {who}")
+        if action == "acknowledge":
+            asked.ask(AlarmReported(0.0, press["alarm"], "acknowledged", who=who))
+        elif action == "change":
             # JSON's whole numbers arrive as int: functions compiled for floats would be compiled again for them.
             given: Json = press["values"]
             values: Json = {key: value if key == "side" else float(value) for key, value in given.items()}
-            self._request(MissionChange(time_s, **values, who=who))
+            self.ask_all(MissionChange(0.0, **values, who=who))
+        else:
+            side = Side(press["side"]) if press["side"] is not None else None
+            self.ask_all(OperatorRequest(0.0, action, side, who))
+
+    def ask_all(self, wish: OperatorRequest | MissionChange) -> None:
+        """Pass a wish on to all; in a fleet the side is the coordinator's to give, and the heights are layers."""
+        if not self._fleet:
+            self.ask(wish)
             return
-        side = Side(press["side"]) if press["side"] is not None else None
-        self._request(OperatorRequest(time_s, press["action"], side, who))
+        if isinstance(wish, MissionChange):
+            if wish.height_m is not None:
+                self._answer("refused: the heights of a fleet are layers, which are not changed in flight")
+                return
+            if wish.side is not None:
+                self._answer("refused: change the side of a fleet alone, without other values")
+                return
+        elif wish.action == "side" and wish.side is not None:
+            refused = self.requests.watch_from(wish.side, wish.who)
+            if not refused:
+                self._wanted, self._sides = wish.side, dict.fromkeys(self._sides, wish.side)
+            self._answer(f"refused: {refused}" if refused else f"watching from the {wish.side}")
+            return
+        for one in self._shown.values():
+            one.ask(wish)
 
 
 @contextlib.contextmanager
@@ -276,7 +352,7 @@ def _shown_address(view: ViewDisplay, announce: Callable[[str], object]) -> Iter
 
 
 @contextlib.asynccontextmanager
-async def served(view: View, announce: Callable[[str], object]) -> AsyncIterator[View]:
+async def served(view: ViewDisplay, announce: Callable[[str], object]) -> AsyncIterator[ViewDisplay]:
     """Serve a page inside the context; the callback receives its address."""
     with view, _shown_address(view, announce):
         opening = (

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Self
 
 from rich.console import Console, RenderableType
 from rich.live import Live
-from rich.panel import Panel
+from rich.panel import Panel as Border
 from rich.table import Table
 from rich.text import Text
 
@@ -47,44 +46,16 @@ _PHASE_STYLES = {Phase.WATCHING: "green", Phase.HOLDING: "yellow", Phase.YIELDED
 _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", TrackQuality.LOST: "bold red"}
 
 
-class LivePanel:
-    """A panel at the bottom of the terminal with messages above it; else plain lines. Use as ``with``."""
+class Panel:
+    """The terminal: a panel at its bottom with messages above it; else plain lines. Use as ``with``.
 
-    def __init__(self, console: Console, quiet: bool = False) -> None:
-        self._console, self._quiet = console, quiet
-        self._live: Live | None = None
-
-    def __enter__(self) -> Self:
-        if self._console.is_terminal and not self._quiet:
-            # The panel is made when it is drawn, by a thread of its own: showing a snapshot costs the loop nothing.
-            self._live = Live(
-                get_renderable=self._panel, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
-            )
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
-
-    def note(self, text: str) -> None:
-        """Print a message."""
-        self._print(Text(plain(text)))
-
-    def _print(self, text: Text) -> None:
-        if not self._quiet:
-            self._console.print(text, soft_wrap=self._live is None)
-
-    @abstractmethod
-    def _panel(self) -> RenderableType: ...
-
-
-class PanelDisplay(LivePanel):
-    """A ``FlightDisplay`` on the terminal.
-
-    keyboard: file descriptor of the terminal for typed changes; None: there is none. calm: without a panel, print
-    messages that are not urgent at most every ten seconds; the live map and the journal contain all messages.
+    Args:
+        console: Where to print.
+        quiet: Print nothing.
+        keyboard: File descriptor of the terminal for typed changes of a single aircraft; None: there is none.
+        calm: Without a panel, print messages that are not urgent at most every ten seconds; the live map and the
+            journal contain all messages.
+        names_targets: Whether there are several targets.
     """
 
     def __init__(
@@ -93,74 +64,146 @@ class PanelDisplay(LivePanel):
         quiet: bool = False,
         keyboard: int | None = None,
         calm: bool = False,
+        names_targets: bool = False,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(console, quiet)
+        self.console, self.quiet, self.names_targets = console, quiet, names_targets
         self._descriptor = keyboard
         self._calm, self._clock_s, self._printed_s = calm, clock_s, -math.inf
-        self._keyboard: Keyboard | None = None
+        self._live: Live | None = None
+        self._aircraft: list[AircraftDisplay] = []
+        self._typed: Keyboard | None = None
+
+    def __enter__(self) -> Self:
+        if self.console.is_terminal and not self.quiet:
+            # The panel is made when it is drawn, by a thread of its own: showing a snapshot costs the loop nothing.
+            self._live = Live(
+                get_renderable=self._drawn, console=self.console, refresh_per_second=REFRESH_HZ, transient=True
+            )
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._typed is not None:
+            self._typed.stop()
+            self._typed = None
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def of(self, name: str = "") -> AircraftDisplay:
+        """Return the display of one aircraft; '' where it is the only one."""
+        display = AircraftDisplay(self, name)
+        self._aircraft.append(display)
+        return display
+
+    def note(self, text: str) -> None:
+        """Print a message."""
+        self.print(Text(plain(text)))
+
+    def print(self, text: Text) -> None:
+        """Print a line above the panel."""
+        self._printed_s = self._clock_s()
+        if not self.quiet:
+            self.console.print(text, soft_wrap=self._live is None)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether there is a panel; without it a line a minute is printed."""
+        return self._live is not None
+
+    @property
+    def is_too_soon(self) -> bool:
+        """Whether a message that is not urgent is to be left out."""
+        return self._calm and self._live is None and self._clock_s() < self._printed_s + _QUIET_S
+
+    def typed(self, ask: Callable[[Wish], None]) -> Prompt | None:
+        """Return the line of typed changes, where there is a keyboard."""
+        if self._live is None or self._descriptor is None:
+            return None
+        prompt = Prompt(ask)
+        self._typed = Keyboard(self._descriptor, prompt)
+        return prompt
+
+    def _drawn(self) -> RenderableType:
+        if len(self._aircraft) == 1 and not self._aircraft[0].name:
+            return self._aircraft[0].panel()
+        table = Table.grid(padding=(0, 2))
+        for one in self._aircraft:
+            table.add_row(Text(one.name, style="bold"), *map(Text, one.cells()))
+        return table
+
+
+class AircraftDisplay:
+    """A ``FlightDisplay`` of one aircraft on the terminal."""
+
+    def __init__(self, terminal: Panel, name: str) -> None:
+        self._terminal, self.name = terminal, name
         self._prompt: Prompt | None = None
         self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._duration_s: float | None = None
         self._snapshot: Present | None = None
         self._plain_s = -math.inf
 
-    def __exit__(self, *_: object) -> None:
-        if self._keyboard is not None:
-            self._keyboard.stop()
-            self._keyboard = None
-        super().__exit__()
-
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        if self._live is None or self._descriptor is None:
-            return
-
         def wish(asked: Wish) -> None:
             if self._snapshot is not None and math.isfinite(self._snapshot.time_s):
                 request(replace(asked, time_s=self._snapshot.time_s))
 
-        self._prompt = Prompt(wish)
-        self._keyboard = Keyboard(self._descriptor, self._prompt)
+        self._prompt = None if self.name else self._terminal.typed(wish)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._start_s, self._duration_s = start_s, duration_s
 
+    def note(self, text: str) -> None:
+        self._terminal.note(self._named(text))
+
+    def _named(self, text: str) -> str:
+        return f"{self.name}: {text}" if self.name else text
+
     def say(self, announcement: Announce) -> None:
-        if announcement.kind == "alarm" and not self._quiet and self._console.is_terminal:
-            self._console.bell()
-        if announcement.kind in _CALM and self._is_too_soon():
+        terminal = self._terminal
+        if announcement.kind == "alarm" and not terminal.quiet and terminal.console.is_terminal:
+            terminal.console.bell()
+        if announcement.kind in _CALM and terminal.is_too_soon:
             return
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
-        self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=STYLES.get(announcement.kind, "")))
+        text = f"{since:>7}  {self._named(plain(announcement.text))}"
+        terminal.print(Text(text, style=STYLES.get(announcement.kind, "")))
 
     def show(self, snapshot: Present) -> None:
-        self._snapshot = snapshot
-        due = self._live is None and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S
-        if due and not self._is_too_soon():
+        self._snapshot, terminal = snapshot, self._terminal
+        due = not terminal.is_live and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S
+        if due and not terminal.is_too_soon:
             self._plain_s = snapshot.time_s
-            self._print(Text(self.line(snapshot)))
+            terminal.print(Text(self._line(snapshot)))
 
-    def _is_too_soon(self) -> bool:
-        return self._calm and self._live is None and self._clock_s() < self._printed_s + _QUIET_S
-
-    def _print(self, text: Text) -> None:
-        self._printed_s = self._clock_s()
-        super()._print(text)
-
-    # -- one line ------------------------------------------------------------------------------------------
-
-    def line(self, shown: Present) -> str:
+    def _line(self, shown: Present) -> str:
         """Return the status as one line."""
-        parts = [self._time(shown), f"{shown.phase} {shown.mode}".strip()]
-        range_m = shown.range_m
-        if range_m is not None and shown.estimate is not None:
-            parts += [f"range {range_m:.0f} m", f"target {target_motion(shown)}", f"track {shown.estimate.quality}"]
+        parts = [*filter(None, self.cells())]
         if self._start_s is not None:
             parts.append(f"moves {shown.moves}")
         if shown.upload_failures:
             parts.append(f"failed uploads {shown.upload_failures}")
-        parts += shown.impaired_inputs
-        return "  ".join(parts)
+        return f"{self._time(shown):>7}  " + self._named("  ".join([*parts, *shown.impaired_inputs]))
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the present state, in the columns of a fleet's panel."""
+        shown = self._snapshot
+        if shown is None:
+            return ("",) * 7
+        range_m, estimate, height_m = shown.range_m, shown.estimate, shown.height_m
+        to = f" to {shown.target}" if self._terminal.names_targets else ""
+        percent = None if shown.vehicle is None else shown.vehicle.battery_percent
+        return (
+            f"{shown.phase} {shown.mode}".strip(),
+            f"{shown.side} side",
+            "" if range_m is None else f"range {range_m:.0f} m{to}",
+            f"height {height_m:.0f} m" if math.isfinite(height_m) else "",
+            "" if range_m is None else f"target {target_motion(shown)}",
+            "" if range_m is None or estimate is None else f"track {estimate.quality}",
+            "" if percent is None else f"battery {percent} %",
+        )
 
     def _time(self, shown: Present) -> str:
         if self._start_s is None or not math.isfinite(shown.time_s):
@@ -170,7 +213,8 @@ class PanelDisplay(LivePanel):
 
     # -- the panel -----------------------------------------------------------------------------------------
 
-    def _panel(self) -> Panel | Text:
+    def panel(self) -> RenderableType:
+        """Return the panel of a single aircraft."""
         shown = self._snapshot
         if shown is None:
             return Text("")
@@ -179,9 +223,8 @@ class PanelDisplay(LivePanel):
             table.add_row(Text(name, style="dim"), text)
         style = _PHASE_STYLES.get(shown.phase, "")
         title = Text(f" {shown.phase} · {shown.mode} · {self._time(shown)} ", style=f"bold {style}".strip())
-        return Panel(
-            table, title=title, title_align="left", border_style=style or "none", width=min(self._console.width, 92)
-        )
+        width = min(self._terminal.console.width, 92)
+        return Border(table, title=title, title_align="left", border_style=style or "none", width=width)
 
     def _rows(self, shown: Present) -> Iterator[tuple[str, Text]]:
         range_m, estimate = shown.range_m, shown.estimate

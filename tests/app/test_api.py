@@ -15,9 +15,8 @@ import pytest
 import sidelong
 from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
-from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.single import fly_single
+from sidelong.app.flight.shell import FlyingAircraft, Life, fly
 from sidelong.app.records.run_folder import RunFolder
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -39,14 +38,15 @@ def test_the_example_watches_and_ends(tmp_path):
 def test_a_flight_that_is_stopped_while_the_vehicle_is_checked_takes_nothing_over(tmp_path):
     config, folder = Config(), RunFolder.create(tmp_path, datetime.now(UTC))
 
-    async def fly():
+    async def stopped():
         with contextlib.closing(Recording(folder, config, print)) as recording:
             life = Life(lambda: recording.begun, print)
             life.stopped.set()
             display = sidelong.Watch(folder.path, lambda _text: None)
-            return await fly_single(config, None, folder, recording, display, life, print, lambda: prepared(config))
+            aircraft = FlyingAircraft(config, folder, recording, display, print, lambda: prepared(config))
+            return await fly([aircraft], None, life, print)
 
-    ended = asyncio.run(fly())
+    ended = asyncio.run(stopped())
     assert ended.summary.outcome == "interrupted"
     assert "TakeoverRequested" not in folder.journal.read_text()
 

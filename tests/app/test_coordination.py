@@ -7,8 +7,7 @@ from collections import defaultdict
 
 import pytest
 
-from sidelong.app.fleet.coordination import Coordination, Participant
-from sidelong.app.fleet.vehicle_clock import VehicleClockReader
+from sidelong.app.fleet.coordination import Coordination, Participant, VehicleClockReader
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
@@ -64,7 +63,7 @@ def pair(monkeypatch):
     coordinator, journal, announced, noted = Coordinator(), Journal(), {"a": [], "b": []}, []
     clocks = {"a": 10.0, "b": 500.0}
     coordination = Coordination(coordinator, journal, lambda *words: noted.append(words))
-    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: 1000.0)
+    monkeypatch.setattr("sidelong.app.fleet.coordination.time.monotonic", lambda: 1000.0)
     for name, home_above_m in (("a", 0.0), ("b", 20.0)):
         now_s = lambda name=name: clocks[name]  # noqa: E731
         others = lambda name=name: coordination.reported_by_others_s(name)  # noqa: E731
@@ -94,8 +93,8 @@ def test_a_clock_goes_on_where_its_stamps_begin_again():
 
 def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc(monkeypatch):
     wall = [1000.0]
-    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
-    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.time", lambda: UTC_S)
+    monkeypatch.setattr("sidelong.app.fleet.coordination.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("sidelong.app.fleet.coordination.time.time", lambda: UTC_S)
     reader = VehicleClockReader("a", lambda: 30.0)
     asked_ns = 999_600_000_000
     answer = message("TIMESYNC", tc1=30_000_000_000, ts1=asked_ns)
@@ -116,8 +115,8 @@ class Wall:
 
     def __init__(self, coordination, monkeypatch):
         self.now_s, self._coordination = 1000.0, coordination
-        monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: self.now_s)
-        monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.time", lambda: UTC_S + self.now_s)
+        monkeypatch.setattr("sidelong.app.fleet.coordination.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("sidelong.app.fleet.coordination.time.time", lambda: UTC_S + self.now_s)
 
     def pass_by(self, seconds, utc_ahead_s, round_trip_s=0.02, rate=1.0):
         """Let each report UTC and answer once a second; utc_ahead_s: of this computer's clock, by name."""
@@ -192,8 +191,8 @@ def test_utc_that_comes_late_does_not_move_mission_time(pair, monkeypatch):
 
 def test_without_either_the_positions_report_the_clock_by_their_arrival(monkeypatch):
     wall = [1000.0]
-    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
-    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.time", lambda: UTC_S)
+    monkeypatch.setattr("sidelong.app.fleet.coordination.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("sidelong.app.fleet.coordination.time.time", lambda: UTC_S)
     reader = VehicleClockReader("a", lambda: 30.0)
     position = message("GLOBAL_POSITION_INT", time_boot_ms=30_000)
     assert reader.report(position) is None

@@ -10,9 +10,10 @@ import pytest
 from rich.console import Console
 
 from sidelong.app.commands import launch as command
+from sidelong.app.config import Config, with_values
 from sidelong.app.view import address, display
 from sidelong.app.view.address import PageAddress, free_port, is_desktop
-from sidelong.app.view.panel import PanelDisplay, target_motion
+from sidelong.app.view.panel import Panel, target_motion
 from sidelong.mission.core.events import Announce
 
 
@@ -40,13 +41,13 @@ def test_a_desktop_is_a_display_and_a_terminal(monkeypatch, variables, terminal,
 )
 def test_the_map_is_shown_unless_it_was_declined(monkeypatch, view, silent, shown):
     monkeypatch.setattr(command, "is_desktop", lambda: True)
-    found = command.map_address(view, silent, "127.0.0.1", 0, None, None, None, None)
+    found = command._map_address(view, silent, with_values(Config(), {"display": {"port": 0}}, "test"))
     assert (found is not None) is shown
     assert found is None or found.opens_browser
 
 
 def test_a_map_that_was_asked_for_opens_no_browser():
-    found = command.map_address(True, False, "127.0.0.1", 8420, None, None, None, None)
+    found = command._map_address(True, False, Config())
     assert not found.opens_browser
 
 
@@ -60,12 +61,10 @@ def test_a_port_in_use_does_not_keep_the_page_away():
 def test_the_browser_is_opened_at_the_page(monkeypatch, opens):
     import asyncio  # noqa: PLC0415  # its own loop, in this test only
 
-    from sidelong.app.config import Config  # noqa: PLC0415
-
     opened = []
     monkeypatch.setattr(display.webbrowser, "open", opened.append)
     view = display.ViewDisplay(
-        PanelDisplay(Console(), quiet=True), Config(), PageAddress(port=0, opens_browser=opens)
+        {"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0, opens_browser=opens)
     )
 
     async def shown() -> str:
@@ -81,7 +80,8 @@ def test_the_browser_is_opened_at_the_page(monkeypatch, opens):
 def lines(snapshot, calm):
     """Return what is printed of a minute in which something happens each second, ten times as fast."""
     written, wall_s = io.StringIO(), [0.0]
-    with PanelDisplay(Console(file=written, width=200), calm=calm, clock_s=lambda: wall_s[0]) as panel:
+    with Panel(Console(file=written, width=200), calm=calm, clock_s=lambda: wall_s[0]) as terminal:
+        panel = terminal.of()
         panel.engage(snapshot.time_s, 1200.0)
         for second in range(600):
             wall_s[0] = second / 10.0

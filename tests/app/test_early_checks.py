@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sidelong.app.cli import app
-from sidelong.app.commands import connect, launch_one, replay
+from sidelong.app.commands import connect, flying, replay
 from sidelong.app.errors import InputError
 from tests.command_line import sidelong
 
@@ -70,7 +70,7 @@ def test_a_wrong_option_is_reported_at_once(monkeypatch, arguments, sentence):
         late.called = True
         raise AssertionError
 
-    monkeypatch.setattr(launch_one, "prepared", computed)
+    monkeypatch.setattr(flying, "prepared", computed)
     monkeypatch.setattr(replay, "prepared", computed)
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)

@@ -10,19 +10,19 @@ from types import SimpleNamespace
 import pytest
 
 from sidelong.app.errors import InputError
-from sidelong.app.fleet import flight
-from sidelong.app.fleet.flight import FleetFlight, check_apart
+from sidelong.app.flight import shell
+from sidelong.app.flight.shell import Shell, check_apart
 from tests.messages import message
 
 
 @pytest.fixture
 def fleet(monkeypatch):
     """Return what makes a fleet of two whose second may fly already, and what was noted."""
-    monkeypatch.setattr(flight, "is_flying", lambda vehicle: vehicle.flies)
+    monkeypatch.setattr(shell, "is_flying", lambda vehicle: vehicle.flies)
     noted: list[str] = []
 
     def make(flies):
-        made = object.__new__(FleetFlight)
+        made = object.__new__(Shell)
         made._aircraft = [
             SimpleNamespace(
                 name=name,
@@ -57,20 +57,22 @@ def test_a_fault_of_ours_is_not_hidden(fleet):
 
 
 def test_the_duration_runs_from_when_the_clock_is_known(monkeypatch):
-    monkeypatch.setattr(flight, "_POLL_S", 0.0)
+    monkeypatch.setattr(shell, "_POLL_S", 0.0)
     reads = itertools.count()
 
     class Clock:
+        over = asyncio.Event()
+
         @property
         def now_s(self):
             return -math.inf if (read := next(reads)) < 4 else 100.0 + read
 
     async def flown():
-        made = object.__new__(FleetFlight)
+        made = object.__new__(Shell)
         made._aircraft = [SimpleNamespace(settled=True)]
-        made._duration_s, made._over = 20.0, asyncio.Event()
-        await made._until_over(Clock())
-        return made._over.is_set()
+        made._duration_s, clock = 20.0, Clock()
+        await made._until_over(clock)
+        return clock.over.is_set()
 
     assert asyncio.run(flown())
     assert next(reads) > 20

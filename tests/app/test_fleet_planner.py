@@ -8,7 +8,7 @@ import numpy as np
 
 from sidelong.app.cli import load_command
 from sidelong.app.config import Config
-from sidelong.app.fleet.planner import TeamPredictive, planner_in_fleet
+from sidelong.app.fleet.fleet_file import TeamPredictive, planner_in_fleet
 from sidelong.app.planners.planner_kind import Paper, Predictive
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality

@@ -7,8 +7,7 @@ import math
 import pytest
 
 from sidelong.app.analysis.score import Moment
-from sidelong.app.analysis.summary import Summary
-from sidelong.app.fleet.summary import FlownAircraft, FlownTrack, min_separation_m, summarise_fleet
+from sidelong.app.analysis.summary import FlownAircraft, MissionTrack, Summary, min_separation_m, summarise_fleet
 from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
@@ -25,7 +24,7 @@ def moments(places, begin_s=0.0, step_s=0.5):
 
 
 def flown(name, places, offset_s=0.0, track=None):
-    return FlownAircraft(name, SUMMARY, moments(places, -offset_s), offset_s, track or FlownTrack())
+    return FlownAircraft(name, SUMMARY, moments(places, -offset_s), offset_s, track or MissionTrack())
 
 
 def test_a_side_counts_while_any_aircraft_has_it():
@@ -60,7 +59,7 @@ def test_an_aircraft_that_never_watched_does_not_hide_the_others():
 
 
 def track(*rows):
-    made = FlownTrack()
+    made = MissionTrack()
     for row in rows:
         made.add(*row)
     return made

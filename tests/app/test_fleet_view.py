@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -12,9 +13,9 @@ from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
 
 from sidelong.app.config import Config
-from sidelong.app.fleet.panel import FleetPanel
-from sidelong.app.fleet.view import FleetView
 from sidelong.app.view.address import PageAddress
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Alarm, VehicleStatus
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
@@ -24,7 +25,13 @@ from sidelong.mission.route.route import route_of
 
 PLANE = LocalPlane(47.4, 8.5)
 NAMES = ("plane", "wing")
-CONFIGS = dict.fromkeys(NAMES, Config())
+
+
+def view_of(names, sides=MappingProxyType({})):
+    """Return a fleet's map without a page."""
+    panel = Panel(Console(file=io.StringIO()), quiet=True)
+    displays = {name: panel.of(name) for name in names}
+    return ViewDisplay(displays, dict.fromkeys(names, Config()), PageAddress(port=0), sides)
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +43,7 @@ def snapshot(flight):
 @pytest.fixture
 def view():
     """Return a fleet's map without a page, and the wishes that reach each aircraft."""
-    panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    made = FleetView(panel, CONFIGS, PageAddress(port=0))
+    made = view_of(NAMES)
     wishes: dict[str, list] = {name: [] for name in NAMES}
     for name in NAMES:
         made.of(name).begin(PLANE, wishes[name].append)
@@ -51,7 +57,7 @@ def alongside(snapshot):
 
 def test_what_is_reported_names_the_aircraft(snapshot):
     out = io.StringIO()
-    with FleetPanel(Console(file=out, width=200)) as panel:
+    with Panel(Console(file=out, width=200)) as panel:
         plane, _ = (panel.of(name) for name in NAMES)
         panel.note("starting")
         plane.note("connecting")
@@ -79,7 +85,7 @@ def test_a_button_is_for_all_each_at_its_own_time(view, snapshot):
 def test_what_would_bring_them_together_is_refused(view, snapshot, wish):
     shown, wishes = view
     shown.of("plane").show(snapshot)
-    shown._request(wish)
+    shown.ask_all(wish)
     assert wishes == {"plane": [], "wing": []}
 
 
@@ -154,8 +160,7 @@ def test_the_map_draws_the_others_with_their_circles(page, snapshot):
 
 
 def test_of_several_targets_the_page_names_each_and_whose_decisions_are_reported(snapshot):
-    panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    shown = FleetView(panel, CONFIGS, PageAddress(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
+    shown = view_of(NAMES, {"boat": Side.LEFT, "bike": Side.RIGHT})
     for name, target in zip(NAMES, ("boat", "bike"), strict=True):
         shown.of(name).begin(PLANE, lambda _wish: None)
         shown.of(name).show(replace(snapshot, target=target))
@@ -175,9 +180,7 @@ def on_route(snapshot, target, east_m):
 
 def test_the_map_draws_the_route_of_each_target_once(browser, snapshot):
     names = ("plane", "wing", "kite")
-    shown = FleetView(
-        FleetPanel(Console(file=io.StringIO()), quiet=True), dict.fromkeys(names, Config()), PageAddress(port=0)
-    )
+    shown = view_of(names)
     with shown:
         for name, target, east_m in zip(names, ("boat", "bike", "bike"), (0.0, 70.0, 70.0), strict=True):
             shown.of(name).show(on_route(snapshot, target, east_m))

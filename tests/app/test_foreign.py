@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sidelong.app.fleet.foreign import ForeignAircraft
+from sidelong.app.fleet.flight import ForeignAircraft
 from sidelong.estimators.frames import LocalPlane
 from tests.messages import message, position
 

@@ -16,7 +16,7 @@ from sidelong.app.commands.output import shielded_output, standard
 from sidelong.app.commands.progress import progress_bar
 from sidelong.app.config import load_config
 from sidelong.app.link.message import plain, plain_fields
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Announce
 
@@ -39,8 +39,8 @@ def test_what_a_vehicle_reports_is_one_line_without_control_characters(text, sho
 
 def test_the_terminal_is_not_at_the_mercy_of_what_is_announced():
     written = io.StringIO()
-    panel = PanelDisplay(Console(file=written, markup=False))
-    with panel:
+    with Panel(Console(file=written, markup=False)) as terminal:
+        panel = terminal.of()
         panel.note("\x1b[2J")
         panel.say(Announce(1.0, "plan", "plan 1 was not taken: \x1b[2J"))
     assert "\x1b" not in written.getvalue()

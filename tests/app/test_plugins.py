@@ -95,7 +95,7 @@ def test_a_broken_distribution_is_named_in_a_sentence(python, points, words):
 
 
 def test_a_flight_loads_neither_figures_nor_other_filters():
-    program = "import sidelong.app.commands.launch_one, sidelong.app.serve.resident, sys; print(*sys.modules)"
+    program = "import sidelong.app.commands.flying, sidelong.app.serve.resident, sys; print(*sys.modules)"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
     assert not set(ran.stdout.split()) & {
         "matplotlib",

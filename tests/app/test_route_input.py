@@ -8,7 +8,7 @@ import pytest
 
 from sidelong.app.config import RouteSection
 from sidelong.app.errors import InputError
-from sidelong.app.flight.route_input import check_route, give_route
+from sidelong.app.flight.payload_input import check_route, give_route
 from sidelong.estimators.frames import LocalPlane
 
 

@@ -26,7 +26,7 @@ from sidelong.app.view.access import Access
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.guard import Listener
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.app.view.server import Server
 from sidelong.estimators.frames import LocalPlane
 
@@ -36,7 +36,7 @@ GROWTH_MAX_KB = 8192
 
 
 def display_at(address: PageAddress) -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), address)
+    return ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": Config()}, address)
 
 
 @pytest.fixture(scope="module")

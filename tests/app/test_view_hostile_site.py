@@ -12,7 +12,7 @@ from rich.console import Console
 from sidelong.app.config import Config
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.estimators.frames import LocalPlane
 
 # Everything that a site may try against a page on this machine; each try reports in the title that it is over.
@@ -41,7 +41,7 @@ TRIES = 6
 
 @pytest.fixture
 def display(flight):
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), PageAddress(port=0)) as display:
+    with ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0)) as display:
         display.begin(LocalPlane(47.4, 8.5), lambda _request: None)
         display.engage(100.0, None)
         for _, _, controller in flight(110.0):

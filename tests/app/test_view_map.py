@@ -21,7 +21,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.background import MbTiles, background, readable_tile
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.estimators.frames import LocalPlane
 
 PLANE = LocalPlane(47.4, 8.5)
@@ -104,7 +104,9 @@ def test_a_wrong_map_ends_launch_before_anything_is_connected(tmp_path):
 
 def test_tiles_are_served_and_nothing_else_of_the_file(tmp_path):
     under = background(mbtiles(tmp_path / "a.mbtiles", picture()), None)
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), PageAddress(port=0, map=under)) as display:
+    with ViewDisplay(
+        {"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0, map=under)
+    ) as display:
         with urlopen(f"{display.url}map/{ZOOM}/{COLUMN}/{ROW}") as answer:
             assert answer.read() == picture()
             assert answer.headers["Content-Type"] == "image/png"
@@ -117,7 +119,9 @@ def test_tiles_are_served_and_nothing_else_of_the_file(tmp_path):
 
 def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
     under = background(mbtiles(tmp_path / "a.mbtiles", picture()), None)
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), PageAddress(port=0, map=under)) as display:
+    with ViewDisplay(
+        {"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0, map=under)
+    ) as display:
         display.begin(PLANE, lambda _wish: None)
         for _, _, controller in flight(5.0):
             display.show(controller.snapshot())

@@ -14,11 +14,9 @@ from playwright.sync_api import TimeoutError as NotYet
 from rich.console import Console
 
 from sidelong.app.config import Config
-from sidelong.app.fleet.panel import FleetPanel
-from sidelong.app.fleet.view import FleetView
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.panel import PanelDisplay, clock
+from sidelong.app.view.panel import Panel, clock
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Alarm, Phase, VehicleStatus
@@ -61,7 +59,7 @@ def snapshots(flight):
 @contextmanager
 def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, PageAddress(port=0)) as display:
+    with ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": config}, PageAddress(port=0)) as display:
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
         for tick, (snapshot, announced) in enumerate(snapshots):
@@ -291,7 +289,7 @@ def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
 
 def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(browser, snapshots):
     config = Config.model_validate({"link": {"urls": [f"serial:///dev/serial/by-id/{'usb-radio-' * 12}:57600"]}})
-    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, PageAddress(port=0)) as display:
+    with ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": config}, PageAddress(port=0)) as display:
         display.note("connecting")
         display.pump()
         page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
@@ -307,7 +305,8 @@ def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(brows
 @pytest.mark.parametrize("width", [1400, 390])
 def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, width):
     names = ("north-survey-plane", "a-wing-with-a-long-name")
-    view = FleetView(FleetPanel(Console(), quiet=True), dict.fromkeys(names, Config()), PageAddress(port=0))
+    panel = Panel(Console(), quiet=True)
+    view = ViewDisplay({name: panel.of(name) for name in names}, dict.fromkeys(names, Config()), PageAddress(port=0))
     with view:
         for name in names:
             view.of(name).begin(PLANE, lambda _request: None)

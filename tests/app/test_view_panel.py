@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import Announce
 from sidelong.mission.core.inputs import Input, InputReport, InputState
@@ -24,7 +24,8 @@ def snapshots(flight):
 
 def drawn(*shown, terminal: bool, width: int = 100, quiet: bool = False) -> str:
     console = Console(file=io.StringIO(), force_terminal=terminal, width=width, color_system=None)
-    with PanelDisplay(console, quiet) as display:
+    with Panel(console, quiet) as panel:
+        display = panel.of()
         display.engage(100.0, 1200.0)
         display.note("connected")
         display.say(Announce(142.0, "decision", "moving 318 m east: in 42 s the target would be 533 m away"))

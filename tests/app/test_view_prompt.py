@@ -9,7 +9,7 @@ import termios
 import pytest
 from rich.console import Console
 
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.app.view.prompt import HELP, WHO, Prompt, read_wish
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import MissionChange, OperatorRequest
@@ -80,7 +80,8 @@ def test_a_change_typed_at_a_terminal_reaches_the_flight(snapshot):
     async def flown() -> MissionChange:
         wishes: asyncio.Queue[MissionChange] = asyncio.Queue()
         console = Console(file=io.StringIO(), force_terminal=True, width=100)
-        with PanelDisplay(console, keyboard=terminal) as panel:
+        with Panel(console, keyboard=terminal) as shown:
+            panel = shown.of()
             panel.show(snapshot)
             panel.begin(LocalPlane(47.4, 8.5), wishes.put_nowait)
             assert not termios.tcgetattr(terminal)[3] & (termios.ECHO | termios.ICANON)

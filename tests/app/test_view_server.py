@@ -18,7 +18,7 @@ from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay, served
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 from sidelong.app.view.server import button_of
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import OperatorRequest
@@ -29,7 +29,7 @@ OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address tha
 
 
 def display_at(host: str) -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), PageAddress(host, 0))
+    return ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(host, 0))
 
 
 @pytest.fixture(scope="module")
@@ -221,8 +221,8 @@ def test_a_port_in_use_is_reported(shown):
         socket.create_server(("127.0.0.1", 0)) as taken,
         pytest.raises(InputError, match=f"{taken.getsockname()[1]}.*--view-port"),
         ViewDisplay(
-            PanelDisplay(Console(), quiet=True),
-            Config(),
+            {"": Panel(Console(), quiet=True).of()},
+            {"": Config()},
             PageAddress("127.0.0.1", taken.getsockname()[1]),
         ),
     ):
@@ -236,7 +236,7 @@ def test_one_aircraft_has_no_button_to_relieve_it(shown):
     assert button_of({"action": "relieve", "name": "aircraft-1"}, frozenset({"aircraft-1"}))["name"] == "aircraft-1"
 
 
-@pytest.mark.parametrize("line", [b'{"action":"relieve","name":"x","who":"w"}', b'{"action":"side","side":1}', b"[]"])
+@pytest.mark.parametrize("line", [b'{"action":"change","who":"w"}', b'{"action":"side","side":1}', b"[]"])
 def test_nothing_from_the_page_raises_into_the_control_loop(flight, capsys, line):
     with display_at("127.0.0.1") as display:
         display.begin(PLANE, lambda _request: None)

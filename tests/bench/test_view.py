@@ -37,7 +37,7 @@ from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.background import Background, background
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.panel import Panel
 
 CONFIG = Config.model_validate({"planner": {"name": "paper"}, "simulation": {"speed": 5.0}})
 FLOWN_S = 200.0  # of the vehicle's time
@@ -55,7 +55,7 @@ FLAGS = (
 
 
 def shown(under: Background | None = None) -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), quiet=True), CONFIG, PageAddress(port=0, map=under))
+    return ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": CONFIG}, PageAddress(port=0, map=under))
 
 
 def test_a_map_of_100_mb_is_served_without_growth_of_memory(tmp_path):
@@ -115,7 +115,7 @@ class Alternating:
     """
 
     def __init__(self, view: ViewDisplay) -> None:
-        self._view, self._panel = view, PanelDisplay(Console(), quiet=True)
+        self._view, self._panel = view, Panel(Console(), quiet=True).of()
         self.held_s: list[float] = []
 
     @property

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from sidelong.app.assembly import controller_of, mission_controller_of
-from sidelong.app.commands.replay_fleet import compare_coordination
 from sidelong.app.fleet.assembly import coordinator_of
-from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
-from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.fleet.planner import planner_in_fleet
+from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant, compare_coordination
+from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.core.events import End
 from sidelong.mission.core.fleet import Role

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.app.flight.life import Life
+from sidelong.app.flight.shell import Life
 from tests.command_line import runs_for
 from tests.faults.interrupts import Interruption, left_of
 

@@ -27,8 +27,8 @@ from sidelong.app.cli import app
 from sidelong.app.commands import serve
 from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
-from sidelong.app.flight.life import Life
 from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.shell import Life
 from sidelong.app.records import run_folder
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve import control_socket
@@ -543,7 +543,8 @@ def test_a_vehicle_with_another_system_id_is_obeyed(tmp_path, monkeypatch):
 
 
 def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, monkeypatch):
-    async def flown(_config, _duration_s, folder, recording, *_rest):
+    async def flown(aircraft, *_rest):
+        folder, recording = aircraft[0].folder, aircraft[0].recording
         shown.append(resident.status.records)
         folder.journal.symlink_to("/dev/full")
         recording.begin(LocalPlane(47.4, 8.5), (47.4, 8.5))
@@ -551,7 +552,7 @@ def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, m
         raise FlightError("the link is lost")
 
     shown: list[str] = []
-    monkeypatch.setattr("sidelong.app.serve.resident.fly_single", flown)
+    monkeypatch.setattr("sidelong.app.serve.resident.fly", flown)
     resident = Resident(Config(), tmp_path, lambda _text: None)
     resident._wanted = True
     asyncio.run(resident._watch_once(None))

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.config import config_from
 from sidelong.app.errors import FlightError
-from sidelong.app.flight.life import Life
+from sidelong.app.flight.shell import Life
 from sidelong.app.serve import resident as service
 from sidelong.app.serve.resident import Resident, State
 from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
@@ -76,7 +76,7 @@ async def serving(vehicle, out, monkeypatch, **control):
 
     watching = Watching()
     monkeypatch.setattr(Resident, "_prepare", prepared)
-    monkeypatch.setattr(service, "fly_single", watching)
+    monkeypatch.setattr(service, "fly", watching)
     config = config_from({"link": {"url": vehicle.url}, "control": control}, "test")
     resident, stopped = Resident(config, out / "runs", lambda _text: None), asyncio.Event()
     running = asyncio.create_task(resident.run(stopped, out / "serve.sock"))

@@ -1,0 +1,587 @@
+"""The shell of a flight of one or several aircraft: connect, check, take off, watch, shut down, summarise.
+
+| | before anything was commanded | later |
+| --- | --- | --- |
+| one aircraft is not received or not ready | all are given up; where others fly already, it is left out | |
+| one link, autopilot or payload is lost, a pilot takes over, a flight fails | | the others go on |
+| an interrupt, the end of the simulation | given up at once | all are shut down |
+
+Aircraft on the ground take off one after the other, the highest layer first: none climbs through another's. A reserve
+waits until the coordinator wants it.
+
+What ends a flight early, and what is reported:
+
+| | nothing commanded yet | flying to the first circle, or tracking | shutting down |
+| --- | --- | --- | --- |
+| INT, TERM, HUP | aborted at once | shut down, exit code 130 | asked to wait, with a time limit; then ignored |
+| the simulated vehicle ends | failed, exit code 1 | shut down, exit code 1 | ignored |
+| first circle unreachable, or internal error | failed, exit code 1 | shut down, exit code 1 | exit code 1 |
+| output cannot be written | refused for a record, exit code 2 | reported; the flight continues | reported |
+
+Shut down means: no further plan is sent, changed parameters are restored, records are closed and the summary is
+printed. The aircraft stays on its circle, which needs no companion computer. Records are deleted only if the vehicle
+was never armed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any, Protocol
+
+from sidelong.app.analysis.score import Moment
+from sidelong.app.analysis.summary import FleetSummary, Summary
+from sidelong.app.analysis.truth import truth_if_whole
+from sidelong.app.assembly import Prepared
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.config import Config
+from sidelong.app.errors import FlightError, InputError, Interrupted
+from sidelong.app.flight.flight import Flight
+from sidelong.app.flight.loop import FlightDisplay, Stepped
+from sidelong.app.flight.payload_input import payload_input
+from sidelong.app.flight.recording import ClockRate, Recording, link_log
+from sidelong.app.flight.session import Session, connected
+from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.link.frames import Frame
+from sidelong.app.link.key_file import key_in_use
+from sidelong.app.link.mavsdk_link import OWN_SYSTEM_ID, SETTLING_S
+from sidelong.app.link.message import Message
+from sidelong.app.link.queries import is_flying, mode_of
+from sidelong.app.link.raw_links import opened_url
+from sidelong.app.link.signing import signing_time
+from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT
+from sidelong.app.link.transport import sharing_opener
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.process import ends_within
+from sidelong.app.records.run_folder import FleetFolder, RunFolder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.present import Phase, Present
+from sidelong.sitl.settings import TargetSettings
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together below this
+
+
+class Life:
+    """Life cycle of one flight. ``begun``: returns whether a command may have been sent to the vehicle.
+
+    stopped is set when the flight must shut down. signal_name or failure gives the reason; at most one is set.
+    """
+
+    def __init__(self, begun: Callable[[], bool], note: Callable[[str], object]) -> None:
+        self.stopped = asyncio.Event()
+        self.signal_name: str | None = None
+        self.failure: str | None = None
+        self.was_armed = False
+        self._begun, self._note = begun, note
+        self._task = asyncio.current_task()
+        self._at_once = self._broken_off = False
+        self._winding_up = contextlib.ExitStack()
+
+    @contextlib.contextmanager
+    def heeding_signals(self) -> Iterator[None]:
+        """Handle signals according to the table above.
+
+        asyncio's own handler loses a signal when the loop is so late that its wake-up socket is full.
+        """
+        loop = asyncio.get_running_loop()
+
+        def handle(number: int, _frame: object) -> None:
+            if self._at_once:
+                self._broken_off = True
+                raise KeyboardInterrupt
+            loop.call_soon_threadsafe(self._signalled, number)
+
+        heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+        with self._winding_up:
+            for number in heeded:
+                signal.signal(number, handle)
+            try:
+                yield
+            finally:
+                for number in heeded:
+                    signal.signal(number, self._signalled_late)
+
+    def _signalled_late(self, _number: int, _frame: object) -> None:
+        """Let the records of a flight be completed, and its summary be written: that takes a moment."""
+        if not self._begun():
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def computing(self) -> Iterator[None]:
+        """Let a signal abort the work in this context at once: the event loop is blocked, nothing is commanded."""
+        self._at_once = True
+        try:
+            yield
+        except Exception as error:
+            if self._broken_off:  # an interrupted library may raise its own error
+                raise KeyboardInterrupt from error
+            raise
+        finally:
+            self._at_once = False
+
+    def watch(self, vehicle: Vehicle) -> None:
+        """Note from now on whether the vehicle is armed."""
+
+        def on_message(message: Message) -> None:
+            if message.name == "HEARTBEAT" and message.component_id == AUTOPILOT_COMPONENT:
+                self.was_armed |= self._begun() and bool(int(message.fields["base_mode"]) & ARMED_FLAG)
+
+        vehicle.listeners.append(on_message)
+
+    def fail(self, reason: str) -> None:
+        """End the flight for a reason that leaves no way on."""
+        if not self._ending:
+            self.failure = reason
+            self._end()
+
+    @property
+    def _ending(self) -> bool:
+        return self.signal_name is not None or self.failure is not None
+
+    def _signalled(self, number: int) -> None:
+        if self._ending:
+            self._note(f"{signal.Signals(number).name}: shutting down already; that takes {_WIND_UP_S:.0f} s at most")
+            return
+        self.signal_name = signal.Signals(number).name
+        self._note(f"{self.signal_name}: shutting down")
+        self._end()
+
+    def _end(self) -> None:
+        self.stopped.set()
+        self._winding_up.enter_context(ends_within(_WIND_UP_S, "shutting down"))
+        if not self._begun() and self._task is not None:
+            self._task.cancel()  # there is nothing to wind up
+
+
+def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Present, simulated: bool) -> str:
+    """Return what the aircraft does now that this program leaves off, as the end of a sentence."""
+    if not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
+        does = "the aircraft is not armed"
+    elif snapshot.phase is Phase.YIELDED:
+        does = "a pilot or another station flies the aircraft"
+    elif mode_of(vehicle) not in (autopilot.mission_mode, autopilot.circle_mode):
+        flies, mode = is_flying(vehicle), mode_of(vehicle)
+        does = f"the aircraft flies on in {mode}" if flies else f"the aircraft is armed on the ground in {mode}"
+    elif snapshot.phase is not Phase.WAITING:
+        does = "the aircraft goes on circling where it is"
+    else:
+        does = "the aircraft flies to its first circle and stays on it"
+    if simulated:
+        return f"{does}, but it was simulated and ends with this program"
+    return does if snapshot.connected else f"by its last message, {does}"
+
+
+_POLL_S = 0.1
+_SAME_CLOCK_S, _SAME_PLACE_M = 5.0, 10.0  # of one vehicle by two links, one of which may be slow
+_FLEET_WITHIN_M = 100_000.0
+
+
+@dataclass(eq=False)
+class FlyingAircraft:
+    """One aircraft, from its connection to its summary.
+
+    Attributes:
+        config: Its configuration; without link URLs a vehicle is simulated.
+        folder: Its run folder.
+        recording: Its records.
+        display: Shows the flight, and passes the operator's requests.
+        trouble: Displays a problem, from any thread.
+        prepare: Returns what the control step is made of; it may compute for seconds.
+        name: Its name; '' where it is the only one.
+        reserve: Whether it waits on the ground until the fleet needs it.
+        session: Its connection; one that is given stays, and ``recording`` has its frames then.
+        wanted: Set once it has to be in the air.
+        outcome: How its flight ended; '' until then.
+        error: What its flight failed with.
+    """
+
+    config: Config
+    folder: RunFolder
+    recording: Recording
+    display: FlightDisplay
+    trouble: Callable[[str], None]
+    prepare: Callable[[], Prepared]
+    name: str = ""
+    reserve: bool = False
+    session: Session = None  # type: ignore[assignment]  # until it is connected
+    wanted: asyncio.Event = field(default_factory=asyncio.Event)
+    outcome: str = ""
+    error: Exception | None = None
+    flight: Flight = None  # type: ignore[assignment]  # until it is connected
+    links: tuple[dict[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.reserve:
+            self.wanted.set()
+        self.clock_rate = ClockRate(lambda: self.session.telemetry.now_s)
+
+    def own_frame(self, data: bytes) -> None:
+        """Take a frame of a link that is shared, from any thread: the others' are theirs to record."""
+        if Frame(data).source[0] in (self.config.link.system_id, OWN_SYSTEM_ID):
+            self.recording.frame(data)
+
+    @property
+    def controller(self) -> StandoffController:
+        """Its control step."""
+        return self.flight.controller
+
+    @property
+    def is_received(self) -> bool:
+        """Whether its link is not silent."""
+        return self.controller.snapshot().connected
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is settled: sidelong controls it, its flight is over, or the fleet does not need it yet."""
+        return self.controller.phase.in_control or bool(self.outcome) or not self.wanted.is_set()
+
+    def failed(self, error: Exception) -> None:
+        """Take what its flight failed with."""
+        known = isinstance(error, FlightError | InputError)
+        self.error, self.outcome = error, f"failed: {error if known else f'a fault of the program, {error!r}'}"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEnded:
+    """How a flight ended.
+
+    Attributes:
+        folder: Where its records are.
+        summary: What was flown.
+        reason: The error to report and to exit with, None after a regular end.
+        aircraft: What each aircraft does now, as the end of a sentence.
+    """
+
+    folder: RunFolder | FleetFolder
+    summary: Summary | FleetSummary
+    reason: Exception | None
+    aircraft: str = ""
+
+    @property
+    def is_internal(self) -> bool:
+        """Whether the reason is a fault of this program."""
+        return self.reason is not None and not isinstance(self.reason, FlightError | InputError | Interrupted)
+
+
+class Coordinator(Protocol):
+    """What several aircraft have in common: see :class:`sidelong.app.fleet.flight.FleetFlight`.
+
+    Attributes:
+        folder: The folder of the whole run.
+        targets: Those of a simulation, and which of them each aircraft's payload sees first.
+        over: Set when the flight of all is over.
+        now_s: Mission time; -inf before the first clock is known.
+    """
+
+    folder: FleetFolder
+    targets: tuple[list[TargetSettings], list[int]]
+    over: asyncio.Event
+
+    @property
+    def now_s(self) -> float: ...
+
+    def prepare(self) -> None:
+        """Compute for some seconds what the flight needs."""
+
+    def coordinated(self, aircraft: list[FlyingAircraft]) -> contextlib.AbstractAsyncContextManager[None]:
+        """Coordinate these aircraft inside the context."""
+
+    def stepped(self, one: FlyingAircraft) -> Stepped:
+        """Return what is called after each step of an aircraft's core."""
+
+    def lost(self, one: FlyingAircraft) -> None:
+        """Take that an aircraft's flight is over."""
+
+    def summary(
+        self, flown: Sequence[tuple[FlyingAircraft, Summary, Sequence[Moment]]], ended: str, by_truth: bool
+    ) -> FleetSummary:
+        """Return the summary of all. ended: the outcome of all, '' where each has its own."""
+
+
+async def fly(
+    aircraft: Sequence[FlyingAircraft],
+    duration_s: float | None,
+    life: Life,
+    note: Callable[[str], None],
+    coordinator: Coordinator | None = None,
+) -> FlightEnded:
+    """Fly to the end and return how it ended. Raises what happens before an aircraft was armed.
+
+    Args:
+        aircraft: One aircraft, or several with a coordinator.
+        duration_s: How long to watch, of the vehicle's clock; None: until it is stopped.
+        life: What ends the flight early.
+        note: Displays a text about all aircraft.
+        coordinator: That of several aircraft.
+    """
+    return await Shell([*aircraft], duration_s, life, note, coordinator).fly()
+
+
+@dataclass(eq=False)
+class Shell:
+    """Flies one aircraft, or several; see :func:`fly`."""
+
+    _aircraft: list[FlyingAircraft]
+    _duration_s: float | None
+    _life: Life
+    _note: Callable[[str], None]
+    _coordinator: Coordinator | None = None
+    _simulated: SimulatedVehicles | None = None
+
+    async def fly(self) -> FlightEnded:
+        """Connect, check, take off, watch and shut down."""
+        coordinator = self._coordinator
+        async with contextlib.AsyncExitStack() as stack:
+            with self._life.computing():
+                prepared = [one.prepare() for one in self._aircraft]
+                if coordinator is not None:
+                    coordinator.prepare()
+            await self._connect(stack, prepared)
+            await self._prepare()
+            try:
+                if coordinator is None:
+                    await self._fly_one(self._aircraft[0])
+                else:
+                    async with coordinator.coordinated(self._aircraft):
+                        await self._fly_in_turn(coordinator)
+            finally:
+                described = self._described()
+        # Only now, with the simulated vehicles ended, are their truth files whole.
+        reason = self._reason(described)
+        folder = self._aircraft[0].folder if coordinator is None else coordinator.folder
+        return FlightEnded(folder, self._summary(), reason, described)
+
+    # -- before the flight ---------------------------------------------------------------------------------
+
+    async def _links(self, stack: contextlib.AsyncExitStack) -> list[tuple[str, ...]]:
+        """Return each aircraft's links; those of simulated vehicles are started."""
+        configs = [one.config for one in self._aircraft]
+        if configs[0].link.connections:
+            return [one.link.connections for one in configs]
+        targets, looks_at = ([], []) if self._coordinator is None else self._coordinator.targets
+        about = ", ".join(target.name for target in targets) or "its target"
+        kinds = ", ".join(config.simulation.autopilot for config in configs)
+        self._note(f"starting the simulation: {kinds}, about {about}")
+        truths = [one.folder.truth for one in self._aircraft]
+        vehicles = self._simulated = SimulatedVehicles(configs, truths, self._life.fail, targets, looks_at)
+        await stack.enter_async_context(vehicles)
+        pace = asyncio.create_task(vehicles.keep_pace(self._come_to_s))
+        stack.callback(pace.cancel)
+        return [(url,) for url in vehicles.urls]
+
+    def _come_to_s(self) -> float:
+        """Return the time of the simulation that all aircraft have reached that are received and still fly."""
+        alone = len(self._aircraft) == 1
+        flying = [one for one in self._aircraft if one.flight is not None and not one.outcome]
+        return min((one.flight.come_to_s for one in flying if alone or one.is_received), default=math.inf)
+
+    async def _connect(self, stack: contextlib.AsyncExitStack, prepared: Sequence[Prepared]) -> None:
+        urls = await self._links(stack)
+        shared = [any(sum(url in others for others in urls) > 1 for url in own) for own in urls]
+        opener, key, file = sharing_opener(urls, opened_url), None, self._aircraft[0].config.link.signing_key_file
+        if file is not None and len(urls) > 1:
+            key = stack.enter_context(key_in_use(file, signing_time(time.time()), self._aircraft[0].trouble))
+
+        async def join(one: FlyingAircraft, own: tuple[str, ...], is_shared: bool, control: Prepared) -> None:
+            link = one.config.link
+            if one.session is None:
+                one.display.note(f"connecting to {' and '.join(own)}")
+                one.session = await stack.enter_async_context(
+                    connected(
+                        own,
+                        link.heartbeat_timeout_s,
+                        one.own_frame if is_shared else one.recording.frame,
+                        file if key is None else key.apart() if is_shared else key,
+                        one.trouble,
+                        system_id=link.system_id if self._simulated is None else None,
+                        settling_s=SETTLING_S if self._simulated is None else 0.0,
+                        open_transport=opener if is_shared else None,
+                    )
+                )
+            await self._joined(stack, one, control)
+
+        done = await asyncio.gather(
+            *(join(*each) for each in zip(self._aircraft, urls, shared, prepared, strict=True)),
+            return_exceptions=True,
+        )
+        self._go_on_with(done)
+
+    async def _joined(self, stack: contextlib.AsyncExitStack, one: FlyingAircraft, prepared: Prepared) -> None:
+        session, vehicle = one.session, one.session.vehicle
+        await stack.enter_async_context(session.for_a_flight())
+        one.display.note(f"connected to {session.autopilot.name}, system {vehicle.system_id}")
+        one.recording.follow(vehicle.system_id)
+        url = None if self._simulated is None else self._simulated.payload_url
+        payload = await stack.enter_async_context(
+            payload_input(one.config, vehicle, one.display.note, one.recording.frame, url)
+        )
+        self._life.watch(vehicle)
+        turns_payload = self._coordinator is not None and len(self._coordinator.targets[0]) > 1
+        own = one.recording, one.display, self._duration_s, turns_payload, payload
+        one.flight = Flight(session, one.config, prepared, *own)
+        await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
+
+    async def _prepare(self) -> None:
+        """Check all, and let all fly in one plane."""
+        done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
+        self._go_on_with(done)
+        check_apart(self._aircraft)
+        for one in self._aircraft[1:]:
+            one.flight.share_plane(self._aircraft[0].flight.plane)
+
+    def _go_on_with(self, done: Sequence[BaseException | None]) -> None:
+        """Continue with the aircraft that are ready. done: the error of each aircraft.
+
+        If others already fly, aircraft that are not ready are left out, so that the flight continues. Otherwise this
+        raises the error.
+        """
+        pairs = list(zip(self._aircraft, done, strict=True))
+        ready = [one for one, error in pairs if error is None]
+        for one, error in pairs:
+            if isinstance(error, InputError) and len(pairs) > 1:
+                if not any(is_flying(other.session.vehicle) for other in ready):
+                    raise InputError(f"aircraft {one.name!r}: {error}") from error
+                one.display.note(f"left out: {error}")
+            elif isinstance(error, FlightError) and len(pairs) == 1 and one.flight is not None:
+                one.failed(error)
+                ready = [one]
+            elif error is not None:
+                raise error
+        self._aircraft = ready
+
+    # -- in flight -----------------------------------------------------------------------------------------
+
+    async def _fly_in_turn(self, coordinator: Coordinator) -> None:
+        over, stopped = coordinator.over, self._life.stopped
+        flights: list[asyncio.Task[None]] = []
+        clock = asyncio.create_task(self._until_over(coordinator))
+        for one in self._aircraft:
+            if is_flying(one.session.vehicle):
+                one.wanted.set()
+        # Those in the air, then the rest from the highest layer down.
+        order = [(not is_flying(one.session.vehicle), -one.config.aircraft.height_m) for one in self._aircraft]
+        try:
+            for _, one in sorted(zip(order, self._aircraft, strict=True), key=lambda pair: pair[0]):
+                flights.append(asyncio.create_task(self._fly_one(one)))
+                while not (one.settled or stopped.is_set()):
+                    await asyncio.sleep(_POLL_S)
+            await asyncio.gather(*flights)
+        finally:
+            over.set()
+            clock.cancel()
+            await asyncio.gather(*flights, clock, return_exceptions=True)
+
+    async def _fly_one(self, one: FlyingAircraft) -> None:
+        """Fly one aircraft; a reserve starts when the fleet needs it."""
+        if one.outcome:
+            return
+        coordinator, stopped = self._coordinator, self._life.stopped
+        if coordinator is not None:
+            waits = [asyncio.create_task(event.wait()) for event in (one.wanted, stopped, coordinator.over)]
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+            for wait in waits:
+                wait.cancel()
+            if stopped.is_set() or coordinator.over.is_set():
+                one.outcome = "not flown"
+                return
+        try:
+            if coordinator is None:
+                one.outcome = await one.flight.watch(stopped)
+                return
+            one.outcome = await one.flight.watch(stopped, coordinator.stepped(one), coordinator.over)
+            if not one.is_received:
+                one.outcome = "lost: its link is silent"
+        except Exception as error:  # whatever befalls one, the others go on
+            one.failed(error)
+            if coordinator is not None:
+                one.display.note(f"its flight has {one.outcome}")
+        if coordinator is not None:
+            coordinator.lost(one)
+
+    async def _until_over(self, coordinator: Coordinator) -> None:
+        """End the flight when the duration is over, which runs from when all that fly are on their circles."""
+        start_s, duration_s = math.inf, math.inf if self._duration_s is None else self._duration_s
+        while coordinator.now_s < start_s + duration_s:
+            await asyncio.sleep(_POLL_S)
+            clock_known = math.isfinite(coordinator.now_s)
+            if start_s == math.inf and clock_known and all(one.settled for one in self._aircraft):
+                start_s = coordinator.now_s
+        coordinator.over.set()
+
+    # -- after the flight ----------------------------------------------------------------------------------
+
+    def _described(self) -> str:
+        """Return what each aircraft does now, and take the measures of its links."""
+        described = []
+        for one in self._aircraft:
+            vehicle, simulated = one.session.vehicle, self._simulated is not None
+            one.links = tuple(report.as_json(one.clock_rate.mean) for report in vehicle.link.reports())
+            does = describe_aircraft(vehicle, one.session.autopilot, one.controller.snapshot(), simulated=simulated)
+            described.append(f"{one.name}: {does}" if one.name else does)
+        return "; ".join(described)
+
+    def _summary(self) -> Summary | FleetSummary:
+        ended = "" if self._life.failure is None else f"failed: {self._life.failure}"
+        truths, summaries = [], []
+        for one in self._aircraft:
+            path = None if self._simulated is None else one.folder.truth
+            truths.append(truth_if_whole(path, one.controller.time_s, one.display.note))
+            summary = one.flight.summary(ended or one.outcome, truths[-1])
+            summaries.append(replace(summary, links=one.links, records_lost=one.recording.lost))
+        if self._coordinator is None:
+            return summaries[0]
+        for one, summary in zip(self._aircraft, summaries, strict=True):
+            with contextlib.suppress(OSError):  # the fleet's holds the same
+                one.folder.write_summary(summary.as_json())
+        moments = [one.flight.moments(truth) for one, truth in zip(self._aircraft, truths, strict=True)]
+        flown = list(zip(self._aircraft, summaries, moments, strict=True))
+        return self._coordinator.summary(flown, ended, by_truth=None not in truths)
+
+    def _reason(self, described: str) -> Exception | None:
+        """Return the error to report. Raises what happened before an aircraft was armed."""
+        life, errors = self._life, {one.name: one.error for one in self._aircraft if one.error is not None}
+        if len(errors) == len(self._aircraft) == 1:
+            ((_, error),) = errors.items()
+            if not (life.was_armed or isinstance(error, FlightError)):
+                raise error
+        if life.failure is not None:
+            return FlightError(life.failure)
+        if life.signal_name is not None:
+            return Interrupted(f"interrupted by {life.signal_name}: {described}.")
+        if len(errors) < len(self._aircraft):
+            return None
+        reasons = " ".join(f"{name}: {error}" if name else str(error) for name, error in errors.items())
+        known = [error for error in errors.values() if isinstance(error, FlightError | InputError)]
+        if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
+            return InputError(reasons)
+        return FlightError(f"{reasons} Now {described}.") if known or len(errors) > 1 else next(iter(errors.values()))
+
+
+def check_apart(aircraft: Iterable[FlyingAircraft]) -> None:
+    """Raise InputError where two links lead to one vehicle, or two aircraft are too far apart for one flight."""
+    for one, other in combinations(aircraft, 2):
+        vehicles = one.session.vehicle, other.session.vehicle
+        a, b = (vehicle.latest["GLOBAL_POSITION_INT"].fields for vehicle in vehicles)
+        place = LocalPlane(a["lat"] * 1e-7, a["lon"] * 1e-7)
+        apart_m = math.hypot(*place.east_north_m(b["lat"] * 1e-7, b["lon"] * 1e-7))
+        passed_s = abs(a["time_boot_ms"] - b["time_boot_ms"]) * 1e-3
+        flown_m = math.hypot(a["vx"], a["vy"]) * 1e-2 * passed_s
+        same_id = vehicles[0].system_id == vehicles[1].system_id
+        if same_id and passed_s < _SAME_CLOCK_S and apart_m < flown_m + _SAME_PLACE_M:
+            raise InputError(
+                f"aircraft {one.name!r} and {other.name!r} are one vehicle by its id, clock and position: "
+                "give each aircraft the link of its own vehicle, and each vehicle its own system id."
+            )
+        if apart_m > _FLEET_WITHIN_M:
+            raise InputError(
+                f"aircraft {one.name!r} and {other.name!r} are {apart_m / 1e3:.0f} km apart: a fleet flies within "
+                f"{_FLEET_WITHIN_M / 1e3:.0f} km; check the link and the home of both."
+            )
