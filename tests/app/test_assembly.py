@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app import value_cache
 from sidelong.app.assembly import controller_of, winds_m_s
 from sidelong.app.config import load_config
 from sidelong.app.fleet.fleet_file import planner_in_fleet
+from sidelong.app.planners import value_cache
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, OperatorRequest

@@ -9,12 +9,12 @@ from datetime import UTC, datetime
 
 import pytest
 
-from sidelong.app import value_cache
 from sidelong.app.analysis.replay import JournalReplay
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.planners import value_cache
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
