@@ -316,7 +316,7 @@ def checks(
             for need in required_parameters
         ),
         *_camera_checks(vehicle),
-        *_source_checks(config, rates),
+        *_source_checks(config, vehicle, rates),
     )
 
 
@@ -413,7 +413,7 @@ def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:
     return (Check("field of view", bool(known), ", ".join(known) or "none received", remedy, True),)
 
 
-def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
+def _source_checks(config: Config, vehicle: Vehicle, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
     """Require laser and gimbal messages, unless a beacon or the camera reports the target's position."""
     received = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
     usable = {kind: [rate for rate in of_kind if _is_usable(config, rate)] for kind, of_kind in received.items()}
@@ -425,7 +425,13 @@ def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check
             f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
         )
         return (Check("target source", False, "neither a beacon nor a laser with a gimbal", remedy, True),)
-    gimbal = _rate_check(config, "gimbal", received["gimbal"], "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal")
+    if vehicle.only_mavlink_1 and not received["gimbal"]:
+        remedy = "switch its port to MAVLink 2 (SERIALn_PROTOCOL = 2 of ArduPilot, MAV_PROTO_VER = 2 of PX4)"
+        found = "none received: the link has MAVLink 1 only, which cannot carry GIMBAL_DEVICE_ATTITUDE_STATUS"
+        gimbal = Check("gimbal source", False, found, remedy, True)
+    else:
+        remedy = "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"
+        gimbal = _rate_check(config, "gimbal", received["gimbal"], remedy)
     if config.terrain.is_known and config.sensors.angles_alone and not usable["range"]:
         return Check("range source", True, "none: the line of sight is cut with the ground"), gimbal
     remedy = "send DISTANCE_SENSOR or RANGEFINDER from the laser"

@@ -37,13 +37,17 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class LinkReport:
-    """One link: how good it is, whether it is the one spoken on, and what was not let in."""
+    """One link: how good it is, whether it is the one spoken on, and what was not let in.
+
+    only_mavlink_1: frames were received, none of them of MAVLink 2.
+    """
 
     url: str
     signed: bool
     in_use: bool
     measured: Measured
     refused: dict[str, int]
+    only_mavlink_1: bool = False
 
     def as_json(self, clock_rate: float = 1.0) -> dict[str, Any]:
         """Return a flat table of plain values; bytes per second refer to a clock that runs faster by this factor."""

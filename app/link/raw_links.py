@@ -62,6 +62,7 @@ class _Link:
     splitters: OrderedDict[Peer, FrameSplitter] = field(default_factory=OrderedDict)
     refused: Counter[Refusal] = field(default_factory=Counter)
     authentic: bool = False  # a fresh signed frame was accepted: from now on only such frames identify a peer
+    has_mavlink_2: bool = False  # such a frame was accepted
     sequence: int = 0
     asked: dict[int, float] = field(default_factory=dict)
     traffic: Allowances = field(default_factory=lambda: Allowances(4e6, 1e6))  # bytes of each sender
@@ -151,6 +152,7 @@ class RawLinks:
                     index == self._merger.in_use,
                     measure(link.quality, now_s),
                     {str(why): count for why, count in link.refused.items()},
+                    link.quality.received_s is not None and not link.has_mavlink_2,
                 )
                 for index, link in enumerate(self._links)
             )
@@ -265,6 +267,7 @@ class RawLinks:
                 genuine = link.signing is not None and not link.authentic and link.signing.genuine(frame)
                 return False, genuine and refusal is Refusal.OLD, words
             link.authentic = True
+            link.has_mavlink_2 |= frame.is_v2
             troubles = self._signing_note(frame) if link.signing is None else []
             silent_s = now_s - link.quality.received_s if link.quality.received_s is not None else 0.0
             link.quality.frame(frame.source, frame.sequence, len(frame.data), now_s)

@@ -196,6 +196,11 @@ class Vehicle(VehicleMessages):
         return unknown_s if round_trip_s is None else _MORE_S + _ROUND_TRIPS * round_trip_s
 
     @property
+    def only_mavlink_1(self) -> bool:
+        """Whether the link in use has no MAVLink 2: messages above number 255 cannot arrive."""
+        return any(one.in_use and one.only_mavlink_1 for one in self.link.reports())
+
+    @property
     def round_trip_s(self) -> float | None:
         """What a question and its answer take over the link in use, as measured; None: not known."""
         return next((link.measured.round_trip_s for link in self.link.recent() if link.in_use), None)

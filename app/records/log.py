@@ -17,7 +17,7 @@ from sidelong.app.records.entry import Entry, Translator
 from sidelong.app.records.log_context import ContextBuilder, LogContext
 from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.px4_entries import Px4Messages
-from sidelong.app.records.tlog import is_tlog, read_tlog, tlog_contents
+from sidelong.app.records.tlog import is_mavlink_1, is_tlog, read_tlog, tlog_contents
 from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
 from sidelong.app.records.ulog import read_ulog, ulog_contents
 
@@ -75,9 +75,11 @@ class RecordedLog:
         counts = self.contents().most_common()
         named = ", ".join(f"{name} ({count})" for name, count in counts[:_NAMED_AT_MOST])
         others = f" and {len(counts) - _NAMED_AT_MOST} others" if len(counts) > _NAMED_AT_MOST else ""
+        only_1 = self.kind == "tlog" and counts and is_mavlink_1(self.path)
+        too_old = f", all of MAVLink 1, which cannot carry {self.gimbal_names[0]}" if only_1 else ""
         return (
             f"looked for a slant range ({' or '.join(self.range_names)}) and a line of sight "
-            f"({' or '.join(self.gimbal_names)}); the {self.kind} has {named or 'nothing'}{others}"
+            f"({' or '.join(self.gimbal_names)}); the {self.kind} has {named or 'nothing'}{others}{too_old}"
         )
 
 

@@ -17,10 +17,10 @@ from sidelong.app.link.telemetry import AUTOPILOT_INVALID, TYPE_FIXED_WING
 _AUTOPILOT_COMPONENT = 1
 _DATED_S = 1e9  # a smaller one was not counted from 1970
 _RESTARTED_MS = 10_000  # a stamp that is earlier by less was overtaken on the way
-_ARDUPILOT, _VTOL, _TYPE_MAX = 3, 22, 50
+_ARDUPILOT, _PX4, _VTOL, _TYPE_MAX = 3, 12, 22, 50
 # How ArduPilot's firmware announces itself, with the MAV_TYPE of most of its vehicles.
 _TYPES = {"Plane": 1, "Copter": 2, "Tracker": 5, "Blimp": 7, "Rover": 10, "Sub": 12}
-_FIRMWARE = re.compile(rf"(?:Ardu|APM:|Antenna)?({'|'.join(_TYPES)}) V?\d")
+_FIRMWARE = re.compile(rf"(?:(?:Ardu|APM:|Antenna)?({'|'.join(_TYPES)}) V?\d|PX4 v\d)[\w. ()-]*")
 _STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 
 
@@ -29,7 +29,8 @@ class LogContext:
     """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown.
 
     restarts: how often the vehicle's clock began again: the log then holds several flights. kind: MAV_TYPE of the
-    vehicle. system_id: the vehicle's, that of the first heartbeat of an autopilot; others: those of further vehicles.
+    vehicle. firmware: its name and release; '' if no message has them. system_id: the vehicle's, that of the first
+    heartbeat of an autopilot; others: those of further vehicles.
     """
 
     autopilot: Autopilot = AUTOPILOTS[0]
@@ -37,6 +38,7 @@ class LogContext:
     home_altitude_m: float | None = None
     restarts: int = 0
     kind: int = TYPE_FIXED_WING
+    firmware: str = ""
     system_id: int | None = None
     others: tuple[int, ...] = ()
 
@@ -64,7 +66,7 @@ class ContextBuilder:
     NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT", "STATUSTEXT", "PARAM_VALUE"})
 
     def __init__(self, autopilot: Autopilot = AUTOPILOTS[0]) -> None:
-        self._autopilot, self._kind = autopilot, TYPE_FIXED_WING
+        self._autopilot, self._kind, self._firmware = autopilot, TYPE_FIXED_WING, ""
         self._home_m: float | None = None
         self._reckoned_m: float | None = None  # home's altitude by a position
         self._boots_s: list[float] = []
@@ -111,8 +113,9 @@ class ContextBuilder:
     def _text(self, text: str) -> None:
         firmware = _FIRMWARE.match(text)
         if firmware:
-            self._autopilot = autopilot_by_mav_autopilot(_ARDUPILOT) or self._autopilot
-            self._is_of_kind(_TYPES[firmware[1]])
+            self._firmware = self._firmware or firmware[0].strip()
+            self._autopilot = autopilot_by_mav_autopilot(_ARDUPILOT if firmware[1] else _PX4) or self._autopilot
+            self._is_of_kind(_TYPES.get(firmware[1], TYPE_FIXED_WING))
 
     def _parameter(self, name: str, value: float) -> None:
         if name == "Q_ENABLE" and value:  # such a vehicle may call itself a fixed wing
@@ -130,4 +133,5 @@ class ContextBuilder:
         booted = datetime.fromtimestamp(median(self._boots_s), UTC) if self._boots_s else None
         home_m = self._reckoned_m if self._home_m is None else self._home_m
         restarts, others = max(self._restarts.values(), default=0), tuple(sorted(self._others))
-        return LogContext(self._autopilot, booted, home_m, restarts, self._kind, self._system_id, others)
+        own = self._kind, self._firmware, self._system_id
+        return LogContext(self._autopilot, booted, home_m, restarts, *own, others)

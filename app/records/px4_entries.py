@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sidelong.app.records.entry import Entry, Made, Translator, global_position
-from sidelong.app.records.ulog import TYPE_PARAMETER
+from sidelong.app.records.ulog import FIRMWARE, TYPE_PARAMETER
 from sidelong.estimators.frames import LocalPlane
 
 _VTOL, _TYPES = 22, {1: 2, 2: 1, 3: 10, 4: 7}  # MAV_TYPE; by vehicle_status.vehicle_type
@@ -34,6 +34,7 @@ class Px4Messages(Translator):
             "wind_estimate": self._wind,
             "vehicle_status": self._status,
             TYPE_PARAMETER: self._parameter,
+            FIRMWARE: self._firmware,
         }
         super().__init__(makers)
         self._home_altitude_m = math.nan
@@ -121,6 +122,9 @@ class Px4Messages(Translator):
 
     def _parameter(self, entry: Entry) -> Made:
         yield "PARAM_VALUE", {"param_id": entry.name, "param_value": entry.fields["value"]}
+
+    def _firmware(self, entry: Entry) -> Made:
+        yield "STATUSTEXT", {"text": entry.fields["value"]}
 
     def _wind(self, entry: Entry) -> Made:
         north_m_s, east_m_s = entry.fields["windspeed_north"], entry.fields["windspeed_east"]

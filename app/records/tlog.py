@@ -184,6 +184,11 @@ def tlog_contents(path: Path) -> Counter[str]:
     return Counter(_KINDS[frame.message_id].msgname for _, frame in _frames(path, _KINDS))
 
 
+def is_mavlink_1(path: Path) -> bool:
+    """Return whether no frame of the file is of MAVLink 2."""
+    return not any(frame.is_v2 for _, frame in _frames(path, _KINDS))
+
+
 def is_tlog(path: Path) -> bool:
     """Return whether there is a whole frame in the file."""
     return next(_frames(path, _KINDS), None) is not None

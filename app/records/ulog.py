@@ -28,8 +28,11 @@ _CODES = {
     **{b"int8_t": "b", b"int16_t": "h", b"int32_t": "i", b"int64_t": "q", b"float": "f", b"bool": "?"},
     **{b"uint8_t": "B", b"uint16_t": "H", b"uint32_t": "I", b"uint64_t": "Q", b"double": "d", b"char": "b"},
 }
-TYPE_PARAMETER = "MAV_TYPE"
+TYPE_PARAMETER, FIRMWARE = "MAV_TYPE", "information"
 _TYPE = re.compile(rb"P\x10int32_t MAV_TYPE(....)", re.DOTALL)  # a parameter's message, from its type's letter on
+# Information messages, from their type's letter on. The release is a byte each for patch, minor and major.
+_SYSTEM = re.compile(rb"I.char\[(\d{1,2})\] sys_name", re.DOTALL)
+_RELEASE = re.compile(rb"I\x17uint32_t ver_sw_release.(...)", re.DOTALL)
 # Beyond what any topic has: a definition may nest arrays of arrays without end.
 _FIELDS_MAX, _DEPTH_MAX, _TOPICS_MAX = 1024, 8, 1024
 
@@ -121,7 +124,7 @@ def _entries(data: mmap | bytes, topics: dict[int, _Topic]) -> Iterator[tuple[in
 def read_ulog(path: Path, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Entry]:
     """Yield the entries of the wanted topics, arrays as ``name[0]``, ``name[1]``, in order of time.
 
-    The parameter MAV_TYPE, which is wanted by its name, follows the first entry.
+    The parameter MAV_TYPE and the firmware, which are wanted by their names, follow the first entry.
 
     Damage to an entry costs that entry, damage to a topic's definition the topic. Raises OSError when the file
     cannot be read.
@@ -133,12 +136,23 @@ def read_ulog(path: Path, wanted: Collection[str], progress: Progress = unseen) 
                 fields = dict(zip(field_names, row.unpack_from(data, at), strict=True))
                 yield at / len(data), Entry(fields["timestamp"], name, instance, fields)
 
-        found = _TYPE.search(data) if TYPE_PARAMETER in wanted else None
+        about = {name: value for name, value in _about(data) if name in wanted}
         for entry in in_order(read(), progress):
             yield entry
-            if found:
-                yield Entry(entry.time_us, TYPE_PARAMETER, 0, {"value": int.from_bytes(found[1], "little")})
-                found = None
+            while about:
+                name, value = about.popitem()
+                yield Entry(entry.time_us, name, 0, {"value": value})
+
+
+def _about(data: mmap | bytes) -> Iterator[tuple[str, int | str]]:
+    """Yield the vehicle's MAV_TYPE, and its firmware, as far as the log has them."""
+    kind, system, release = (pattern.search(data) for pattern in (_TYPE, _SYSTEM, _RELEASE))
+    if kind:
+        yield TYPE_PARAMETER, int.from_bytes(kind[1], "little")
+    if system and release:
+        patch, minor, major = release[1]
+        name = data[system.end() : system.end() + int(system[1])].decode("ascii", "replace")
+        yield FIRMWARE, f"{name} v{major}.{minor}.{patch}"
 
 
 def ulog_contents(path: Path) -> Counter[str]:

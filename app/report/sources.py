@@ -133,13 +133,13 @@ def _log(
     builder = HistoryBuilder(tracker)
     log = open_log(path)
     _feed_log(log, telemetry, builder, progress)
-    warn(log.context().warning)
+    context = log.context()
+    warn(context.warning)
     if target_needed:
         require_sightings(tracker, telemetry, log)
     history = _built(builder, settings, path, telemetry.plane, truth)
-    return FlightRecord(
-        path.name, "an autopilot", settings, history, summary_of(history, "recorded log"), context=log.context()
-    )
+    program, result = context.firmware or context.autopilot.name, summary_of(history, "recorded log")
+    return FlightRecord(path.name, program, settings, history, result, context=context)
 
 
 def _built(

@@ -24,7 +24,7 @@ GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
 class Silent:
     """A vehicle of which nothing but its latest messages matters."""
 
-    system_id, own_id = 1, (245, 190)
+    system_id, own_id, only_mavlink_1 = 1, (245, 190), False
 
     def __init__(self, **messages):
         self.latest = latest(**messages)
@@ -121,6 +121,15 @@ def test_a_range_counts_only_if_the_filter_would_use_it(configured, rates, ready
     (check,) = (check for check in found if check.name == "range source")
     assert check.ready is ready
     assert words in check.found
+
+
+def test_a_link_of_mavlink_1_is_named_where_the_gimbal_is_missing():
+    vehicle = Silent()
+    vehicle.only_mavlink_1 = True
+    found = {check.name: check for check in checks(Config(), vehicle, Px4(), NOTHING_READ, None, (RANGE,))}
+    assert found["range source"].ready
+    assert "MAVLink 1 only, which cannot carry GIMBAL_DEVICE_ATTITUDE_STATUS" in found["gimbal source"].found
+    assert "MAV_PROTO_VER = 2" in found["gimbal source"].remedy
 
 
 def test_camera_that_tracks_without_a_known_field_of_view_is_not_ready():

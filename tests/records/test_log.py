@@ -337,6 +337,29 @@ def test_the_vehicle_of_a_ulog_is_known_by_its_parameter(kind, tmp_path):
     assert (context.kind, context.autopilot.name) == (kind, "PX4")
 
 
+@pytest.mark.parametrize(("release", "firmware"), [(None, ""), (0x010F02FF, "PX4 v1.15.2")])
+def test_the_firmware_of_a_ulog_is_known_by_its_information(release, firmware, tmp_path):
+    pieces = ulog_pieces()
+    pieces.insert(1, ulog_message(b"I", b"\x10char[3] sys_namePX4"))
+    if release is not None:
+        pieces.insert(2, ulog_message(b"I", b"\x17uint32_t ver_sw_release" + release.to_bytes(4, "little")))
+    context = open_log(write(tmp_path / "flight.ulg", pieces)).context()
+    assert (context.kind, context.autopilot.name, context.firmware) == (1, "PX4", firmware)
+
+
+def test_stamps_of_a_tlog_need_not_count_from_1970(tmp_path, sender, stamped):
+    frames = tlog_pieces(sender, stamped)
+    pieces = [struct.pack(">Q", 10_000 * i) + frame[8:] for i, frame in enumerate(frames)]
+    assert readings(write(tmp_path / "boot.tlog", pieces)) == readings(write(tmp_path / "flight.tlog", frames))
+    assert open_log(tmp_path / "boot.tlog").context().booted is None
+
+
+def test_a_tlog_of_mavlink_1_names_what_it_cannot_carry(tmp_path, sender, stamped):
+    path = write(tmp_path / "old.tlog", stamped([sender(version=1).range(i) for i in range(3)]))
+    words = "the tlog has DISTANCE_SENSOR (3), all of MAVLink 1, which cannot carry GIMBAL_DEVICE_ATTITUDE_STATUS"
+    assert open_log(path).looked_for().endswith(words)
+
+
 @pytest.mark.parametrize("unit_m", [1.0, 0.1, 0.01])
 def test_the_range_of_a_mount_is_read_once_each_and_in_its_own_unit(unit_m, tmp_path):
     ranges_m = [200.0 + 10.0 * (i // 10) for i in range(STEPS)]  # measured each second, logged ten times as often
