@@ -26,7 +26,7 @@ from xml.parsers import expat
 
 SUFFIXES = (
     *(".gpx", ".kml", ".kmz", ".geojson", ".json", ".cot", ".xml", ".csv", ".tsv", ".txt"),
-    *(".plan", ".waypoints"),
+    *(".plan", ".waypoints", ".nmea"),
 )
 _FILE_MAX_BYTES = 16 << 20
 _POINTS_MAX = 400_000
@@ -37,6 +37,7 @@ _METRES_PER_DEG = 111_320.0
 
 _DECLARED = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]{1,40})""")
 _STRAY = re.compile(r"&(?!(?:amp|lt|gt|quot|apos|#\d{1,7}|#x[0-9a-fA-F]{1,6});)")  # HTML's entities, and plain &
+_DECLARATION, _EVENT = re.compile(r"<\?xml[^>]*\?>"), re.compile(r"\s*(?:<\?xml[^>]*\?>\s*)?<event\b")
 _POSITION = re.compile(r"[^\s,]+(?:\s*,\s*[^\s,]+)*")
 _SPACE_OR_COMMA = re.compile(r"[\s,]+")
 _COMPACT = re.compile(r"((?:19|20)?\d\d)(\d\d)(\d\d)(?: |(?<=\d{8}))(\d\d)(\d\d)(\d\d(?:\.\d+)?)()")
@@ -46,17 +47,32 @@ _CLOCK = re.compile(
 )
 _NO_TIME = re.compile(r"[\d\s:.,/TZ+-]+")
 _SEXAGESIMAL = re.compile(r"([NSEW]?)\s*([\d.]+)[°\s]*(?:([\d.]+)['\s]*)?(?:([\d.]+)[\"\s]*)?([NSEW]?)")
+_RMC = re.compile(  # NMEA 0183: time, position and date
+    r"^.{0,40}\$..RMC,(\d{6}[.\d]{0,9}),A,(\d\d)([\d.]{1,12}),([NS]),(\d{3})([\d.]{1,12}),([EW]),[^,\n]{0,9},"
+    r"[^,\n]{0,9},(\d\d)(\d\d)(\d\d)",
+    re.MULTILINE,
+)
 _CELL_MAX = 64  # characters of a time or coordinate: the expressions above take long for more
 # Columns by what their names may be, the best first; words are joined by "_".
 _TIMES = (
     *("t_s", "time_s", "seconds_elapsed", "timestamp", "time", "t", "datetime", "date_time", "basedatetime"),
-    *("base_date_time", "date_time_utc", "utc", "fixtime", "epoch", "date"),
+    *("base_date_time", "date_time_utc", "utc", "fixtime", "epoch", "unixtime", "unix", "ts", "date"),
 )
+_CLOCKS = ("time", "utc_t", "heure", "hora", "uhrzeit")
 _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "long", "lng")
 _OWNERS = (
-    *("what", "mmsi", "individual_local_identifier", "tag_local_identifier", "track_id", "trackid", "vessel_id"),
-    *("trip_id", "device_id", "deviceid", "object_id", "user_id", "uid", "icao24", "callsign", "vesselname", "name"),
-    *("title", "id"),
+    *(
+        "what",
+        "mmsi",
+        "imo",
+        "individual_local_identifier",
+        "tag_local_identifier",
+        "track_id",
+        "trackid",
+        "vessel_id",
+    ),
+    *("trip_id", "device_id", "deviceid", "object_id", "user_id", "uid", "icao24", "callsign", "vesselname"),
+    *("name", "title", "id"),
 )
 _WAY_POINT_COMMANDS = frozenset({16, 17, 18, 19, 21, 22, 31, 82, 84, 85})  # MAV_CMD_NAV_*
 _WPL_COLUMNS = 12
@@ -130,6 +146,8 @@ def read_lines(path: Path) -> tuple[list[Line], bool]:
             _read_json(text, lines)
         elif begin.startswith("QGC WPL"):
             _read_mission_items(text, lines)
+        elif _RMC.search(text):
+            _read_nmea(text, lines)
         else:
             geodetic = _read_csv(text, lines)
     except OSError as error:
@@ -296,7 +314,10 @@ def _read_xml(text: str, lines: _Lines) -> None:
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.EntityDeclHandler = builder.data, refuse
-    parser.Parse(_STRAY.sub("&amp;", text), True)
+    text = _STRAY.sub("&amp;", text)
+    if _EVENT.match(text):  # a recorded stream has one document after another
+        text = f"<events>{_DECLARATION.sub('', text)}</events>"
+    parser.Parse(text, True)
 
 
 _Handlers = dict[str, Callable[[ElementTree.Element, int], None]]
@@ -322,7 +343,7 @@ def _gpx_handlers(lines: _Lines) -> _Handlers:
 
 
 def _kml_handlers(lines: _Lines) -> _Handlers:
-    """Read lines, outlines and points of KML, and gx:Track; those of a gx:MultiTrack are one line."""
+    """Read lines, outlines and points of KML, and gx:Track; those of a gx:MultiTrack that follow are one line."""
     marks = lines.begin("points", "placemarks")
     named = [len(lines)]  # how many lines have been given their placemark's name
 
@@ -344,10 +365,11 @@ def _kml_handlers(lines: _Lines) -> _Handlers:
                 lines.add(line, _seconds(stamp) if stamp.strip() else math.nan, *_latitude_longitude(words), at)
 
     def tracks(_element: ElementTree.Element, _at: int) -> None:
-        own = [line for line in lines[named[0] :] if line.kind == "track"]
+        own = [line for line in lines[named[0] :] if line.kind == "track" and line.points]
         for line in own[1:]:
-            own[0].points += line.points
-            line.points = []
+            if line.points[0][0] > own[0].points[-1][0]:  # else it is of somebody else
+                own[0].points += line.points
+                line.points = []
 
     def hole(_element: ElementTree.Element, _at: int) -> None:
         lines[-1].points = []
@@ -379,7 +401,7 @@ def _other_handlers(lines: _Lines) -> _Handlers:
             line = lines.begin("route", name)
             for words in links:
                 lines.add(line, math.nan, *_latitude_longitude(words[1::-1]), at)
-        elif point is not None and element.get("time"):
+        elif point is not None and element.get("time") and element.get("type", "a-").startswith("a-"):
             line = senders.get(uid) or senders.setdefault(uid, lines.begin("track", name))
             place = _latitude_longitude([point.get("lon"), point.get("lat")])
             lines.add(line, _seconds(element.get("time")), *place, at)
@@ -423,6 +445,9 @@ def _read_json(text: str, lines: _Lines) -> None:
                 _add_line(lines, lines.begin("line" if kind == "LineString" else "area", name), parts, properties)
             case "MultiLineString":
                 _add_line(lines, lines.begin("line", name), coordinates, properties)
+            case "MultiPolygon":
+                for polygon in coordinates:
+                    _add_line(lines, lines.begin("area", name), polygon[:1], properties)
             case "Point":
                 points.append((properties, *_latitude_longitude(coordinates)))
             case "MultiPoint":
@@ -496,6 +521,16 @@ def _add_item(lines: _Lines, line: Line, command: int, latitude: Any, longitude:
             lines.add(line, math.nan, *place, at)
 
 
+def _read_nmea(text: str, lines: _Lines) -> None:
+    """Read the RMC sentences of a receiver's log."""
+    line = lines.begin("track")
+    for at, row in enumerate(text.splitlines(), 1):
+        if found := _RMC.match(row):
+            clock, lat, lat_min, north, lon, lon_min, east, day, month, year = found.groups()
+            place = _coordinate(f"{lat} {lat_min} {north}"), _coordinate(f"{lon} {lon_min} {east}")
+            lines.add(line, _seconds(f"{year}{month}{day} {clock}"), *place, at)
+
+
 # -- tables -------------------------------------------------------------------------------------------------
 
 
@@ -529,7 +564,7 @@ def _read_table(header: list[str], rows: Iterable[tuple[int, list[Any]]], lines:
     first, second = places
     if first is None or second is None:
         raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
-    time, date, clock = (_column(names, alike) for alike in (_TIMES, ("date", "utc_d"), ("time", "utc_t")))
+    time, date, clock = (_column(names, alike) for alike in (_TIMES, ("date", "utc_d"), _CLOCKS))
     if date is None or clock is None or date == clock or time not in (date, clock):
         date = None
     else:

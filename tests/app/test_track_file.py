@@ -9,6 +9,8 @@ import re
 import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +77,7 @@ EPOCH_S = BEGIN.timestamp()
         ("time,lat,lon", iso),
         ("time,lat,lon", lambda k: f"{EPOCH_S + k:.0f}"),
         ("timestamp,latitude,longitude", lambda k: f"{1000 * (EPOCH_S + k):.0f}"),
-        ("time,lat,lon", lambda k: f"{round(EPOCH_S + k)}000000"),
+        ("unixtime,lat,lon", lambda k: f"{round(EPOCH_S + k)}000000"),
         ("time,lat,lon", lambda k: f"{round(EPOCH_S + k)}000000000"),
         ("time,lat,lon", lambda k: f"{(round(EPOCH_S + k) + 62_135_596_800) * 10**7}"),
         ("t_s,lat,lon", lambda k: k),
@@ -106,6 +108,7 @@ def test_units_and_forms_of_time_are_recognised(tmp_path: Path, header: str, sta
         ),
         ("time,lat,lon", "2025-05-04T09:{m:02d}:{s:02d}Z,{lat:.6f}°N,E8 33.000"),
         ("INDEX,TIME,LATITUDE N/S,LONGITUDE E/W", '{k}\0\0,09:{m:02d}:{s:02d},{lat:.6f}N,"8°33\'00""E"'),
+        ("latitude;longitude;date;heure", "{lat:.6f};8.55;04/05/2025;09:{m:02d}:{s:02d}"),
         ("No;Latitude;Longitude;Date;Time", "{k};{comma};8,55;2025/05/04;09:{m:02d}:{s:02d}"),
         ("Latitude\tLongitude\tTime", "{lat:.6f}\t8.55\t2025-05-04T09:{m:02d}:{s:02d}+02:00"),
         ("exported by a program\n\ntime, lat, lon", "2025-05-04T09:{m:02d}:{s:02d}Z, {lat:.6f}, 8.55"),
@@ -174,7 +177,7 @@ def two_walkers() -> str:
 
 def two_vessels() -> str:
     return table(
-        "time,mmsi,lat,lon",
+        "time,imo,lat,lon",
         lambda k: f"{iso(k // 2)},{'AB'[k % 2]},{47.4 + k // 2 * STEP_DEG:.6f},{8.55 + k % 2}",
         240,
     )
@@ -232,6 +235,47 @@ def test_points_of_geojson_with_times_are_a_track(tmp_path: Path) -> None:
         for k in range(120)
     ]
     assert_walk(track_of(tmp_path, "walk.geojson", json.dumps({"type": "FeatureCollection", "features": features})))
+
+
+def nmea(k: int) -> str:
+    minutes = 24.0 + 60.0 * k * STEP_DEG
+    body = f"GPRMC,09{k // 60:02d}{k % 60:02d}.00,A,47{minutes:08.5f},N,00833.0000,E,2.6,0.0,040525,,,A"
+    return f"$GPGSV,1,1,00*79\r\n${body}*{reduce(xor, body.encode()):02X}"
+
+
+def event(k: int, kind: str = "a-f-G-U-C", uid: str = "A") -> str:
+    return (
+        f'<?xml version="1.0"?><event uid="{uid}" type="{kind}" time="{iso(k)}" how="m-g">'
+        f'<point lat="{47.4 + k * STEP_DEG:.6f}" lon="8.55"/></event>'
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "row"),
+    [
+        ("receiver.nmea", nmea),
+        ("stamped.txt", lambda k: "2025-05-04 09:00:00 " + nmea(k).replace("\n", "\n2025-05-04 09:00:00 ")),
+        ("stream.cot", lambda k: event(k) + event(120 - k, "b-t-f", "GeoChat.A") * (k % 10 == 5)),
+    ],
+)
+def test_streams_of_receivers_and_servers_are_tracks(tmp_path: Path, name: str, row: Callable[[int], str]) -> None:
+    track = track_of(tmp_path, name, "\n".join(map(row, range(120))))
+    assert_walk(track)
+    assert not track.note
+
+
+@pytest.mark.parametrize(("begin_s", "count"), [(0, 120), (30, 120), (130, 240)])
+def test_parts_of_a_multi_track_are_joined_if_they_follow(tmp_path: Path, begin_s: int, count: int) -> None:
+    parts = [
+        "".join(
+            f"<when>{iso(k)}</when><coord>8.55 {47.4 + k * STEP_DEG} 0</coord>" for k in range(first, first + 120)
+        )
+        for first in (0, begin_s)
+    ]
+    multi = "".join(f"<Track>{part}</Track>" for part in parts)
+    track = track_of(tmp_path, "a.kml", f"<kml><Placemark><MultiTrack>{multi}</MultiTrack></Placemark></kml>")
+    assert len(track.time_s) == count
+    assert ("1 further line" in track.note) is (count == 120)
 
 
 LINE = " ".join(f"8.55,{47.4 + k * 1e-3:.4f},0" for k in range(12))
