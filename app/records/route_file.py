@@ -20,13 +20,9 @@ ROUTE_SUFFIXES = SUFFIXES
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoutePoints:
-    """Way points of a route.
+    """Way points of a route: latitude and longitude (n,) in degrees, or east and north in metres.
 
-    Attributes:
-        first: Latitude in degrees, or east in metres (n,).
-        second: Longitude in degrees, or north in metres (n,).
-        geodetic: Whether they are degrees.
-        note: Which further lines of the file are not used, in words; empty if there are none.
+    note: which further lines of the file are not used, in words; empty if there are none.
     """
 
     first: FloatArray
@@ -57,15 +53,17 @@ def read_route(path: Path) -> RoutePoints:
         lines, geodetic = read_lines(file)
     except TrackError as error:
         raise InputError(f"{error}; {_REMEDY}.") from error
+    if not lines:
+        raise InputError(f"{file}: contains no points of a route; {_REMEDY}.")
     kinds = {line.kind for line in lines if len(line.points) > 1}
     best = next((kind for kind in _PREFERRED if kind in kinds), "")
     # A line of another kind is used only by its name.
     lengths = [(line, line.length_m(geodetic) if line.kind == best else -1.0) for line in lines]
     try:
-        index, note = chosen(lengths, name) if lines else (0, "")
+        index, note = chosen(file, lengths, name)
     except TrackError as error:
-        raise InputError(f"{file}: {error}.") from error
-    points = [point[1:3] for point in lines[index].points] if lines else []
+        raise InputError(f"{error}.") from error
+    points = [point[1:3] for point in lines[index].points]
     different = len(set(points))
     if different < 2:
         raise InputError(f"{file}: contains {different} points of a route; it needs at least two different points.")
@@ -80,11 +78,7 @@ def read_route(path: Path) -> RoutePoints:
 
 
 def read_flight_route(path: Path) -> RoutePoints:
-    """Read a route file for a flight.
-
-    Raises:
-        InputError: As :func:`read_route`, or the points are in metres.
-    """
+    """Read a route file for a flight. Raises InputError as :func:`read_route`, or if the points are in metres."""
     points = read_route(path)
     if not points.geodetic:
         raise InputError(f"{path}: is in metres: studies use it, a flight needs degrees (lat,lon).")

@@ -112,12 +112,9 @@ def read_track(path: Path) -> RecordedTrack:
             refused = str(error) if line is lines[0] or len(line.points) > 1 else refused
     if not tracks:
         raise TrackError(f"{file}: {refused}")
-    try:
-        # Way points with times are used only where there is no track.
-        lengths = [(line, -1.0 if line.kind == "points" else track.lengths_m()[-1]) for line, track in tracks]
-        index, note = chosen(lengths, name)
-    except TrackError as error:
-        raise TrackError(f"{file}: {error}") from error
+    # Way points with times are used only where there is no track.
+    lengths = [(line, -1.0 if line.kind == "points" else track.lengths_m()[-1]) for line, track in tracks]
+    index, note = chosen(file, lengths, name)
     track = tracks[index][1]
     return replace(track, note="; ".join(filter(None, (note, track.note))))
 
