@@ -19,9 +19,9 @@ Source: docs/health.md#contradictions-of-the-payload; docs/explanation/filter.md
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
-import operator
 import statistics
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -31,14 +31,7 @@ import numpy as np
 
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.rotations import (
-    Quaternion,
-    Vector,
-    from_roll_pitch_yaw,
-    multiply,
-    rotate,
-    sight_direction,
-)
+from sidelong.estimators.rotations import Quaternion, Vector, from_roll_pitch_yaw, multiply, rotate, sight_direction
 from sidelong.estimators.sensing.readings import (
     IMAGE_TRACKER,
     AttitudeReading,
@@ -75,6 +68,13 @@ FACTORS = {
 _STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
 _FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
 _YAW_FROZEN = "its yaw is frozen while the aircraft turns: check its pan motor, its pan limits and its driver"
+_DRIFTS = {
+    "pitch": "its pitch drifts and is off by about {:+.0f} degrees: check its gyro and its mounting",
+    "range": "its ranges drift by about {:+.0f} m a minute and are off by about {:+.0f} m: check its lens, its "
+    "temperature and its driver",
+    "yaw": "its yaw drifts by about {:+.0f} degrees a minute and is off by about {:+.0f} degrees: check its gyro and "
+    "the aircraft's heading",
+}
 
 _ROW_EVERY_S, _GAP_MAX_S = 0.19, 3.0
 _WINDOW_S = 300.0
@@ -150,6 +150,10 @@ _YAW_EVIDENCE, _RANGE_EVIDENCE, _DRIFTING_SIGMA_M = 35.0, 45.0, 1.0
 _SECTOR_RAD, _SECTOR_COUNT, _SECTOR_OFF, _ELSEWHERE_OFF = math.radians(15.0), 5, 0.06, 0.02
 _SECTOR_GAIN, _SECTOR_VISITS, _VISIT_S = 0.6, 2, 5.0
 
+_NO_ATTITUDE = 4 * (math.nan,)
+_AXES: tuple[Vector, ...] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_SMALL, _ERRING = np.zeros(SHARED, np.bool_), np.array([False, False, True, True, True, True])
+
 GroundHeight = Callable[[float, float], float]
 """Returns the height of the ground above home at a position (east, north); NaN where unknown."""
 
@@ -187,20 +191,12 @@ class _Sample(NamedTuple):
 
     time_s: float
     turned_rad: float
-    own_m: tuple[float, float, float]
-    sighted_m: tuple[float, float, float]
+    own_m: Vector
+    sighted_m: Vector
     attitude: AttitudeReading
     gimbal: GimbalReading
     range_m: float
     off_level: float  # how far the target is off the ground, as a share of the own height over it; NaN: unknown
-
-
-class _Motion(NamedTuple):
-    """A target's position at a time, and its velocity."""
-
-    time_s: float
-    position_m: FloatArray
-    velocity_m_s: FloatArray
 
 
 class _History:
@@ -295,8 +291,8 @@ class PayloadFit:
         self._settings, self._parent_from_mount = settings, parent_from_mount
         delay_s, yaw_rad = settings.latency_sigma_s, settings.yaw_bias_sigma_rad
         self._fits_errors, self._may_err = delay_s > 0.0, yaw_rad > 0.0  # or the biases are not estimated
-        priors = delay_s, delay_s, max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M, _PINNED_YAW, _PINNED_RANGE
-        self._sigmas = np.array(priors)
+        constants = max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M
+        self._sigmas = np.array([delay_s, delay_s, *constants, _PINNED_YAW, _PINNED_RANGE])
         self.laser_fault = self.gimbal_fault = self.terrain_fault = ""
         self.is_news = self.is_changed = False
         self.wrong_since_s = math.inf
@@ -322,7 +318,7 @@ class PayloadFit:
         self._expect_another_gimbal()
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._jumped: _Sample | None = None
-        self._before: _Motion | None = None  # until the latest change
+        self._before: tuple[float, FloatArray, FloatArray] | None = None  # time, place, velocity before the change
         self._frame = self._flagged = ""
         self.used_s = settings.latencies_s
         self._begin_device()
@@ -458,9 +454,7 @@ class PayloadFit:
         """Take the latest readings of all devices into the history."""
         if now_s < self._row_s:  # the clock was set back
             self._history.clear()
-            self._sampled_s = self._judged_s = self._since_s = self._device_s = self._fit_s = (
-                self._drift_s
-            ) = -math.inf
+            self._sampled_s = self._judged_s = self._since_s = self._fit_s = self._drift_s = -math.inf
         self._row_s = now_s
         if self._since_s == -math.inf:
             self._since_s = self._device_s = now_s - _ROW_EVERY_S
@@ -477,30 +471,15 @@ class PayloadFit:
                 self._settle()
         if gimbal is None or not self._fits_errors:
             return
-        w, x, y, z = gimbal.quaternion_wxyz
-        length2 = w * w + x * x + y * y + z * z
-        if abs(length2 - 1.0) > 0.1:
+        if abs(math.hypot(*gimbal.quaternion_wxyz) - 1.0) > 0.05:
             return
-        turned = (
-            (attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else _NO_ATTITUDE
-        )
-        self._history.add(
-            (
-                now_s,
-                position.time_s,
-                position.east_m,
-                position.north_m,
-                position.velocity_east_m_s,
-                position.velocity_north_m_s,
-                position.height_m,
-                *turned,
-                gimbal.time_s,
-                1.0 - 2.0 * (y * y + z * z) / length2,
-                2.0 * (x * y + w * z) / length2,
-                2.0 * (x * z - w * y) / length2,
-                *self._ranged,
-            )
-        )
+        place = position.time_s, position.east_m, position.north_m
+        motion = position.velocity_east_m_s, position.velocity_north_m_s, position.height_m
+        turned = _NO_ATTITUDE
+        if attitude is not None:
+            turned = attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
+        forward, right, down = sight_direction(gimbal.quaternion_wxyz)
+        self._history.add((now_s, *place, *motion, *turned, gimbal.time_s, forward, right, down, *self._ranged))
 
     def _travel(self, now: PositionReading) -> None:
         """Add up how far the aircraft has turned, come along the line of sight, and by what angle gone past it."""
@@ -539,50 +518,50 @@ class PayloadFit:
 
     def _sample(self, gimbal: GimbalReading, ends_on_ground: bool) -> None:
         """Take two samples a second, and judge once a second."""
-        position, attitude, now_s = self._position, self._attitude, gimbal.time_s
-        if position is None or attitude is None:
+        position, attitude, slant, now_s = self._position, self._attitude, self._range, gimbal.time_s
+        if position is None or attitude is None or abs(now_s - position.time_s) > _FRESH_S:
             return
         # Angles relative to north need no attitude, and are used while it is silent.
-        if abs(now_s - position.time_s) > _FRESH_S or (
-            gimbal.frame != "earth" and abs(now_s - attitude.time_s) > _FRESH_S
-        ):
+        if gimbal.frame != "earth" and abs(now_s - attitude.time_s) > _FRESH_S:
             return
-        slant, slant_range_m = self._range, math.nan
-        if slant is not None and abs(now_s - slant.time_s) <= _FRESH_S:
-            slant_range_m = slant.slant_range_m
-        elif not ends_on_ground or (slant is not None and abs(now_s - slant.time_s) <= _LASER_SILENT_S):
+        since_s = math.inf if slant is None else abs(now_s - slant.time_s)
+        if since_s > _FRESH_S and (not ends_on_ground or since_s <= _LASER_SILENT_S):
             return
         self._sampled_s = now_s
-        if self._is_stuck or self._is_frozen:
-            self._samples.clear()
-        else:
-            self._add_sample(position, attitude, gimbal, slant_range_m)
+        is_sound = not (self._is_stuck or self._is_frozen)
+        if is_sound:
+            range_m = slant.slant_range_m if slant is not None and since_s <= _FRESH_S else math.nan
+            self._add_sample(position, attitude, gimbal, range_m)
             self._sweep()
+        else:
+            self._samples.clear()
         if now_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = now_s
             self._judge(gimbal.frame)
-            if self._fits_errors and not (self._frame_fault or self._unit_fault or self._is_stuck or self._is_frozen):
+            if self._fits_errors and is_sound and not (self._frame_fault or self._unit_fault):
                 self._judge_errors(now_s)
             self._settle()
 
     def _add_sample(
-        self, position: PositionReading, attitude: AttitudeReading, gimbal: GimbalReading, slant_range_m: float
+        self, position: PositionReading, attitude: AttitudeReading, gimbal: GimbalReading, range_m: float
     ) -> None:
-        own_m, now_s = (position.east_m, position.north_m, position.height_m), position.time_s
-        sighted_m = self._apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
-        is_ranged = not math.isnan(slant_range_m)
+        samples, now_s = self._samples, position.time_s
+        own_m, is_ranged = (position.east_m, position.north_m, position.height_m), not math.isnan(range_m)
+        sighted_m = self._apparent_m(own_m, range_m, attitude, gimbal, gimbal.frame)
         off_level = self._off_level(own_m, sighted_m) if is_ranged else 0.0
-        samples = self._samples
         if samples and is_ranged is math.isnan(samples[-1].range_m):
             samples.clear()
-        sample = _Sample(now_s, self._turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m, off_level)
+        sample = _Sample(now_s, self._turned_rad, own_m, sighted_m, attitude, gimbal, range_m, off_level)
         jumped, self._jumped = self._jumped, None
         self._flagged = self._flagged or gimbal.frame
-        jump_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0
+        jump_m, far_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0, _JUMP_M
+        if not is_ranged:  # noise of the pitch moves the end of the line, too; on hills it jumps between them
+            noise_m = _PITCH_NOISE_RAD * math.dist(own_m, sighted_m) ** 2 / max(own_m[2] - sighted_m[2], 1.0)
+            far_m += noise_m if self.ground is None else math.inf
         # A wrong frame lets it jump on and on.
-        jumps = jump_m > self._jump_m(sample) and abs(now_s - self._changed_s) > SAMPLES_S and self._drove()
+        jumps = jump_m > far_m and abs(now_s - self._changed_s) > SAMPLES_S and self._drove()
         if jumps or gimbal.frame != self._flagged:
-            if jumped is None or jumped.gimbal.frame != gimbal.frame or jumped.range_m == slant_range_m:
+            if jumped is None or jumped.gimbal.frame != gimbal.frame or jumped.range_m == range_m:
                 self._jumped = sample  # an outlier, unless the next one is like it, with a range of its own
                 return
             if jump_m > _JUMP_M:
@@ -591,14 +570,6 @@ class PayloadFit:
             samples.clear()  # what was before would hide the change
             samples.append(jumped)
         samples.append(sample)
-
-    def _jump_m(self, sample: _Sample) -> float:
-        """Return how far a jump goes: noise of the pitch, too, moves the end of a line of sight on the ground."""
-        if not math.isnan(sample.range_m):
-            return _JUMP_M
-        down_m = max(sample.own_m[2] - sample.sighted_m[2], 1.0)
-        noise_m = _PITCH_NOISE_RAD * math.dist(sample.own_m, sample.sighted_m) ** 2 / down_m
-        return _JUMP_M + noise_m if self.ground is None else math.inf  # on hills it jumps from one to the next
 
     def _drove(self) -> bool:
         """Return whether the apparent target moved until now as slowly as one that drives; True: not known."""
@@ -611,18 +582,21 @@ class PayloadFit:
 
     def _change(self, now_s: float, jump_m: float) -> None:
         """Remember the target's motion until it jumped."""
-        since_s = now_s - self._samples[-1].time_s
         self._changed_s = now_s
-        if jump_m > _JUMP_M + _DRIVES_M_S * since_s:
+        if jump_m > _JUMP_M + _DRIVES_M_S * (now_s - self._samples[-1].time_s):
             self.jumped_s = now_s
             self.jumps_s.append(now_s)
             self._since_s, self.is_confirmed = self._row_s, False  # the target or the payload is another one
         lately = [one for one in self._samples if now_s - one.time_s < _LATELY_S]
         if len(lately) < _LATELY_MIN:  # after dropouts: fewer but older ones
             lately = [one for one in self._samples if now_s - one.time_s < SAMPLES_S][-_LATELY_MIN:]
-        self._before = _motion(lately) if len(lately) >= _LATELY_MIN else None
+        self._before = None
+        if len(lately) >= _LATELY_MIN:  # medians of both halves, so that one outlier in each does no harm
+            rows = np.array([(one.time_s, *one.sighted_m) for one in lately])
+            first, last = (np.median(half, axis=0) for half in np.split(rows, [len(rows) // 2]))
+            self._before = last[0], last[1:], (last[1:] - first[1:]) / max(last[0] - first[0], 1.0)
 
-    def verdict(self, established: Verdict = SOUND) -> Verdict | None:
+    def _verdict_of_motion(self, established: Verdict) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
 
         Args:
@@ -634,29 +608,30 @@ class PayloadFit:
         is_recent = bool(samples) and samples[-1].time_s - self._changed_s < SAMPLES_S
         if established == SOUND and is_recent and (found := self._continued()) is not None:
             return found
-        if (
-            len(samples) < _SAMPLES_MIN
-            or samples[-1].turned_rad - samples[0].turned_rad < _TURNED_RAD
-            or samples[-1].time_s - samples[0].time_s < _SPAN_MIN_S
-        ):
+        if len(samples) < _SAMPLES_MIN or samples[-1].time_s - samples[0].time_s < _SPAN_MIN_S:
+            return None
+        if samples[-1].turned_rad - samples[0].turned_rad < _TURNED_RAD:
             return None
         shares = sorted(one.off_level for one in samples)
         off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
         unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > _OFF_LEVEL_SHARE
         if unit_is_right and not math.isnan(samples[-1].range_m):
             self._level_s = samples[-1].time_s
-        as_reported_m = self._residual_as_reported_m()
+        times_s, own_m, sighted_m = self._arrays()
+        since_s, centred_m = times_s - times_s.mean(), sighted_m - sighted_m.mean(axis=0)
+        off_m = centred_m - np.outer(since_s, since_s @ centred_m / (since_s @ since_s))
+        as_reported_m = math.sqrt(statistics.median((off_m * off_m).sum(axis=1).tolist()))
         if established == SOUND and as_reported_m < _WRONG_M and not unit_is_wrong:
             return SOUND
-        residual_m, own_residual_m, as_reported_m = self._residuals_of_hypotheses_m(established)
+        residual_m, own_residual_m, as_reported_m = self._residuals_of_hypotheses_m(
+            times_s, own_m, sighted_m, established
+        )
         if established != SOUND:
             if established.factor != 1.0 and not math.isnan(off_level):
                 return SOUND if unit_is_right else established
             return SOUND if as_reported_m < _AS_GOOD_SHARE * residual_m[established] else established
-        if unit_is_wrong:
-            factor = self._unit_by_height(residual_m, own_residual_m)
-            if factor is not None:
-                return Verdict(None, factor)
+        if unit_is_wrong and (factor := self._unit_by_height(own_m, sighted_m, residual_m, own_residual_m)):
+            return Verdict(None, factor)
         if as_reported_m < _WRONG_M:
             return SOUND
         if unit_is_right:
@@ -668,17 +643,16 @@ class PayloadFit:
 
     def _continued(self) -> Verdict | None:
         """Return the reading of the payload by which the target goes on as before the change; None: it is none."""
-        before = self._before
-        if before is None or len(self._samples) < _CONTINUED_MIN:
+        if self._before is None or len(self._samples) < _CONTINUED_MIN:
             return None
         times_s, own_m, sighted_m = self._arrays()
         verdicts, positions_m = self._hypotheses(own_m, sighted_m)
-        since_s = times_s - before.time_s
-        expected_m = before.position_m + since_s[:, None] * before.velocity_m_s
+        before_s, before_m, before_m_s = self._before
+        since_s = times_s - before_s
+        expected_m = before_m + since_s[:, None] * before_m_s
         off_m = np.median(np.linalg.norm(positions_m - expected_m[:, None, :], axis=2), axis=0)
         reported_off_m = np.linalg.norm(sighted_m - expected_m, axis=1)
-        reported_m = float(np.median(reported_off_m))
-        best = int(off_m.argmin())
+        reported_m, best = float(np.median(reported_off_m)), int(off_m.argmin())
         near_m = _CONTINUED_M + _DRIVEN_M_S * float(np.median(since_s))
         if reported_m < near_m:  # outliers, no change
             self._changed_s = self.jumped_s = -math.inf
@@ -690,74 +664,65 @@ class PayloadFit:
 
     def _arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times (n,), the aircraft (n, 3) and the apparent target (n, 3) of the samples."""
-        samples = self._samples
-        times_s, own_m = np.array([one.time_s for one in samples]), np.array([one.own_m for one in samples])
-        return times_s, own_m, np.array([one.sighted_m for one in samples])
-
-    def _residual_as_reported_m(self) -> float:
-        """Return the same as ``_residuals_m`` of what was reported, in a third of the time for so few numbers."""
-        samples, count = self._samples, len(self._samples)
-        middle_s = sum([one.time_s for one in samples]) / count
-        since_s = [one.time_s - middle_s for one in samples]
-        spread_s2 = sum(map(operator.mul, since_s, since_s))
-        off_m2 = [0.0] * count
-        for values_m in zip(*(one.sighted_m for one in samples), strict=True):
-            mean_m = sum(values_m) / count
-            speed_m_s = sum(map(operator.mul, values_m, since_s)) / spread_s2
-            off_m2 = [
-                sum_m2 + (off_m := value_m - mean_m - speed_m_s * one_s) * off_m
-                for sum_m2, value_m, one_s in zip(off_m2, values_m, since_s, strict=True)
-            ]
-        return math.sqrt(statistics.median(off_m2))
+        rows = np.array([(one.time_s, *one.own_m, *one.sighted_m) for one in self._samples])
+        return rows[:, 0], rows[:, 1:4], rows[:, 4:]
 
     def _apparent_m(
-        self, own_m: tuple[float, float, float], range_m: float, direction: tuple[float, float, float]
-    ) -> tuple[float, float, float]:
-        """Return the end of a line of sight (east, north, up), on the ground where there is no range."""
-        east, north, up = direction
+        self, own_m: Vector, range_m: float, attitude: AttitudeReading, gimbal: GimbalReading, frame: str | None
+    ) -> Vector:
+        """Return the end (east, north, up) of a line of sight in this frame; without a range on the ground."""
+        north, east, down = sight_direction(gimbal.quaternion_wxyz)
+        if frame != "earth":
+            roll_rad, pitch_rad = (attitude.roll_rad, attitude.pitch_rad) if frame == "body" else (0.0, 0.0)
+            aircraft = from_roll_pitch_yaw(roll_rad, pitch_rad, attitude.yaw_rad)
+            north, east, down = rotate(multiply(aircraft, self._parent_from_mount), (north, east, down))
         if math.isnan(range_m):
-            range_m = own_m[2] / max(-up, _DOWN_MIN)
-            if self.ground is not None:
-                for _ in range(_GROUND_STEPS):
+            ground_m = 0.0
+            for _ in range(1 if self.ground is None else 1 + _GROUND_STEPS):
+                range_m = (own_m[2] - ground_m) / max(down, _DOWN_MIN)
+                if self.ground is not None:
                     ground_m = self.ground(own_m[0] + range_m * east, own_m[1] + range_m * north)
-                    if math.isnan(ground_m):
-                        break
-                    range_m = (own_m[2] - ground_m) / max(-up, _DOWN_MIN)
-        return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
+                if math.isnan(ground_m):
+                    break
+        return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] - range_m * down
 
     def _off_level(self, own_m: Sequence[float], target_m: Sequence[float]) -> float:
         ground_m = 0.0 if self.ground is None else self.ground(target_m[0], target_m[1])
         over_m = own_m[2] - ground_m
         return abs(target_m[2] - ground_m) / over_m if over_m >= _HEIGHT_MIN_M else math.nan
 
-    def _unit_by_height(self, residual_m: dict[Verdict, float], own_residual_m: float) -> float | None:
+    def _unit_by_height(
+        self, own_m: FloatArray, sighted_m: FloatArray, residual_m: dict[Verdict, float], own_residual_m: float
+    ) -> float | None:
         """Return the unit that puts the target on the ground and lets it move plausibly; None: there is none."""
-        _, own_m, sighted_m = self._arrays()
         off_level = {}
         for factor in FACTORS:
-            target_m = own_m + factor * (sighted_m - own_m)
-            shares = list(map(self._off_level, own_m.tolist(), target_m.tolist()))
+            shares = list(map(self._off_level, own_m.tolist(), (own_m + factor * (sighted_m - own_m)).tolist()))
             off_level[factor] = math.inf if any(map(math.isnan, shares)) else statistics.median(shares)
         factor = min(FACTORS, key=off_level.__getitem__)
-        if not off_level[factor] < _LEVEL_SHARE:
-            return None
-        range_m = factor * float(np.median([one.range_m for one in self._samples]))
-        fits_m = _FIT_M + _FIT_SHARE * range_m
+        fits_m = _FIT_M + _FIT_SHARE * factor * float(np.median([one.range_m for one in self._samples]))
         # A hill may look like a wrong unit, but not all of a sudden, nor does the target then stand still: with a
         # wrong factor it moves with a part of the aircraft's own motion, which has to be visible.
         lately = 0.0 <= self._samples[-1].time_s - self._level_s < _LEVEL_LATELY_S
-        if not lately and abs(factor - 1.0) * own_residual_m < _DISCRIMINATES * fits_m:
-            return None
-        return factor if residual_m[Verdict(None, factor)] < fits_m else None
+        is_visible = lately or abs(factor - 1.0) * own_residual_m >= _DISCRIMINATES * fits_m
+        is_level = off_level[factor] < _LEVEL_SHARE
+        return factor if is_level and is_visible and residual_m[Verdict(None, factor)] < fits_m else None
 
-    def _residuals_of_hypotheses_m(self, established: Verdict) -> tuple[dict[Verdict, float], float, float]:
+    def _residuals_of_hypotheses_m(
+        self, times_s: FloatArray, own_m: FloatArray, sighted_m: FloatArray, established: Verdict
+    ) -> tuple[dict[Verdict, float], float, float]:
         """Return the residual of every other reading of the payload, of the aircraft's motion, and as reported."""
-        times_s, own_m, sighted_m = self._arrays()
         verdicts, positions_m = self._hypotheses(own_m, sighted_m)
+        own, way = own_m[:, 0] + 1j * own_m[:, 1], (sighted_m - own_m) @ (1.0, 1j, 0.0)
         scale = 1.0
         if not established.is_turned:
-            self._turn_rad, scale = _yaw_error_rad(times_s, own_m, sighted_m - own_m)
-        turned_m = own_m + _turned(sighted_m - own_m, -self._turn_rad)
+            # The constant yaw error without which the target moves straightest, and by what the ways then stretch:
+            # least squares of own + turn * way = place + velocity * time, in the complex plane.
+            columns = np.stack([way, np.full(len(way), -1.0), times_s.mean() - times_s], axis=1)
+            turn = complex(np.linalg.lstsq(columns, -own, rcond=None)[0][0])
+            self._turn_rad, scale = cmath.phase(turn), abs(turn)
+        turned = own + way * cmath.exp(1j * self._turn_rad)
+        turned_m = np.stack((turned.real, turned.imag, sighted_m[:, 2]), axis=1)
         others_m = np.stack((turned_m, own_m, sighted_m), axis=1)
         *residuals_m, turned_residual_m, straight_m, as_reported_m = _residuals_m(
             times_s, np.concatenate((positions_m, others_m), axis=1)
@@ -786,33 +751,15 @@ class PayloadFit:
 
     def _hypotheses(self, own_m: FloatArray, sighted_m: FloatArray) -> tuple[list[Verdict], FloatArray]:
         """Return every other reading of the payload, and the targets (n, k, 3) that the samples then show."""
-        verdicts = [Verdict(frame) for frame in FRAMES if frame != self._flagged]
+        frames, samples = [frame for frame in FRAMES if frame != self._flagged], self._samples
         positions_m = [
-            np.array(
-                [
-                    self._apparent_m(one.own_m, one.range_m, self._direction(one.attitude, one.gimbal, verdict.frame))
-                    for one in self._samples
-                ]
-            )
-            for verdict in verdicts
-        ]
-        verdicts += [Verdict(None, factor) for factor in FACTORS]
-        positions_m += [own_m + factor * (sighted_m - own_m) for factor in FACTORS]
-        return verdicts, np.stack(positions_m, axis=1)
-
-    def _direction(
-        self, attitude: AttitudeReading, gimbal: GimbalReading, frame: str | None
-    ) -> tuple[float, float, float]:
-        """Return the unit vector (east, north, up) of a line of sight, if its frame is this one."""
-        north, east, down = sight_direction(gimbal.quaternion_wxyz)
-        if frame != "earth":
-            roll_rad, pitch_rad = (attitude.roll_rad, attitude.pitch_rad) if frame == "body" else (0.0, 0.0)
-            aircraft = from_roll_pitch_yaw(roll_rad, pitch_rad, attitude.yaw_rad)
-            north, east, down = rotate(multiply(aircraft, self._parent_from_mount), (north, east, down))
-        return east, north, -down
+            np.array([self._apparent_m(one.own_m, one.range_m, one.attitude, one.gimbal, frame) for one in samples])
+            for frame in frames
+        ] + [own_m + factor * (sighted_m - own_m) for factor in FACTORS]
+        return [*map(Verdict, frames), *(Verdict(None, factor) for factor in FACTORS)], np.stack(positions_m, axis=1)
 
     def _judge(self, flagged: str) -> None:
-        verdict = self.verdict(self._established)
+        verdict = self._verdict_of_motion(self._established)
         if verdict is None:
             return
         self._judge_terrain(sound=verdict == SOUND)
@@ -919,17 +866,8 @@ class PayloadFit:
         gimbal_sigma_s, range_sigma_s = (math.hypot(one, _STAMPS_SIGMA_S) for one in (gimbal_sigma_s, range_sigma_s))
         if self._on_ground:
             range_s, range_sigma_s = latencies_s[1], 0.0
-        self.found = Delays(
-            gimbal_s,
-            range_s,
-            gimbal_sigma_s,
-            range_sigma_s,
-            math.atan(tan_yaw),
-            known[2],
-            range_m,
-            known[3],
-            self._factor,
-        )
+        delays_s = gimbal_s, range_s, gimbal_sigma_s, range_sigma_s
+        self.found = Delays(*delays_s, math.atan(tan_yaw), known[2], range_m, known[3], self._factor)
         self.is_confirmed, self.is_changed = max(gimbal_sigma_s, range_sigma_s) < SURE_S, True
         self.is_late = self._is_late(now_s, self.found, best)
 
@@ -963,14 +901,9 @@ class PayloadFit:
 
     def _fit_sound(self, readings: Readings) -> Fit:
         """Return the best fit with errors as small as the priors say."""
-        before, sigmas = self._sound, self._sigmas
+        before = (np.zeros(SHARED), 0.0) if self._sound is None else (self._sound.shared, self._sound.scale_m)
         start = np.array([*_STARTS_S[self._fits % len(_STARTS_S)], *(SHARED - 2) * [0.0]])
-        fits = (
-            self._solve(readings, sigmas, np.zeros(SHARED))
-            if before is None
-            else self._solve(readings, sigmas, before.shared, before.scale_m),
-            self._solve(readings, sigmas, start),
-        )
+        fits = [self._solve(readings, self._sigmas, *begin) for begin in (before, (start, 0.0))]
         self._sound = min(fits, key=lambda one: one.cost)
         self._fits += 1
         return self._sound
@@ -979,9 +912,8 @@ class PayloadFit:
         """Return the best fit with large errors; the one without them if that explains the readings as well."""
         before, range_m = self._erring, float(np.median(readings.ranges[:, 1]))
 
-        def fit(factor: float, start: FloatArray, scale_m: float = 0.1) -> Fit:
-            stiff = 0.0 if scale_m == 0.1 else scale_m
-            return self._solve(_scaled(readings, factor), self._sigmas, start, stiff, erring=True)
+        def fit(factor: float, start: FloatArray, scale_m: float = 0.0) -> Fit:
+            return self._solve(_scaled(readings, factor), self._sigmas, start, scale_m, erring=True)
 
         tried = [(self._factor, fit(self._factor, sound.shared))]
         if before is not None:
@@ -1047,109 +979,61 @@ class PayloadFit:
                 one[[rate - 2, rate]] = self._sigmas[rate - 2], _RATE_SIGMAS[rate - 4]
             return Fit(*fit_readings(readings, one, tails, start, 0.0))
 
-        sound = fit()
-        sector = self._sector(readings, sound)
-        if sector:
+        sound, looks = fit(), np.empty((len(readings.sights), 3))
+        look(readings, 0.0, looks)
+        looks[:, 0] = np.unwrap(looks[:, 0])
+        bearing_rad, down_rad = (np.interp(readings.ranges[:, 0], readings.sights[:, 0], looks[:, k]) for k in (0, 1))
+        if sector := _sector(readings, bearing_rad, sound.off_m):
             return "sector", sector
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
-        eased = 0.5 if self._drift else 1.0
-        by_yaw, by_range = fit(4), fit(5)
-        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings)
+        eased, by_yaw, by_range = 0.5 if self._drift else 1.0, fit(4), fit(5)
+        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings, bearing_rad, down_rad)
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
-        # also puts the target below the ground.
-        sinks = pitch_rad / (range_m * pitch_of_range_rad_m) if range_m else 0.0
-        is_range = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M and sinks > _SINKS_MIN
-        # A pitch error shortens the level range of a target that then seems too low; a range error lengthens it.
-        opposite = is_range and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
-        if (abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range) or opposite:
-            self.evidence = range_gain
-            return "pitch", (
-                f"its pitch drifts and is off by about {math.degrees(pitch_rad):+.0f} degrees: check its gyro and "
-                "its mounting"
-            )
-        if is_range and range_gain > yaw_gain:
-            self.evidence = range_gain
-            return "range", (
-                f"its ranges drift by about {60.0 * by_range.shared[5]:+.0f} m a minute and are off by about "
-                f"{range_m:+.0f} m: check its lens, its temperature and its driver"
-            )
-        if yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD:
-            self.evidence = yaw_gain
-            return "yaw", (
-                f"its yaw drifts by about {math.degrees(60.0 * by_yaw.shared[4]):+.0f} degrees a minute and is off "
-                f"by about {math.degrees(yaw_rad):+.0f} degrees: check its gyro and the aircraft's heading"
-            )
+        # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
+        looks_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
+        is_range = looks_long and pitch_rad / (range_m * pitch_of_range_rad_m) > _SINKS_MIN
+        is_yaw = yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD
+        opposite = looks_long and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
+        is_pitch = abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range
+        for what, is_it, gain, numbers in (
+            ("pitch", is_pitch or opposite, range_gain, (math.degrees(pitch_rad),)),
+            ("range", is_range and range_gain > yaw_gain, range_gain, (60.0 * by_range.shared[5], range_m)),
+            ("yaw", is_yaw, yaw_gain, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad))),
+        ):
+            if is_it:
+                self.evidence = gain
+                return what, _DRIFTS[what].format(*numbers)
         return "", ""
 
-    def _pitch_drift(self, readings: Readings) -> tuple[float, float, float]:
+    def _pitch_drift(self, readings: Readings, bearing_rad: FloatArray, down_rad: FloatArray) -> tuple[float, ...]:
         """Return the pitch error at the end by the height of the target over the ground, and its change, rad.
 
         The third value is the pitch error that one metre of a range error looks like, rad/m.
         """
-        looks = np.empty((len(readings.sights), 3))
-        look(readings, 0.0, looks)
         time_s, slant_m = readings.ranges.T
-        down_rad, bearing = (np.interp(time_s, readings.sights[:, 0], looks[:, k]) for k in (1, 0))
         rows = self._history.since(time_s[0] - _GAP_MAX_S)
-        height_m = np.interp(time_s, rows[:, 1], rows[:, 6])
-        errors = []
-        for block in np.array_split(np.arange(len(time_s)), _BLOCKS):
-            level_m, off_m = (
-                slant_m[block] * np.cos(down_rad[block]),
-                height_m[block] - slant_m[block] * np.sin(down_rad[block]),
+        level_m = slant_m * np.cos(down_rad)
+        off_m = np.interp(time_s, rows[:, 1], rows[:, 6]) - slant_m * np.sin(down_rad)
+        length = len(time_s) // _BLOCKS
+        blocks = np.arange(len(time_s) - _BLOCKS * length, len(time_s)).reshape(_BLOCKS, length)
+        off, level = np.median(off_m[blocks], axis=1), np.median(level_m[blocks], axis=1)
+        if self.ground is not None:
+            at = blocks[:, length // 2]
+            east_m, north_m = (
+                np.interp(time_s[at], readings.positions[:, 0], readings.positions[:, k])
+                + level_m[at] * way(bearing_rad[at])
+                for k, way in ((1, np.sin), (2, np.cos))
             )
-            off = float(np.median(off_m))
-            if self.ground is not None:
-                at = block[len(block) // 2]
-                east_m, north_m = (
-                    np.interp(time_s[at], readings.positions[:, 0], readings.positions[:, k]) for k in (1, 2)
-                )
-                level = slant_m[at] * math.cos(down_rad[at])
-                off -= self.ground(east_m + level * math.sin(bearing[at]), north_m + level * math.cos(bearing[at]))
-            errors.append(-off / float(np.median(level_m)))
-        rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS), errors, 1).tolist()
-        last = block  # of the newest readings
-        return end, rate, float(np.median(np.tan(down_rad[last]) / slant_m[last]))
-
-    def _sector(self, readings: Readings, fit: Fit) -> str:
-        """Return in words at which bearings alone the ranges are off; empty where they are not."""
-        time_s, slant_m = readings.ranges.T
-        looks = np.empty((len(readings.sights), 3))
-        look(readings, 0.0, looks)
-        bearing_rad = np.interp(time_s, readings.sights[:, 0], np.unwrap(looks[:, 0]))
-        own_s, _, _, east_m_s, north_m_s = readings.positions.T
-        course_rad = np.interp(time_s, own_s, np.unwrap(np.arctan2(east_m_s, north_m_s)))
-        off = -fit.off_m / slant_m  # measured, less what the path explains
-        best, text = _SECTOR_GAIN, ""
-        for whose, angle_rad in (("the nose", bearing_rad - course_rad), ("north", bearing_rad)):
-            bins = np.floor(np.mod(angle_rad, math.tau) / _SECTOR_RAD).astype(int)
-            counts = np.bincount(bins)
-            medians = {k: float(np.median(off[bins == k])) for k in np.flatnonzero(counts >= _SECTOR_COUNT).tolist()}
-            wrong = [k for k, value in medians.items() if abs(value) > _SECTOR_OFF]
-            right = [k for k, value in medians.items() if abs(value) < _ELSEWHERE_OFF]
-            inside, is_off = np.isin(bins, wrong), abs(off) > _SECTOR_OFF
-            if (
-                not wrong
-                or len(right) < len(wrong)
-                or (np.diff(time_s[inside]) > _VISIT_S).sum() < _SECTOR_VISITS - 1
-            ):
-                continue
-            gain = float(is_off[inside].mean() - is_off[~inside].mean())
-            if gain > best:
-                middle_rad = math.atan2(
-                    *(sum(f((k + 0.5) * _SECTOR_RAD) for k in wrong) for f in (math.sin, math.cos))
-                )
-                best, share = gain, 100.0 * float(np.median(off[inside & is_off]))
-                text = (
-                    f"its ranges are off by about {share:+.0f} % where it looks about "
-                    f"{math.degrees(middle_rad) % 360.0:.0f} degrees to the right of {whose}: check its window and "
-                    "what is in its path"
-                )
-        return text
+            off -= list(map(self.ground, east_m.tolist(), north_m.tolist()))
+        if np.isnan(off).any():  # the ground is not known everywhere
+            return 0.0, 0.0, 1.0
+        rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS), -off / level, 1).tolist()
+        newest = blocks[-1]
+        return end, rate, float(np.median(np.tan(down_rad[newest]) / slant_m[newest]))
 
     @property
     def _is_stuck(self) -> bool:
@@ -1161,8 +1045,7 @@ class PayloadFit:
 
     def _settle(self) -> None:
         """State the faults of laser and gimbal."""
-        before = self.laser_fault, self.gimbal_fault
-        by_laser = self._drift in ("range", "sector")
+        before, by_laser = (self.laser_fault, self.gimbal_fault), self._drift in ("range", "sector")
         self.laser_fault = _STUCK if self._is_stuck else self._unit_fault or (self._drift_fault if by_laser else "")
         frozen = _FROZEN if self._sight_repeats.found else _YAW_FROZEN if self._yaw_repeats.found else ""
         self.gimbal_fault = frozen or self._frame_fault or ("" if by_laser else self._drift_fault)
@@ -1178,11 +1061,6 @@ class PayloadFit:
             self.wrong_since_s = min(since_s) - _MARGIN_S
 
 
-_NO_ATTITUDE = 4 * (math.nan,)
-_AXES: tuple[Vector, ...] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-_SMALL, _ERRING = np.zeros(SHARED, np.bool_), np.array([False, False, True, True, True, True])
-
-
 def yaw_fault(yaw_error_rad: float) -> str:
     """Return what is wrong with a gimbal whose yaw is off, and what to do."""
     return (
@@ -1194,14 +1072,12 @@ def yaw_fault(yaw_error_rad: float) -> str:
 def _stamped(rows: FloatArray) -> FloatArray:
     """Return a copy of the rows whose first column is later than in all rows before."""
     time_s = rows[:, 0]
-    newest_s = np.fmax.accumulate(time_s)
     kept = ~np.isnan(rows[:, -1])
-    kept[1:] &= ~(time_s[1:] <= newest_s[:-1])
+    kept[1:] &= ~(time_s[1:] <= np.fmax.accumulate(time_s)[:-1])
     return np.ascontiguousarray(rows[kept])
 
 
 def _between(log: FloatArray, first_s: float, last_s: float, gaps_s: list[tuple[float, float]]) -> FloatArray:
-    """Return the rows between two times and outside gaps."""
     time_s = log[:, 0]
     kept = (time_s >= first_s) & (time_s <= last_s)
     for begin_s, end_s in gaps_s:
@@ -1213,40 +1089,41 @@ def _scaled(readings: Readings, factor: float) -> Readings:
     return readings if factor == 1.0 else readings._replace(ranges=readings.ranges * (1.0, factor))
 
 
-def _motion(samples: Sequence[_Sample]) -> _Motion:
-    """Return the motion between the medians of both halves, so that one outlier in each does no harm."""
-    half = len(samples) // 2
-    first, last = (
-        np.array([(one.time_s, *one.sighted_m) for one in some]) for some in (samples[:half], samples[half:])
-    )
-    (first_s, *first_m), (last_s, *last_m) = np.median(first, axis=0), np.median(last, axis=0)
-    return _Motion(last_s, np.array(last_m), (np.array(last_m) - np.array(first_m)) / max(last_s - first_s, 1.0))
-
-
-def _yaw_error_rad(times_s: FloatArray, own_m: FloatArray, way_m: FloatArray) -> tuple[float, float]:
-    """Return the constant yaw error without which the target moves straightest, and by what the ways then stretch.
-
-    Least squares: own + c * way + s * (way, turned right by 90 degrees) = place + velocity * time.
+def _sector(readings: Readings, bearing_rad: FloatArray, off_m: FloatArray) -> str:
+    """Return in words at which bearings alone the ranges are off; empty where they are not.
 
     Args:
-        times_s: of the samples, (n,).
-        own_m: the aircraft, (n, 3).
-        way_m: from there to the apparent target, (n, 3).
+        readings: of the fit.
+        bearing_rad: of each range, without jumps by a turn.
+        off_m: what the path explains of each range, less what was measured.
     """
-    since_s, none = times_s - times_s.mean(), np.zeros(len(times_s))
-    one = none + 1.0
-    east = np.stack([way_m[:, 0], way_m[:, 1], -one, none, -since_s, none], axis=1)
-    north = np.stack([way_m[:, 1], -way_m[:, 0], none, -one, none, -since_s], axis=1)
-    known_m = -own_m[:, :2].T.ravel()
-    (cosine, sine, *_), *_ = np.linalg.lstsq(np.concatenate([east, north]), known_m, rcond=None)
-    return -math.atan2(sine, cosine), math.hypot(cosine, sine)
-
-
-def _turned(way_m: FloatArray, angle_rad: float) -> FloatArray:
-    """Return ways (n, 3), each turned right by an angle about the vertical."""
-    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
-    east_m, north_m, up_m = way_m.T
-    return np.stack([cosine * east_m + sine * north_m, cosine * north_m - sine * east_m, up_m], axis=1)
+    time_s, slant_m = readings.ranges.T
+    own_s, _, _, east_m_s, north_m_s = readings.positions.T
+    course_rad = np.interp(time_s, own_s, np.unwrap(np.arctan2(east_m_s, north_m_s)))
+    off, best, text = -off_m / slant_m, _SECTOR_GAIN, ""
+    is_off = abs(off) > _SECTOR_OFF
+    for whose, angle_rad in (("the nose", bearing_rad - course_rad), ("north", bearing_rad)):
+        bins = np.floor(np.mod(angle_rad, math.tau) / _SECTOR_RAD).astype(int)
+        counts = np.bincount(bins)
+        if not ((counts >= _SECTOR_COUNT) & (2 * np.bincount(bins[is_off], minlength=len(counts)) >= counts)).any():
+            continue  # as nearly always: no median is off
+        often = np.flatnonzero(counts >= _SECTOR_COUNT).tolist()
+        medians = {k: abs(float(np.median(off[bins == k]))) for k in often}
+        wrong = [k for k, value in medians.items() if value > _SECTOR_OFF]
+        inside = np.isin(bins, wrong)
+        visits = 1 + (np.diff(time_s[inside]) > _VISIT_S).sum()
+        right = sum(value < _ELSEWHERE_OFF for value in medians.values())
+        if not wrong or right < len(wrong) or visits < _SECTOR_VISITS:
+            continue
+        gain = float(is_off[inside].mean() - is_off[~inside].mean())
+        if gain > best:
+            middle = cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _SECTOR_RAD) for k in wrong))
+            best, share = gain, 100.0 * float(np.median(off[inside & is_off]))
+            text = (
+                f"its ranges are off by about {share:+.0f} % where it looks about {math.degrees(middle) % 360.0:.0f} "
+                f"degrees to the right of {whose}: check its window and what is in its path"
+            )
+    return text
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:

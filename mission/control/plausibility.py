@@ -74,7 +74,7 @@ class PositionCheck:
     Attributes:
         accepted: The latest accepted or dead-reckoned position; None before the first one.
         rejected_since_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
-        jump_m: How far the first rejected reading was from the reference.
+        jump_m: How far the first rejected reading was from dead reckoning.
         jump: What the first rejected reading contradicts, in words.
         two_places_m: Distance of two alternating positions; None while there is one position.
         slow_places_m: The same, if the second position is received seldom.
@@ -145,13 +145,13 @@ class PositionCheck:
         )
         if possible and (after_odd_one or self._follows(last, reading, bank_rad)):
             return self._accept(reading)
-        self._note_elsewhere(last, reading)
+        reckoned = _dead_reckoned(last, reading, bank_rad)
+        self._note_elsewhere(last, reading, reckoned)
         proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
         unsettled = self._readings < _SETTLED and self._elsewhere_count > self._readings
         if possible and (unsettled or proven):
             self._readings = self._elsewhere_count - 1
             return self._accept(reading)
-        reckoned = _dead_reckoned(last, reading, bank_rad)
         self.accepted = reckoned
         return reckoned
 
@@ -161,13 +161,13 @@ class PositionCheck:
         self._readings += 1
         return reading
 
-    def _note_elsewhere(self, last: PositionReading, reading: PositionReading) -> None:
+    def _note_elsewhere(self, last: PositionReading, reading: PositionReading, reckoned: PositionReading) -> None:
         before = self._elsewhere
         agrees = before is not None and _reachable(before, reading, 0.0)
         if self.rejected_since_s is None:
             # After a longer gap a rejected position cannot be explained by drift of dead reckoning.
             self.rejected_since_s = max(last.time_s, reading.time_s - _DRIFTING_MAX_S)
-            self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
+            self.jump_m = math.hypot(reading.east_m - reckoned.east_m, reading.north_m - reckoned.north_m)
             self.jump = _jump(last, reading, self.jump_m)
             in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
             self._turns = self._turns + 1 if agrees and in_turn else 0

@@ -7,8 +7,7 @@ import time
 
 from sidelong.app.simulation.kinematic import LIVE_RATES
 from sidelong.estimators.tracking.payload_fit import PayloadFit
-from sidelong.mission.health.health import Health
-from sidelong.mission.health.sightings_check import SightingsCheck
+from sidelong.mission.health.health import Health, SightingsCheck
 from tests.bench.size import size
 from tests.faults import flight
 from tests.faults.flight import FaultedFlight, Scenario

@@ -185,6 +185,16 @@ def test_gimbal_is_found_late_on_a_steady_circle_where_no_likely_yaw_error_expla
     assert found == pytest.approx(used_s, abs=0.1)
 
 
+@pytest.mark.parametrize("frame", ["earth", "vehicle"])
+@pytest.mark.parametrize("seed", range(3))
+def test_correct_stamps_are_never_corrected_below_zero(frame, seed):
+    tracker = Tracker(TrackerSettings())
+    for one in readings(0.0, 0.0, frame, seed=seed):
+        tracker.add(one)
+        assert min(tracker.payload.used_s) >= 0.0
+    assert tracker.payload.is_confirmed
+
+
 @pytest.mark.parametrize(("late_s", "used_s"), [(0.03, 0.0), (0.15, 0.15)])
 def test_configured_delays_stay_until_they_are_evidently_wrong(late_s, used_s):
     """A payload cannot measure after its stamp."""

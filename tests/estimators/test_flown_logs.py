@@ -19,7 +19,7 @@ class Result:
 
     def __init__(self, flown, readings, settings=TrackerSettings()):  # noqa: B008  # frozen
         self.tracker = Tracker(settings)
-        self.errors_m, self.nees, self.times_s, self.qualities = [], [], [], []
+        self.errors_m, self.nees, self.times_s, self.qualities, self.delays_s = [], [], [], [], []
         row, newest_s = 0, -math.inf
         for reading in readings:
             self.tracker.add(reading)
@@ -30,6 +30,7 @@ class Result:
 
     def _compare(self, time_s, truth_m):
         estimate = self.tracker.estimate(time_s)
+        self.delays_s.append(min(self.tracker.payload.used_s))
         if estimate is not None:
             error_m = np.array((estimate.east_m, estimate.north_m)) - truth_m
             self.times_s.append(time_s)
@@ -157,6 +158,14 @@ def test_a_payload_of_another_clock_is_corrected_by_the_latency(bike):
     assert given.rmse_m() < 4.0
     assert estimated.rmse_m() < 5.0
     assert uninformed.rmse_m() > 6.0
+
+
+@pytest.mark.parametrize("name", ["bike", "walk_and_drive"])
+def test_correct_stamps_are_never_corrected_below_zero_and_the_fit_costs_no_accuracy(name, request):
+    flown = request.getfixturevalue(name)
+    fitted, plain = Result(flown, flown.readings), Result(flown, flown.readings, TrackerSettings(latency_sigma_s=0.0))
+    assert min(fitted.delays_s) >= 0.0
+    assert fitted.rmse_m() <= 1.02 * plain.rmse_m()
 
 
 def test_one_source_after_the_other(walk_and_drive):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.estimators.tracking.fusion import agreeing
+from sidelong.estimators.tracking.joint_track import agreeing
 
 
 def track(east_m: float, sigma_m: float = 2.0) -> TargetEstimate:

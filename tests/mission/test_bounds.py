@@ -13,8 +13,8 @@ from sidelong.estimators.sensing.pose import PoseHistory
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import Fix
 from sidelong.estimators.settings import TrackerSettings
-from sidelong.estimators.tracking.pairing import Pairing
 from sidelong.estimators.tracking.track import Track
+from sidelong.estimators.tracking.tracker import Pairing
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.geometry.approach import approach

@@ -284,8 +284,10 @@ def test_nothing_new_is_commanded_without_heartbeat():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_undisturbed_flight_raises_no_alarm(seed):
-    flown = FaultedFlight(Scenario(seed, ("px4", "arduplane")[seed % 2], 200.0)).fly()
+    flight = FaultedFlight(Scenario(seed, ("px4", "arduplane")[seed % 2], 200.0))
+    flown = flight.fly()
     assert flown.health == []
+    assert min(flight.controller.tracker.payload.used_s) >= 0.0  # no payload measures after its stamp
     assert flown.wrongly_in_band_s == 0.0
 
 
