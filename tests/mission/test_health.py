@@ -512,6 +512,51 @@ def test_large_error_of_the_payload_is_reported_and_corrected(name):
     assert np.median(later_m) < 10.0  # without the correction 30 to 100 m
 
 
+def drifting(by):
+    """Let an error grow with the time since its beginning."""
+    return lambda message, since_s, rng: by(since_s)(message, since_s, rng)
+
+
+def near_one_bearing(factor):
+    """Multiply the ranges within 25 degrees of the bearing at which the error begins."""
+    seen_rad = []
+
+    def change(message, _since_s, _rng):
+        if message.name in GIMBAL:
+            w, x, y, z = message.fields["q"]
+            yaw_rad = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+            seen_rad[1:] = [yaw_rad]
+            seen_rad[:0] = [] if len(seen_rad) > 1 else [yaw_rad]
+        elif seen_rad and abs(math.remainder(seen_rad[1] - seen_rad[0], math.tau)) < math.radians(25.0):
+            return with_fields(message, current_distance=round(factor * message.fields["current_distance"]))
+        return message
+
+    return only((*GIMBAL, *LASER), change)
+
+
+DRIFTS = {  # with the time after which the error is about 10 m
+    "yaw, 0.05 degrees/s": (drifting(lambda s: turned(0.05 * s)), Input.GIMBAL, "its yaw drifts", 45.0),
+    "yaw, -0.2 degrees/s": (drifting(lambda s: turned(-0.2 * s)), Input.GIMBAL, "its yaw drifts", 12.0),
+    "range, 0.3 m/s": (drifting(lambda s: scaled(1.0, 0.3 * s)), Input.LASER, "its ranges drift", 33.0),
+    "range, -0.3 m/s": (drifting(lambda s: scaled(1.0, -0.3 * s)), Input.LASER, "its ranges drift", 33.0),
+    "ranges of some bearings": (near_one_bearing(1.15), Input.LASER, "its ranges are off by about", 0.0),
+}
+
+
+@pytest.mark.parametrize("name", DRIFTS)
+def test_error_that_drifts_or_depends_on_the_bearing_is_named(name):
+    change, input_, words, wrong_after_s = DRIFTS[name]
+    flown = FaultedFlight(Scenario(1, "px4", 220.0), [Fault(name, BEGIN_S, math.inf, change)]).fly()
+    found_s, text = next(
+        (time_s, one.text)
+        for time_s, one in flown.health
+        if one.state is InputState.INCONSISTENT and one.input is input_
+    )
+    assert words in text
+    assert BEGIN_S < found_s <= BEGIN_S + wrong_after_s + 60.0
+    assert min(flown.range_m) > 80.0
+
+
 def test_a_position_that_serves_two_samples_is_no_motion():
     check, place = PayloadFit(), PositionReading(0.0, 0.0, 0.0, 100.0, 15.0, 0.0, 0.0)
     check.position(place)
