@@ -139,8 +139,9 @@ SURE_S = 0.045
 """Standard deviation of a delay that is known."""
 _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
 # 4. drifts
-_DRIFT_S, _DRIFT_EVERY_S, _DRIFT_SPAN_MIN_S = 100.0, 10.0, 40.0
-_PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of what is not to be estimated
+_DRIFT_S, _DRIFT_SPAN_MIN_S = 100.0, 40.0
+_DRIFT_EVERY_S = 20.0, 10.0  # while nothing drifts, and while something seems to
+_PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
 _SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
@@ -800,7 +801,7 @@ class PayloadFit:
 
     def _judge_errors(self, now_s: float) -> None:
         """Fit drifts and constant errors from time to time."""
-        if now_s - self._drift_s >= _DRIFT_EVERY_S:
+        if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(self._drift_seen or self._drift)]:
             self._drift_s = now_s
             self._judge_drift(now_s)
         if self._drift_fault or now_s < self._fit_s:
@@ -955,7 +956,8 @@ class PayloadFit:
         found, text = self._drift_of(_scaled(readings, self._factor))
         self._drifting = self._drifting + 1 if found == self._drift_seen else 1
         self._drift_seen = found
-        if found and self._drifting >= _DRIFT_FOUND_AFTER and not self._drift:
+        # A sector has been visited twice already, and may leave the window before the next judgement.
+        if found and not self._drift and (found == "sector" or self._drifting >= _DRIFT_FOUND_AFTER):
             self._drift, self._drift_fault = found, text
         elif self._drift and not found and self._drifting >= _DRIFT_CLEARED_AFTER:
             self._drift = self._drift_fault = ""

@@ -437,7 +437,7 @@ def test_two_places_that_take_turns_are_two_vehicles(flown):
         now_s = tick / 10
         flown.give(attitude(now_s), position(now_s), away(2000.0)(position(now_s + 0.03)))
     (event,) = flown.of(YieldRequested)
-    assert "take turns, 1999 m apart" in event.reason
+    assert "take turns, 2000 m apart" in event.reason
     assert off_the_path(flown.of(PositionReading)) < 5.0
 
 
