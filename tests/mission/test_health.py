@@ -386,7 +386,9 @@ def test_what_has_jumped_is_named(change, words):
     assert any(words in text for _, text in flown.announced)
 
 
-@pytest.mark.parametrize(("ground_m", "is_wrong"), [(0.0, False), (-15.0, False), (-35.0, True), (-120.0, True)])
+@pytest.mark.parametrize(
+    ("ground_m", "is_wrong"), [(0.0, False), (-15.0, False), (-35.0, True), (-120.0, True), (math.nan, False)]
+)
 def test_elevation_data_that_contradicts_laser_and_gimbal_is_reported(ground_m, is_wrong):
     flight = FaultedFlight(Scenario(1, "px4", 90.0))
     flight.controller.tracker.payload.ground = lambda _east_m, _north_m: ground_m
