@@ -22,7 +22,9 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
+
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 _ROOT = Path(__file__).resolve().parents[1]
@@ -156,6 +158,25 @@ def inlined(function: F) -> F:
         function: The function.
     """
     return cast(F, _dispatcher(function, forceinline=True))
+
+
+Record: TypeAlias = Any
+"""A record of a :func:`record_type`: type checkers do not know its fields."""
+
+
+def record_type(**fields: Any) -> np.dtype[Any]:
+    """Return the type of a record whose named fields compiled functions read and write.
+
+    Args:
+        fields: Type of each field; (type, shape) for an array.
+    """
+    of = [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind in fields.items()]
+    return np.dtype((np.record, of), align=True)
+
+
+def new_record(of: np.dtype[Any]) -> Record:
+    """Return a record of a type, all zero."""
+    return np.zeros(1, of)[0]
 
 
 def is_cached(function: Callable[..., Any]) -> bool:

@@ -75,4 +75,4 @@ def _warm_up(planner: TeamPlanner) -> None:
     planner.decide(state, estimate, Plan(west), Wind(), 0.5)
     follower = RouteFollower(MADE_UP_ROUTE)
     follower.update(estimate)
-    planner.follow(MADE_UP_ROUTE, follower.memory)
+    planner.follow(MADE_UP_ROUTE, follower.progress)

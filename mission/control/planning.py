@@ -24,13 +24,12 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, RouteGiven, StepOutput, UploadPlan
 from sidelong.mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
-from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, off_track, point_at
 from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe, progress_of
-from sidelong.mission.route.progress_kernel import fresh_progress
+from sidelong.mission.route.progress_kernel import Progress, fresh_progress, reset
 from sidelong.mission.route.route import Route, route_from
 
 # Fleet advice expires after this time.
@@ -94,7 +93,7 @@ class Planning:
             return "no route of the target is known"
         return f"the target is expected on a route of {self._route.length_m:.0f} m"
 
-    def _fresh_progress(self) -> FloatArray:
+    def _fresh_progress(self) -> Progress:
         return fresh_progress(0 if self._route is None else self._route.east_m.size)
 
     @property
@@ -125,7 +124,7 @@ class Planning:
         else:
             self._advice = news
             if before not in ("", news.target):  # the planner's memory belongs to another target
-                self._progress[:] = self._fresh_progress()
+                reset(self._progress)
                 self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
             self.planner.advise(news)

@@ -16,7 +16,6 @@ from sidelong.mission.fleet.vehicle import FleetVehicle
 from sidelong.mission.route.progress import RouteFollower, follower_of
 from sidelong.mission.viewpoint.course_hold import CourseHold
 from sidelong.mission.viewpoint.side_policy import SidePolicy
-from sidelong.mission.viewpoint.viewpoint_kernel import MADE_GOOD
 
 if TYPE_CHECKING:
     from sidelong.mission.fleet.team_planner import TeamPlanner
@@ -50,7 +49,7 @@ class WatchedCourse:
         if first is not None and self._presumed_rad is None:
             away_rad = math.atan2(first.east_m - target.east_m, first.north_m - target.north_m)
             self._presumed_rad = away_rad - self._normal_turn_rad
-        held_rad, made_good_rad = self._hold.update(target), float(self._policy.memory[MADE_GOOD])
+        held_rad, made_good_rad = self._hold.update(target), float(self._policy.memory.made_good_rad)
         if not math.isnan(made_good_rad):
             self.course_rad = made_good_rad
         else:
@@ -92,7 +91,7 @@ class RoleJudges:
         if follower is not None:
             for (_, watched), judge in self._judges.items():
                 if watched == target:
-                    judge.follow(follower.route, follower.memory)
+                    judge.follow(follower.route, follower.progress)
 
     def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
         """Take the targets' estimates, in the order of time."""

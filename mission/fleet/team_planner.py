@@ -32,9 +32,9 @@ from sidelong.mission.predictive.planner import (
 )
 from sidelong.mission.predictive.rollout_kernel import STEP_S
 from sidelong.mission.predictive.value_table import ValueTable
+from sidelong.mission.route.progress_kernel import Progress
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
-from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
 # A circle that takes more of the band swings further about the target: predictions of the others are worth less.
 _WIDE, _WIDER_POWER = 1.0 / 7.0, 3
@@ -117,7 +117,7 @@ class TeamPlanner:
             self._advice = news
             held = 1.0 if news.side is Side.LEFT else -1.0
             self._wanted = -held if news.role is Role.OPPOSITE else held
-            self._alone.lookers[0].memory[SIDE] = held  # of all lookers
+            self._alone.lookers[0].memory.side = held  # of all lookers
             if news.course_rad is not None:
                 self.presume(news.course_rad)
 
@@ -127,9 +127,9 @@ class TeamPlanner:
         Args:
             course_rad: Course of the target, rad.
         """
-        self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
+        self._alone.lookers[0].memory.presumed_course_rad = course_rad  # of all lookers
 
-    def follow(self, route: Route | None, progress: FloatArray) -> None:
+    def follow(self, route: Route | None, progress: Progress) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._alone.follow(route, progress)
 
@@ -151,12 +151,12 @@ class TeamPlanner:
             latency_s: Time until a new plan can depart, s.
         """
         looker, team = self._for(wind)
-        held, found = looker.memory[SIDE], []
+        held, found = looker.memory.side, []
         for side in (team.wanted, -team.wanted):
-            looker.memory[SIDE] = side
+            looker.memory.side = side
             scene = scene_at(aircraft, target, present, wind, latency_s, looker)
             found.append(kernel.role_value(scene, looker))
-        looker.memory[SIDE] = held
+        looker.memory.side = held
         return RoleCosts(*found)
 
     def decide(

@@ -11,18 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import Record, compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, crab_rad, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, blind_rate, fading_per_s, least
 from sidelong.mission.predictive.foresight_kernel import (
-    COMPUTED_S,
-    FOLLOWED,
     HEADINGS,
-    KNOWN,
-    MIRROR,
-    WIND_RAD,
     Foresight,
     course_index,
     fill_layers,
@@ -73,8 +68,8 @@ from sidelong.mission.predictive.second_kernel import (
     room_for,
     staying_ahead,
 )
-from sidelong.mission.route.progress_kernel import CHANCE, OF_USE, ON_ROUTE, PART, forecast, update_progress
-from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Wish
+from sidelong.mission.route.progress_kernel import forecast, update_progress
+from sidelong.mission.viewpoint.viewpoint_kernel import Wish
 
 UNCERTAIN_M = 10.0
 _WIND_STEP_M_S = 0.5  # second moves are recomputed when the wind grows by this much
@@ -121,7 +116,7 @@ class Looker(NamedTuple):
     table: Table
     motions: Motions
     prices: Prices
-    memory: FloatArray
+    memory: Record
     kept: Kept
     turns: Turns
     depth: Depth
@@ -193,7 +188,7 @@ def doubtful(scene: Scene, motions: Motions) -> bool:
 
 @compiled
 def likely(futures: Futures) -> Futures:
-    """Return the target's course alone, and the repetition of its trail where that is more probable."""
+    """Return the target's course alone, and the repetition of its path where that is more probable."""
     repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
     return first_of(futures, 2 if repeats else 1)
 
@@ -385,12 +380,12 @@ _PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are ne
 def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, bool]:
     """Return futures of which the first follows the route, and True; the same and False off the route, or of no use.
 
-    The route replaces the future along the target's own trail.
+    The route replaces the future along the target's path history.
     """
-    way, progress = looker.foresight.way, looker.foresight.progress
-    if len(way.points) == 0 or progress[ON_ROUTE] == 0.0 or progress[OF_USE] == 0.0:
+    way, progress = looker.foresight.way, looker.foresight.progress.state
+    if len(way.points) == 0 or not progress.on_route or not progress.of_use:
         return every, False
-    chance, turns, k = _TRUST * progress[CHANCE], len(looker.turns.rate_rad_s), every.place.shape[1]
+    chance, turns, k = _TRUST * progress.chance, len(looker.turns.rate_rad_s), every.place.shape[1]
     if chance < _LEAST_TRUST:
         return every, False
     weight, place = np.full(turns + 1, (1.0 - chance) / turns), np.empty((turns + 1, k, 4))
@@ -404,7 +399,7 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, 
     for i in range(k):
         place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
         place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-    moving = looker.memory[STANDING] == 0.0
+    moving = not looker.memory.standing
     return watched(scene, looker.motions, looker.wish, looker.memory, moving, weight, place), True
 
 
@@ -414,21 +409,21 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
     s, motions, table = looker.foresight, looker.motions, looker.table
     wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
     wind_rad = math.atan2(scene.air.wind_x_m_s, scene.air.wind_y_m_s) - turn_rad if wind_m_s > 0.0 else 0.0
-    changed_rad = wind_rad - s.state[WIND_RAD]
+    changed_rad = wind_rad - s.state.wind_rad
     changed_rad -= 2.0 * math.pi * round(changed_rad / (2.0 * math.pi))
     # The frame of a sector is fixed: its angle in the plane does not change.
     if motions.wind_speed_m_s > 0.0 and abs(changed_rad) > _OTHER_WIND_RAD:
-        s.state[KNOWN:] = 0.0
-        s.state[WIND_RAD] = wind_rad
+        s.state.known[:] = False
+        s.state.wind_rad = wind_rad
     classes, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     for k in range(f.place.shape[1]):
         course = course_index(f, _ROUTE, k, turn_rad)
-        if s.state[KNOWN + course] > 0.0:
+        if s.state.known[course]:
             continue
-        s.state[KNOWN + course] = 1.0
+        s.state.known[course] = True
         course_rad = course * 2.0 * math.pi / HEADINGS
         table_rad = course_rad if motions.follows_course else f.course[_ROUTE, k, 2] - turn_rad
-        to_rad, from_rad = course_rad - table_rad, s.state[WIND_RAD] - table_rad
+        to_rad, from_rad = course_rad - table_rad, s.state.wind_rad - table_rad
         fastest = motions.target_speed_max_m_s
         vx, vy = fastest * math.sin(to_rad), fastest * math.cos(to_rad)
         wx, wy = motions.wind_speed_m_s * math.sin(from_rad), motions.wind_speed_m_s * math.cos(from_rad)
@@ -454,16 +449,16 @@ def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
         return every, looker
     update_progress(s.way, scene.target, s.progress)
     f, on_route = along_route(scene, looker, every)
-    part, state = s.progress[PART], s.state
+    part, state = s.progress.state.part, s.state
     if not on_route:
-        state[COMPUTED_S] = -np.inf
+        state.computed_s = -np.inf
         return f, looker
     p = looker.prices
     prices = Prices(_PRICE_SHARE * p.leave, _PRICE_SHARE * p.change, p.commit, p.commit_s, p.threat_s)
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
     layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)
-    since_s = scene.departure_s - state[COMPUTED_S]
-    if not 0.0 <= since_s <= _RENEW_S or state[MIRROR] != scene.mirror or state[FOLLOWED] != part:
+    since_s = scene.departure_s - state.computed_s
+    if not 0.0 <= since_s <= _RENEW_S or state.mirror != scene.mirror or state.part != part:
         _fill_after_turn(f, turn_rad, scene, looker)
         fill_layers(
             f,
@@ -481,7 +476,7 @@ def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
             s.values[count:],
         )
         least_of(s.values[count:], s.least[count:])
-        state[COMPUTED_S], state[MIRROR], state[FOLLOWED], since_s = scene.departure_s, scene.mirror, part, 0.0
+        state.computed_s, state.mirror, state.part, since_s = scene.departure_s, scene.mirror, part, 0.0
     sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
     for k in range(f.place.shape[1]):
         at = min((k * f.step_s + since_s) / dt_s, layers - 1.001)

@@ -9,14 +9,13 @@ import math
 
 import numpy as np
 
-from sidelong.mission.core.path import FloatArray
+from sidelong.estimators.compiled import new_record
 from sidelong.mission.predictive.cost_kernel import Table
 from sidelong.mission.predictive.foresight_kernel import (
     CELLS,
-    COMPUTED_S,
     HEADINGS,
     HORIZON_S,
-    KNOWN,
+    LAYERS,
     SIZE,
     Foresight,
     layer_s,
@@ -24,7 +23,7 @@ from sidelong.mission.predictive.foresight_kernel import (
 )
 from sidelong.mission.predictive.value_table import TableConfiguration
 from sidelong.mission.route.progress import way_of
-from sidelong.mission.route.progress_kernel import Way, fresh_progress
+from sidelong.mission.route.progress_kernel import Progress, Way, fresh_progress
 from sidelong.mission.route.route import Route
 
 _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
@@ -33,17 +32,17 @@ _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 def no_route() -> Foresight:
     """Return what a planner without a route looks ahead with."""
     way = Way(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
-    return Foresight(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), np.zeros(KNOWN + HEADINGS))
+    return Foresight(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), new_record(LAYERS))
 
 
-def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: FloatArray) -> Foresight:
+def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: Progress) -> Foresight:
     """Return room for the layers along a route, and the table's classes on their grid.
 
     Args:
         route: The target's route.
         own: Value table of the planner.
         c: Its configuration, or that of a table for another wind.
-        progress: Memory of the progress filter, which tables for several winds share.
+        progress: State of the progress filter, which tables for several winds share.
     """
     classes = len(own.values)
     layers = math.ceil(HORIZON_S / layer_s(c.airspeed_m_s, c.radius_m)) + 1
@@ -56,6 +55,6 @@ def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: F
         resample(own.values, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, values[one])
         resample(own.after_turn, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, after_turn[one])
     least = values.min(axis=(1, 2, 3)).astype(np.float64)
-    state = np.zeros(KNOWN + HEADINGS)
-    state[COMPUTED_S] = -np.inf
+    state = new_record(LAYERS)
+    state.computed_s = -np.inf
     return Foresight(way_of(route), progress, values, after_turn, cell_m, least, state)

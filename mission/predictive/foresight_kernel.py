@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import Record, compiled, inlined, record_type
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import crab_rad
 from sidelong.mission.predictive.cost_kernel import (
@@ -32,7 +32,7 @@ from sidelong.mission.predictive.cost_kernel import (
     table_value,
 )
 from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures
-from sidelong.mission.route.progress_kernel import Way
+from sidelong.mission.route.progress_kernel import Progress, Way
 
 FloatRow = npt.NDArray[np.float32]
 
@@ -43,25 +43,29 @@ _PAD = 8  # cells beyond the edge, equal to it: more than aircraft and target mo
 _TURN = 2  # headings of a step on the circle
 _MODES = 3  # on the circle, straight, the other way round
 HORIZON_S = 45.0
-# What is remembered of the layers: when they were computed, for which mirror, part of the route and direction of the
-# wind, then for which courses the values after a turn are computed.
-COMPUTED_S, MIRROR, FOLLOWED, WIND_RAD, KNOWN = range(5)
+LAYERS = record_type(
+    computed_s="f8",  # when the layers were computed, for which mirror, part of the route and direction of the wind
+    mirror="f8",
+    part="i8",
+    wind_rad="f8",
+    known=("?", (HEADINGS,)),  # for which courses the values after a turn are computed
+)
 
 
 class Foresight(NamedTuple):
     """A route and the layers of the value table along it; without points, no route.
 
     values: classes of the value table on the program's grid, then the layers. after_turn: the same classes, then one
-    for each of HEADINGS courses. least (classes + layers,): of ``values``.
+    for each of HEADINGS courses. least (classes + layers,): of ``values``. state: a record of ``LAYERS``.
     """
 
     way: Way
-    progress: FloatArray
+    progress: Progress
     values: Float32
     after_turn: Float32
     cell_m: float
     least: FloatArray
-    state: FloatArray
+    state: Record
 
 
 @compiled

@@ -41,7 +41,7 @@ from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_k
 from sidelong.mission.predictive.scene_kernel import Scene, Turns, scene_of
 from sidelong.mission.predictive.second_kernel import no_seconds
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
-from sidelong.mission.route.progress_kernel import fresh_progress
+from sidelong.mission.route.progress_kernel import Progress, fresh_progress
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.course_hold import estimates_of
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
@@ -209,7 +209,7 @@ class PredictivePlanner:
             self.tables.append(self._table_at(wind_speed_m_s))
             self.lookers.append(self._looker(self.tables[-1]))
 
-    def follow(self, route: Route | None, progress: FloatArray) -> None:
+    def follow(self, route: Route | None, progress: Progress) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, (looker, table) in enumerate(zip(self.lookers, self.tables, strict=True)):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import Record, compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 from sidelong.mission.geometry.line_kernel import (
@@ -27,11 +27,7 @@ from sidelong.mission.geometry.line_kernel import (
 )
 from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Doubt, Futures
 from sidelong.mission.viewpoint.viewpoint_kernel import (
-    AIRSPEED_S,
-    AIRSPEED_SHARE,
     MIN_WAY_M,
-    STANDING,
-    TRAIL,
     Estimates,
     Known,
     Wish,
@@ -84,17 +80,17 @@ class Scene(NamedTuple):
 
 @compiled
 def flown_airspeed_m_s(
-    time_s: float, east_m_s: float, north_m_s: float, wind_m_s: float, craft: Craft, memory: FloatArray
+    time_s: float, east_m_s: float, north_m_s: float, wind_m_s: float, craft: Craft, memory: Record
 ) -> float:
     """Take the velocity through the air, in the order of time, and return the airspeed that is really flown."""
     share = math.hypot(east_m_s, north_m_s) / craft.airspeed_m_s
-    since_s = time_s - memory[AIRSPEED_S]
-    memory[AIRSPEED_S] = time_s
+    since_s = time_s - memory.airspeed_s
+    memory.airspeed_s = time_s
     if since_s > 0.0:
         share = min(max(share, 1.0 - _AIRSPEED_OFF), 1.0 + _AIRSPEED_OFF)
         new = 1.0 - math.exp(-min(since_s, _AIRSPEED_GAP_S) / _AIRSPEED_S)
-        memory[AIRSPEED_SHARE] += new * (share - memory[AIRSPEED_SHARE])
-    steps = round((memory[AIRSPEED_SHARE] - 1.0) / _AIRSPEED_STEP)
+        memory.airspeed_share += new * (share - memory.airspeed_share)
+    steps = round((memory.airspeed_share - 1.0) / _AIRSPEED_STEP)
     flown_m_s = craft.airspeed_m_s * (1.0 + _AIRSPEED_STEP * steps)
     return flown_m_s if flown_m_s > wind_m_s else craft.airspeed_m_s
 
@@ -114,7 +110,7 @@ def scene_of(
     target_speed_max_m_s: float,
     craft: Craft,
     wish: Wish,
-    memory: FloatArray,
+    memory: Record,
 ) -> Scene:
     """Return what is to be decided about at time_s, with the aircraft's place, course and curvature.
 
@@ -254,22 +250,22 @@ def classes_about(
 
 
 @compiled
-def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turns: Turns) -> Futures:
+def winding(scene: Scene, motions: Motions, wish: Wish, memory: Record, turns: Turns) -> Futures:
     """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
 
-    There is one for each turn, the first straight on. If the target repeats a part of its trail, the second follows
-    the trail. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
+    There is one for each turn, the first straight on. If the target repeats a part of its path, the second follows
+    the path. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
     asked in the frame of the velocity, in which it was computed, or of the fixed course.
     """
     k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
-    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    moving = not memory.standing and speed_m_s > _SLOW_M_S
     # The rest of its velocity is an error of the estimate, which would turn the course that is watched.
-    if turns.stands and memory[STANDING] > 0.0 and math.isnan(wish.fixed_course_rad):
+    if turns.stands and memory.standing and math.isnan(wish.fixed_course_rad):
         speed_m_s = 0.0
-    part, trail = no_part(), memory[TRAIL:]
+    part, path = no_part(), memory.path
     if moving and len(turns.rate_rad_s) > 1:
-        part = repeated_part(trail, scene.frame_east_m, scene.frame_north_m, speed_m_s)
+        part = repeated_part(path, scene.frame_east_m, scene.frame_north_m, speed_m_s)
     more = 1 if part.chance > 0.0 else 0
     f = len(turns.rate_rad_s) + more
     place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - part.chance) / (f - more))
@@ -280,7 +276,7 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
         _turning(scene, speed_m_s, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
     if more > 0:
         weight[1], x_m, y_m = part.chance, np.empty(k + 1), np.empty(k + 1)
-        predict_along(trail, part, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
+        predict_along(path, part, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
         for i in range(k + 1):
             x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
         place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
@@ -307,7 +303,7 @@ def watched(
     scene: Scene,
     motions: Motions,
     wish: Wish,
-    memory: FloatArray,
+    memory: Record,
     moving: bool,
     weight: FloatArray,
     place: FloatArray,
@@ -335,7 +331,7 @@ def _watch(
     scene: Scene,
     motions: Motions,
     wish: Wish,
-    memory: FloatArray,
+    memory: Record,
     moving: bool,
     past: FloatArray,
     found: Futures,

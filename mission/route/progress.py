@@ -17,12 +17,7 @@ from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import Planner
 from sidelong.mission.route.progress_kernel import (
-    ALONG_M,
-    DIRECTION,
-    OF_USE,
-    OFF_CHANCE,
-    ON_ROUTE,
-    SPEED_M_S,
+    Progress,
     Way,
     fresh_progress,
     update_progress,
@@ -67,12 +62,12 @@ class RouteProgress:
 class RoutePlanner(Planner, Protocol):
     """A planner that plans along a known route."""
 
-    def follow(self, route: Route | None, progress: FloatArray) -> None:
+    def follow(self, route: Route | None, progress: Progress) -> None:
         """Expect the target on this route from the next decision on.
 
         Args:
             route: The route; None: none is known.
-            progress: Memory of the progress filter, of :func:`fresh_progress`; decisions update it.
+            progress: State of the progress filter, of :func:`fresh_progress`; decisions update it.
         """
 
 
@@ -84,10 +79,10 @@ def way_of(route: Route) -> Way:
 
 
 class RouteFollower:
-    """Estimates a target's progress along a route from its estimates; ``memory`` is that of the progress filter."""
+    """Estimates a target's progress along a route from its estimates; ``progress`` is the state of the filter."""
 
     def __init__(self, route: Route) -> None:
-        self.route, self.memory = route, fresh_progress(route.east_m.size)
+        self.route, self.progress = route, fresh_progress(route.east_m.size)
         self._way, self._at_s = way_of(route), -math.inf
 
     def update(self, target: TargetEstimate) -> RouteProgress | None:
@@ -99,8 +94,8 @@ class RouteFollower:
         if target.time_s < self._at_s + _UPDATE_S:
             return None
         self._at_s = target.time_s
-        update_progress(self._way, known(target), self.memory)
-        return progress_of(self.route, self.memory)
+        update_progress(self._way, known(target), self.progress)
+        return progress_of(self.route, self.progress)
 
 
 def follower_of(given: RouteGiven) -> RouteFollower | None:
@@ -111,15 +106,16 @@ def follower_of(given: RouteGiven) -> RouteFollower | None:
         return None
 
 
-def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
-    """Return the progress in the filter's memory: off route before the first update."""
-    on_route = bool(memory[ON_ROUTE] > 0.0)
+def progress_of(route: Route, progress: Progress) -> RouteProgress:
+    """Return what the filter knows: off route before the first update."""
+    state = progress.state
+    on_route = bool(state.on_route)
     along_m = speed_m_s = to_end_s = math.nan
     if on_route:
-        along_m, speed_m_s = float(memory[ALONG_M]), float(memory[SPEED_M_S])
+        along_m, speed_m_s = float(state.along_m), float(state.speed_m_s)
         if not route.lap and abs(speed_m_s) > 0.1:
-            to_end_s = (route.length_m - along_m if memory[DIRECTION] > 0.0 else along_m) / abs(speed_m_s)
-    probability, of_use = 1.0 - float(memory[OFF_CHANCE]), bool(memory[OF_USE] > 0.0)
+            to_end_s = (route.length_m - along_m if state.direction > 0.0 else along_m) / abs(speed_m_s)
+    probability, of_use = 1.0 - float(state.off_chance), bool(state.of_use)
     return RouteProgress(route, on_route, along_m, speed_m_s, probability, to_end_s, of_use)
 
 

@@ -13,24 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import Record, compiled, inlined, new_record, record_type
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
-# The memory: time of the last update; probability of "off the route"; whether "on route" is reported; position, speed
-# (negative: backward), direction (1, -1) and probability of the most probable part of the route; how often that part
-# has changed; usual speed; present speed, less smoothed; whether forecasts along the route are of use; mean squared
-# errors of those, and of forecasts straight on; displacement of the target's way from the route (east, north), and
-# its covariance (ee, en, nn). Then the forecasts that are not due yet, and the probabilities: those of the points in
-# their order, and in the reverse order for the backward direction.
-LAST_S, OFF_CHANCE, ON_ROUTE, ALONG_M, SPEED_M_S, DIRECTION, CHANCE, PART, USUAL_M_S, _PRESENT_M_S = range(10)
-OF_USE, _ROUTE_ERROR_M2, _STRAIGHT_ERROR_M2 = range(10, 13)
-_DISPLACED, _DISPLACED_M2, _DUE = 13, 15, 18
-# A forecast is made each second, and compared after this many seconds. It holds when it was made, the velocity, and
-# where the target was and is expected after 1, 2 ... s (east, north).
-_AHEAD_S, _FORETOLD = 10, 21
-_FORECAST = 3 + 2 * _FORETOLD
-_FIRST = _DUE + _AHEAD_S * _FORECAST
+# A forecast is made each second, and compared after this many seconds; it has this many points, 1 s apart.
+_AHEAD_S, _FORECAST = 10, 21
 
 _LEAVES_AFTER_S = 150.0
 # Share of the probability that is moved each second: from "off" to points near the target, from all points to those,
@@ -66,6 +54,44 @@ _COMPARED_S, _WORST_M, _FIRST_ROUTE_M2, _FIRST_STRAIGHT_M2 = 120.0, 30.0, 35.0, 
 _OF_USE_BELOW, _OF_NO_USE_ABOVE, _ROUNDING_M2 = 0.75, 0.85, 1.0
 
 
+PROGRESS = record_type(
+    last_s="f8",  # time of the last update; NaN before
+    off_chance="f8",  # probability of "off the route"
+    on_route="?",  # whether "on the route" is reported
+    # The most probable part of the route: position, speed (negative: backward), direction (1, -1) and probability.
+    along_m="f8",  # NaN before
+    speed_m_s="f8",
+    direction="f8",
+    chance="f8",
+    part="i8",  # how often that part has changed
+    usual_m_s="f8",  # speed over the ground; NaN before
+    present_m_s="f8",  # speed along the route, less smoothed than speed_m_s
+    # Whether forecasts along the route are of use; mean squared errors of those, and of forecasts straight on.
+    of_use="?",
+    route_error_m2="f8",
+    straight_error_m2="f8",
+    # Displacement of the target's path from the route (east, north), and its covariance (ee, en, nn).
+    displaced_m=("f8", (2,)),
+    displaced_m2=("f8", (3,)),
+    # Forecasts that are not due yet: when they were made (NaN for none), velocity then, and predicted positions.
+    forecast_s=("f8", (_AHEAD_S,)),
+    forecast_m_s=("f8", (_AHEAD_S, 2)),
+    forecast_m=("f8", (_AHEAD_S, _FORECAST, 2)),
+)
+
+
+class Progress(NamedTuple):
+    """The filter's state, which changes.
+
+    Attributes:
+        state: a record of ``PROGRESS``.
+        chances: probability of each point, (2, n); the second row in reverse order, for the backward direction.
+    """
+
+    state: Record
+    chances: FloatArray
+
+
 class Way(NamedTuple):
     """A route as the loops see it: points (n, 2), east and north, evenly spaced; n = 0 for no route.
 
@@ -80,16 +106,23 @@ class Way(NamedTuple):
     direction: float
 
 
-@compiled
-def fresh_progress(points: int) -> FloatArray:
-    """Return the memory before the first update, for a route with a number of points."""
-    memory = np.zeros(_FIRST + 2 * points)
-    memory[LAST_S], memory[OFF_CHANCE], memory[ALONG_M] = np.nan, 1.0, np.nan
-    memory[USUAL_M_S] = np.nan
-    memory[OF_USE], memory[_ROUTE_ERROR_M2], memory[_STRAIGHT_ERROR_M2] = 1.0, _FIRST_ROUTE_M2, _FIRST_STRAIGHT_M2
-    memory[_DISPLACED_M2] = memory[_DISPLACED_M2 + 2] = _DISPLACED_SIGMA_M**2
-    memory[_DUE:_FIRST] = np.nan
-    return memory
+def fresh_progress(points: int) -> Progress:
+    """Return the progress before the first update, for a route of n points."""
+    progress = Progress(new_record(PROGRESS), np.zeros((2, points)))
+    reset(progress)
+    return progress
+
+
+def reset(progress: Progress) -> None:
+    """Forget all updates."""
+    state = progress.state
+    state.last_s = state.along_m = state.usual_m_s = math.nan
+    state.speed_m_s = state.direction = state.chance = state.present_m_s = 0.0
+    state.off_chance, state.on_route, state.part, state.of_use = 1.0, False, 0, True
+    state.route_error_m2, state.straight_error_m2 = _FIRST_ROUTE_M2, _FIRST_STRAIGHT_M2
+    state.displaced_m[:], state.displaced_m2[:] = 0.0, (_DISPLACED_SIGMA_M**2, 0.0, _DISPLACED_SIGMA_M**2)
+    state.forecast_s[:] = math.nan
+    progress.chances[:] = 0.0
 
 
 @inlined
@@ -184,16 +217,17 @@ def _share(per_s: float, dt_s: float) -> float:
 
 
 @compiled
-def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
+def update_progress(way: Way, target: Known, progress: Progress) -> None:
     """Process an estimate of the target, in order of time."""
-    dt_s = target.time_s - memory[LAST_S]
+    state = progress.state
+    dt_s = target.time_s - state.last_s
     if dt_s < 0.05:
         return
     first = math.isnan(dt_s)
     dt_s = 1.0 if first else min(dt_s, 10.0)
-    memory[LAST_S] = target.time_s
+    state.last_s = target.time_s
     n = len(way.points)
-    chance, moved = memory[_FIRST:].reshape(2, n), np.empty((2, n))
+    chance, moved = progress.chances, np.empty((2, n))
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     travelled_m = speed_m_s * dt_s if speed_m_s > _MOVING_M_S else 0.0
     shown_s = dt_s if travelled_m > 0.0 else _STILL * dt_s
@@ -205,31 +239,31 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
             forward, backward = moved[0, i], moved[1, n - 1 - i]
             moved[0, i] += turning * (backward - forward)
             moved[1, n - 1 - i] += turning * (forward - backward)
-    off, leaves = memory[OFF_CHANCE], _share(1.0 / _LEAVES_AFTER_S, shown_s)
+    off, leaves = state.off_chance, _share(1.0 / _LEAVES_AFTER_S, shown_s)
     joins, jumps = 0.5 if first else _share(_JOINS_PER_S, dt_s), _share(_JUMPS_PER_S, dt_s)
     for d in range(2):
         for i in range(n):
             moved[d, i] *= 1.0 - leaves - jumps
-    _weigh(way, target, joins * off + jumps * (1.0 - off), shown_s, memory, moved)
+    _weigh(way, target, joins * off + jumps * (1.0 - off), shown_s, state, moved)
     off = off * (1.0 - joins) + (1.0 - off) * leaves
     total = off
     for d in range(2):
         for i in range(n):
             total += moved[d, i]
-    memory[OFF_CHANCE] = max(off / total, _MIN_CHANCE)
+    state.off_chance = max(off / total, _MIN_CHANCE)
     for d in range(2):
         for i in range(n):
             chance[d, i] = moved[d, i] / total
-    if memory[OFF_CHANCE] < 1.0 - _ON_ABOVE:
-        memory[ON_ROUTE] = 1.0
-    elif memory[OFF_CHANCE] > 1.0 - _OFF_BELOW:
-        memory[ON_ROUTE] = 0.0
-    _summarise(way, target, dt_s, memory, chance)
-    _compare(way, target, memory)
+    if state.off_chance < 1.0 - _ON_ABOVE:
+        state.on_route = True
+    elif state.off_chance > 1.0 - _OFF_BELOW:
+        state.on_route = False
+    _summarise(way, target, dt_s, state, chance)
+    _compare(way, target, state)
 
 
 @compiled
-def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatArray, chance: FloatArray) -> None:
+def _weigh(way: Way, target: Known, joining: float, dt_s: float, state: Record, chance: FloatArray) -> None:
     """Weigh the probabilities (2, n) of the points by the estimate; ``joining`` is first shared by those near it."""
     n, exponent, p = len(way.points), _SHARE_PER_S * dt_s, target.covariance
     ve, vn = target.velocity_east_m_s, target.velocity_north_m_s
@@ -245,7 +279,7 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
             chance[0, i] *= beyond
             chance[1, n - 1 - i] *= beyond
             continue
-        joins, ahead_m = joining / near, memory[DIRECTION] * (i * way.spacing_m - memory[ALONG_M])
+        joins, ahead_m = joining / near, state.direction * (i * way.spacing_m - state.along_m)
         if not math.isnan(ahead_m) and not _REJOINS_FROM_M < ahead_m < _REJOINS_TO_M:
             joins *= _ELSEWHERE
         tangent_e, tangent_n = _tangent(way, i * way.spacing_m)
@@ -261,19 +295,19 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, memory: FloatAr
 
 
 @compiled
-def _register(way: Way, target: Known, tangent_e: float, tangent_n: float, gone_m: float, memory: FloatArray) -> None:
+def _register(way: Way, target: Known, tangent_e: float, tangent_n: float, gone_m: float, state: Record) -> None:
     """Estimate the route's displacement from the target's distance aside of a tangent: a Kalman filter.
 
     What was aside before a turn is along the course after it: the position along the route is corrected by that.
     """
-    d, p = memory[_DISPLACED : _DISPLACED + 2], memory[_DISPLACED_M2 : _DISPLACED_M2 + 3]
+    d, p = state.displaced_m, state.displaced_m2
     kept = math.exp(-gone_m / _DISPLACED_OVER_M)
     new_m2 = (1.0 - kept * kept) * _DISPLACED_SIGMA_M**2
     d *= kept
     p *= kept * kept
     p[0] += new_m2
     p[2] += new_m2
-    point_e, point_n = point_along(way, memory[ALONG_M])
+    point_e, point_n = point_along(way, state.along_m)
     right_e, right_n = tangent_n, -tangent_e
     aside_m = right_e * (target.east_m - point_e - d[0]) + right_n * (target.north_m - point_n - d[1])
     east_m2, north_m2 = p[0] * right_e + p[1] * right_n, p[1] * right_e + p[2] * right_n
@@ -287,7 +321,7 @@ def _register(way: Way, target: Known, tangent_e: float, tangent_n: float, gone_
 
 
 @compiled
-def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance: FloatArray) -> None:
+def _summarise(way: Way, target: Known, dt_s: float, state: Record, chance: FloatArray) -> None:
     """Fill in the most probable part of the route, the speed along it, and the usual speed."""
     n, best_d, best_i = len(way.points), 0, 0
     for d in range(2):
@@ -304,49 +338,49 @@ def _summarise(way: Way, target: Known, dt_s: float, memory: FloatArray, chance:
     middle, direction = best_i + off_mean / max(part, _NO_CHANCE), 1.0 - 2.0 * best_d
     along_m = way.spacing_m * (middle if best_d == 0 else n - 1 - middle)
     tangent_e, tangent_n = _tangent(way, along_m)
-    along_m -= memory[_DISPLACED] * tangent_e + memory[_DISPLACED + 1] * tangent_n
+    along_m -= state.displaced_m[0] * tangent_e + state.displaced_m[1] * tangent_n
     if way.lap:
         along_m -= length_m(way) * math.floor(along_m / length_m(way))
     else:
         along_m = min(max(along_m, 0.0), length_m(way))
-    memory[CHANCE] = part
-    if memory[ON_ROUTE] == 0.0 and not math.isnan(memory[ALONG_M]):
+    state.chance = part
+    if not state.on_route and not math.isnan(state.along_m):
         return
-    went_m = along_m - memory[ALONG_M] - memory[SPEED_M_S] * dt_s
+    went_m = along_m - state.along_m - state.speed_m_s * dt_s
     if way.lap:
         went_m -= length_m(way) * math.floor(went_m / length_m(way) + 0.5)
-    same = memory[DIRECTION] == direction and abs(went_m) < _OTHER_PART_M
+    same = state.direction == direction and abs(went_m) < _OTHER_PART_M
     tangent_e, tangent_n = _tangent(way, along_m)
     speed_m_s = target.velocity_east_m_s * tangent_e + target.velocity_north_m_s * tangent_n
     speed_m_s = direction * max(direction * speed_m_s, 0.0)
-    memory[PART] += 0.0 if same else 1.0
-    memory[ALONG_M], memory[DIRECTION] = along_m, direction
-    for slot, smoothed_s in ((SPEED_M_S, _SPEED_S), (_PRESENT_M_S, _PRESENT_S)):
-        memory[slot] += (_share(1.0 / smoothed_s, dt_s) if same else 1.0) * (speed_m_s - memory[slot])
+    state.part += 0 if same else 1
+    state.along_m, state.direction = along_m, direction
+    state.speed_m_s += (_share(1.0 / _SPEED_S, dt_s) if same else 1.0) * (speed_m_s - state.speed_m_s)
+    state.present_m_s += (_share(1.0 / _PRESENT_S, dt_s) if same else 1.0) * (speed_m_s - state.present_m_s)
     over_ground_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
-    if memory[ON_ROUTE] > 0.0 and over_ground_m_s > _MOVING_M_S:
-        _register(way, target, tangent_e, tangent_n, over_ground_m_s * dt_s, memory)
+    if state.on_route and over_ground_m_s > _MOVING_M_S:
+        _register(way, target, tangent_e, tangent_n, over_ground_m_s * dt_s, state)
     if over_ground_m_s > _SLOW_M_S:
-        usual_m_s = memory[USUAL_M_S]
+        usual_m_s = state.usual_m_s
         new_m_s = _share(1.0 / _USUAL_S, dt_s) * (over_ground_m_s - usual_m_s)
-        memory[USUAL_M_S] = over_ground_m_s if math.isnan(usual_m_s) else usual_m_s + new_m_s
+        state.usual_m_s = over_ground_m_s if math.isnan(usual_m_s) else usual_m_s + new_m_s
 
 
 @compiled
-def forecast(way: Way, memory: FloatArray, time_s: float, found: FloatArray) -> None:
+def forecast(way: Way, state: Record, time_s: float, found: FloatArray) -> None:
     """Fill in points (k, 2) of the route, one each second from a time on, that the target is expected to pass.
 
     Its speed rises from the present one to the mean of that and the expected or usual one. It does not fall: a target
     that has become faster would be nearer to the aircraft than predicted.
     """
-    now_m_s = abs(memory[_PRESENT_M_S])
-    usual_m_s = memory[USUAL_M_S] if math.isnan(way.speed_m_s) else way.speed_m_s
+    now_m_s = abs(state.present_m_s)
+    usual_m_s = state.usual_m_s if math.isnan(way.speed_m_s) else way.speed_m_s
     settled_m_s = 0.5 * (now_m_s + usual_m_s) if usual_m_s > now_m_s else now_m_s
-    along_m = memory[ALONG_M] + memory[_PRESENT_M_S] * (time_s - memory[LAST_S])
+    along_m = state.along_m + state.present_m_s * (time_s - state.last_s)
     for i in range(len(found)):
         found[i, 0], found[i, 1] = point_along(way, along_m)
         speed_m_s = settled_m_s + (now_m_s - settled_m_s) * math.exp(-(i + 0.5) / _SETTLES_S)
-        along_m += memory[DIRECTION] * max(speed_m_s, 0.1)
+        along_m += state.direction * max(speed_m_s, 0.1)
 
 
 @inlined
@@ -359,30 +393,32 @@ def _from_line_m(east_m: float, north_m: float, from_e: float, from_n: float, to
 
 
 @compiled
-def _compare(way: Way, target: Known, memory: FloatArray) -> None:
+def _compare(way: Way, target: Known, state: Record) -> None:
     """Compare the forecast that is due with where the target is, decide whether the route is of use, and forecast."""
     e, n = target.east_m, target.north_m
-    at = _DUE + _FORECAST * (math.floor(target.time_s) % _AHEAD_S)
-    due = memory[at : at + _FORECAST]
-    points = due[3:].reshape(_FORETOLD, 2)
-    if abs(target.time_s - due[0] - _AHEAD_S) < 0.6:
-        from_e, from_n, reach_s = points[0, 0], points[0, 1], _FORETOLD - 1
-        straight_m = _from_line_m(e, n, from_e, from_n, from_e + reach_s * due[1], from_n + reach_s * due[2])
+    due = math.floor(target.time_s) % _AHEAD_S
+    points, velocity_m_s = state.forecast_m[due], state.forecast_m_s[due]
+    if abs(target.time_s - state.forecast_s[due] - _AHEAD_S) < 0.6:
+        from_e, from_n, reach_s = points[0, 0], points[0, 1], _FORECAST - 1
+        straight_m = _from_line_m(
+            e, n, from_e, from_n, from_e + reach_s * velocity_m_s[0], from_n + reach_s * velocity_m_s[1]
+        )
         route_m = _WORST_M
         for i in range(reach_s):
             line_m = _from_line_m(e, n, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1])
             route_m = min(route_m, line_m)
-        memory[_ROUTE_ERROR_M2] += (route_m**2 - memory[_ROUTE_ERROR_M2]) / _COMPARED_S
-        memory[_STRAIGHT_ERROR_M2] += (min(straight_m, _WORST_M) ** 2 - memory[_STRAIGHT_ERROR_M2]) / _COMPARED_S
-        ratio = _OF_NO_USE_ABOVE if memory[OF_USE] > 0.0 else _OF_USE_BELOW
-        limit_m2 = ratio * memory[_STRAIGHT_ERROR_M2] + _ROUNDING_M2
-        memory[OF_USE] = 1.0 if memory[_ROUTE_ERROR_M2] < limit_m2 else 0.0
-    due[0] = np.nan
-    if memory[ON_ROUTE] == 0.0:
+        state.route_error_m2 += (route_m**2 - state.route_error_m2) / _COMPARED_S
+        state.straight_error_m2 += (min(straight_m, _WORST_M) ** 2 - state.straight_error_m2) / _COMPARED_S
+        ratio = _OF_NO_USE_ABOVE if state.of_use else _OF_USE_BELOW
+        limit_m2 = ratio * state.straight_error_m2 + _ROUNDING_M2
+        state.of_use = state.route_error_m2 < limit_m2
+    state.forecast_s[due] = np.nan
+    if not state.on_route:
         return
-    due[0], due[1], due[2] = target.time_s, target.velocity_east_m_s, target.velocity_north_m_s
-    forecast(way, memory, target.time_s, points)
+    state.forecast_s[due] = target.time_s
+    velocity_m_s[0], velocity_m_s[1] = target.velocity_east_m_s, target.velocity_north_m_s
+    forecast(way, state, target.time_s, points)
     off_e, off_n = e - points[0, 0], n - points[0, 1]
-    for i in range(_FORETOLD):
+    for i in range(_FORECAST):
         points[i, 0] += off_e
         points[i, 1] += off_n

@@ -16,7 +16,7 @@ import numpy as np
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.viewpoint import viewpoint_kernel as kernel
-from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Estimates, Known
+from sidelong.mission.viewpoint.viewpoint_kernel import Estimates, Known
 
 STANDING_M_S = 0.3
 """Below this speed a target keeps its present course: the direction of its velocity is noise."""
@@ -61,7 +61,7 @@ class CourseHold:
     @property
     def standing(self) -> bool:
         """Whether the target stands."""
-        return bool(self._memory[STANDING] > 0.0)
+        return bool(self._memory.standing)
 
 
 class TargetCourse:
@@ -117,4 +117,4 @@ def courses_made_good_rad(
     time_s, place_m, velocity_m_s, horizon_s = (
         np.ascontiguousarray(values, np.float64) for values in (time_s, place_m, velocity_m_s, horizon_s)
     )
-    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s)
+    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s, kernel.fresh_memory(1.0))

@@ -11,17 +11,23 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import Record, compiled, inlined, new_record, record_type
 from sidelong.mission.core.path import FloatArray
 
-# The trail is an array: the number of places, the part repeated last (a Part, its offset, and the length of the path
-# up to which it is kept), then each place with (east, north, length of the path from the first).
-_PART, _OFF_EAST, _OFF_NORTH, _UNTIL_M = 1, 5, 6, 7
-PLACES = 8
-_PATH_PLACES_MAX, _SPACING_M = 4096, 4.0
-TRAIL_SIZE = PLACES + 3 * _PATH_PLACES_MAX
+PATH_POINTS_MAX, _SPACING_M = 4096, 4.0
+PATH_HISTORY = record_type(
+    count="i8",  # of the points known
+    points=("f8", (PATH_POINTS_MAX, 3)),  # east, north, length of the path from the first; oldest first
+    # The part repeated last, see Part; its offset from the present path; the path length up to which it is held.
+    chance="f8",
+    ahead="i8",
+    vertex="i8",
+    share="f8",
+    offset_east_m="f8",
+    offset_north_m="f8",
+    held_until_m="f8",
+)
+"""The target's path history, at least ``_SPACING_M`` from point to point."""
 # The largest offset from an earlier part, by speed, and the length of the path that must resemble it.
 _OFFSET_S, _MIN_OFFSET_M, _MAX_OFFSET_M = 15.0, 8.0, 30.0
 _ALIKE_S, _MIN_ALIKE_M, _MAX_ALIKE_M = 6.0, 40.0, 200.0  # a shorter one of a pacing target resembles by chance
@@ -40,7 +46,7 @@ _SOUGHT_S, _SOUGHT_M, _SOUGHT_EVERY_M = 3.0, 16.0, 2.0
 
 
 class Part(NamedTuple):
-    """A part of the trail that the target repeats, from a place between a vertex and the next (share, 0 to 1).
+    """A part of the path history that the target repeats, from a point between a vertex and the next (share, 0..1).
 
     chance: probability that the target continues along it, 0: no part. ahead: 1, or -1 in the opposite direction.
     """
@@ -53,14 +59,8 @@ class Part(NamedTuple):
 
 @compiled
 def no_part() -> Part:
-    """Return that the target repeats no part of its trail."""
+    """Return the part of a target that repeats none."""
     return Part(0.0, 0, 0, 0.0)
-
-
-@compiled
-def _places(trail: FloatArray) -> FloatArray:
-    """Return the places (n, 3) of the trail, oldest first."""
-    return trail[PLACES:].reshape(_PATH_PLACES_MAX, 3)[: int(trail[0])]
 
 
 @compiled
@@ -74,7 +74,7 @@ def _place(places: FloatArray, part: Part) -> tuple[float, float]:
 def _along(
     places: FloatArray, vertex: int, ahead: int, east_m: float, north_m: float, way_m: float
 ) -> tuple[float, float, int, bool]:
-    """Return the place way_m along the trail from a place, via a vertex; the next vertex; and False at an end."""
+    """Return the point way_m along the path history from a point, via a vertex; the next vertex; False at an end."""
     while 0 <= vertex < len(places):
         step_m = math.hypot(places[vertex, 0] - east_m, places[vertex, 1] - north_m)
         if step_m >= way_m:
@@ -99,21 +99,21 @@ def _max_offset_m(speed_m_s: float) -> float:
 
 
 @compiled
-def remember(trail: FloatArray, east_m: float, north_m: float) -> None:
-    """Keep a place of the target; if the trail is full, drop its older half."""
-    count, places = int(trail[0]), trail[PLACES:].reshape(_PATH_PLACES_MAX, 3)
-    way_m = 0.0
-    if count > 0:
-        step_m = math.hypot(east_m - places[count - 1, 0], north_m - places[count - 1, 1])
+def remember(path: Record, east_m: float, north_m: float) -> None:
+    """Append a position of the target to its path history; a full one drops its older half."""
+    points, length_m = path.points, 0.0
+    if path.count > 0:
+        before = path.count - 1
+        step_m = math.hypot(east_m - points[before, 0], north_m - points[before, 1])
         if step_m < _SPACING_M:
             return
-        way_m = places[count - 1, 2] + step_m
-    if count == _PATH_PLACES_MAX:
-        count //= 2
-        places[:count] = places[count : 2 * count].copy()
-        trail[_PART] = 0.0
-    places[count, 0], places[count, 1], places[count, 2] = east_m, north_m, way_m
-    trail[0] = count + 1
+        length_m = points[before, 2] + step_m
+    if path.count == PATH_POINTS_MAX:
+        path.count //= 2
+        points[: path.count] = points[path.count : 2 * path.count].copy()
+        path.chance = 0.0
+    points[path.count, 0], points[path.count, 1], points[path.count, 2] = east_m, north_m, length_m
+    path.count += 1
 
 
 @compiled
@@ -177,13 +177,12 @@ def _found(places: FloatArray, east_m: float, north_m: float, speed_m_s: float) 
 
 
 @compiled
-def _held(trail: FloatArray, east_m: float, north_m: float, speed_m_s: float) -> Part:
+def _held(path: Record, east_m: float, north_m: float, speed_m_s: float) -> Part:
     """Return where the target is on the part that it repeated last, unless it has strayed from it."""
-    places = _places(trail)
-    last = Part(trail[_PART], int(trail[_PART + 1]), int(trail[_PART + 2]), trail[_PART + 3])
-    if last.chance == 0.0 or places[len(places) - 1, 2] > trail[_UNTIL_M]:
+    places, last = path.points[: path.count], Part(path.chance, path.ahead, path.vertex, path.share)
+    if last.chance == 0.0 or places[len(places) - 1, 2] > path.held_until_m:
         return no_part()
-    east_m, north_m = east_m - trail[_OFF_EAST], north_m - trail[_OFF_NORTH]
+    east_m, north_m = east_m - path.offset_east_m, north_m - path.offset_north_m
     x_m, y_m = _place(places, last)
     nearest_m, found = math.hypot(x_m - east_m, y_m - north_m), last
     vertex, known, to_m = _next_vertex(last), True, 0.0
@@ -200,26 +199,25 @@ def _held(trail: FloatArray, east_m: float, north_m: float, speed_m_s: float) ->
 
 
 @compiled
-def repeated_part(trail: FloatArray, east_m: float, north_m: float, speed_m_s: float) -> Part:
-    """Return the part of the trail that the target repeats; it has just come to this place."""
-    places = _places(trail)
-    if len(places) < 2:
+def repeated_part(path: Record, east_m: float, north_m: float, speed_m_s: float) -> Part:
+    """Return the part of its path history that a target at this position repeats, and store it."""
+    if path.count < 2:
         return no_part()
+    places = path.points[: path.count]
     part = _found(places, east_m, north_m, speed_m_s)
     if part.chance > 0.0:
         x_m, y_m = _place(places, part)
-        trail[_OFF_EAST], trail[_OFF_NORTH] = east_m - x_m, north_m - y_m
-        trail[_UNTIL_M] = places[len(places) - 1, 2] + _HELD_M
+        path.offset_east_m, path.offset_north_m = east_m - x_m, north_m - y_m
+        path.held_until_m = places[len(places) - 1, 2] + _HELD_M
     else:
-        part = _held(trail, east_m, north_m, speed_m_s)
-    for i, value in enumerate((part.chance, float(part.ahead), float(part.vertex), part.share)):
-        trail[_PART + i] = value
+        part = _held(path, east_m, north_m, speed_m_s)
+    path.chance, path.ahead, path.vertex, path.share = part
     return part
 
 
 @compiled
 def predict_along(
-    trail: FloatArray,
+    path: Record,
     part: Part,
     from_east_m: float,
     from_north_m: float,
@@ -227,8 +225,8 @@ def predict_along(
     east_m: FloatArray,
     north_m: FloatArray,
 ) -> None:
-    """Fill in the predicted places (k,), step_m apart: parallel to a part of the trail, straight on after its end."""
-    places = _places(trail)
+    """Fill in the predicted places (k,), step_m apart: parallel to a part of the path history, then straight on."""
+    places = path.points[: path.count]
     x_m, y_m = _place(places, part)
     off_x_m, off_y_m = from_east_m - x_m, from_north_m - y_m
     vertex = _next_vertex(part)
@@ -255,16 +253,32 @@ COURSE_SIGMA_MAX_RAD = 0.8
 # coasting. Half of MIN_WAY_M, so that a smaller step alone makes no course.
 _JUMP_M = 5.0
 
-# The memory, an array: what it holds, the aircraft's own airspeed as a share of the wanted one, and when that was
-# looked at, then the times and courses of the last seconds of motion, oldest first, then times and places of the last
-# minute, the last estimate (time, place and velocity), and the trail.
-STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, AIRSPEED_SHARE, AIRSPEED_S, RECENT = range(8)
-_RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
-_PLACES = RECENT + 1 + 2 * _RECENT_MAX
+_RECENT_MAX = 200  # courses: more than at any rate that decisions are made at
 _PLACES_MAX, _PLACE_EVERY_S = 72, 0.95
-_LAST = _PLACES + 1 + 3 * _PLACES_MAX
-TRAIL = _LAST + 5
-MEMORY_SIZE = TRAIL + TRAIL_SIZE
+MEMORY = record_type(
+    standing="?",
+    course_rad="f8",  # held through a stop; NaN until the target has moved
+    presumed_course_rad="f8",  # counts until then; NaN for none
+    side="f8",  # 1 left, -1 right
+    made_good_rad="f8",  # course made good; NaN before
+    airspeed_share="f8",  # flown over commanded airspeed
+    airspeed_s="f8",  # when it was updated last
+    # Courses of the last seconds of motion, oldest first.
+    courses="i8",
+    course_at_s=("f8", (_RECENT_MAX,)),
+    recent_course_rad=("f8", (_RECENT_MAX,)),
+    # Positions of the last minute, oldest first: time, east, north.
+    places="i8",
+    place=("f8", (_PLACES_MAX, 3)),
+    # The last estimate.
+    last_s="f8",
+    last_east_m="f8",
+    last_north_m="f8",
+    last_velocity_east_m_s="f8",
+    last_velocity_north_m_s="f8",
+    path=PATH_HISTORY,
+)
+"""What is remembered of one target and of the aircraft's airspeed; a record whose fields change."""
 
 
 class Known(NamedTuple):
@@ -305,12 +319,15 @@ class View(NamedTuple):
     course_sigma_rad: float
 
 
-@compiled
-def fresh_memory(side: float) -> FloatArray:
-    """Return the memory before the first estimate of the target. side: 1 left, -1 right."""
-    memory = np.zeros(MEMORY_SIZE)
-    memory[STANDING], memory[COURSE], memory[PRESUMED], memory[SIDE] = 1.0, np.nan, np.nan, side
-    memory[MADE_GOOD], memory[AIRSPEED_SHARE], memory[AIRSPEED_S] = np.nan, 1.0, np.nan
+def fresh_memory(side: float) -> Record:
+    """Return a record of ``MEMORY`` before the first estimate of the target.
+
+    Args:
+        side: Side to watch from: 1 left, -1 right.
+    """
+    memory = new_record(MEMORY)
+    memory.standing, memory.side, memory.airspeed_share = True, side, 1.0
+    memory.course_rad = memory.presumed_course_rad = memory.made_good_rad = memory.airspeed_s = math.nan
     return memory
 
 
@@ -332,81 +349,81 @@ def course_sigma_rad(target: Known) -> float:
 
 
 @compiled
-def held_course_rad(target: Known, memory: FloatArray) -> float:
+def held_course_rad(target: Known, memory: Record) -> float:
     """Take an estimate, in the order of time, and return the course to watch from; NaN until the target has moved."""
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
-    standing = memory[STANDING] > 0.0
-    threshold_m_s = max(_MOVING_ABOVE_M_S if standing else _STOPPED_BELOW_M_S, _SIGMAS * velocity_sigma_m_s(target))
-    recent, count = memory[RECENT + 1 :], int(memory[RECENT])
-    if speed_m_s >= threshold_m_s:
-        memory[STANDING] = 0.0
-        memory[COURSE] = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
+    threshold_m_s = _MOVING_ABOVE_M_S if memory.standing else _STOPPED_BELOW_M_S
+    at_s, course_rad, count = memory.course_at_s, memory.recent_course_rad, memory.courses
+    if speed_m_s >= max(threshold_m_s, _SIGMAS * velocity_sigma_m_s(target)):
+        memory.standing = False
+        memory.course_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
         gone = 1 if count == _RECENT_MAX else 0
-        while gone + 1 < count and recent[2 * (gone + 1)] <= target.time_s - _BEFORE_STOP_S:
+        while gone + 1 < count and at_s[gone + 1] <= target.time_s - _BEFORE_STOP_S:
             gone += 1
-        for i in range(2 * gone, 2 * count):
-            recent[i - 2 * gone] = recent[i]
+        for i in range(gone, count):
+            at_s[i - gone], course_rad[i - gone] = at_s[i], course_rad[i]
         count -= gone
-        recent[2 * count], recent[2 * count + 1] = target.time_s, memory[COURSE]
-        memory[RECENT] = count + 1
-    elif not standing:
-        memory[STANDING], memory[COURSE], memory[RECENT] = 1.0, recent[1], 0.0
-    return float(memory[COURSE])
+        at_s[count], course_rad[count] = target.time_s, memory.course_rad
+        memory.courses = count + 1
+    elif not memory.standing:
+        memory.standing, memory.course_rad, memory.courses = True, course_rad[0], 0
+    return float(memory.course_rad)
 
 
 @compiled
-def _follow_jump(target: Known, memory: FloatArray, places: FloatArray, count: int, gap_max_s: float) -> None:
-    """Shift the kept places by the part of the way since the last estimate that its velocities do not explain.
+def _follow_jump(target: Known, memory: Record, gap_max_s: float) -> None:
+    """Shift the remembered positions by the part of the last displacement that the velocities do not explain.
 
     After more than gap_max_s they explain nothing: the target counts as standing in between.
     """
-    last = memory[_LAST:]
-    step_s = target.time_s - last[0]
+    step_s = target.time_s - memory.last_s
     half_s = 0.5 * step_s if step_s <= gap_max_s else 0.0
-    east_m = target.east_m - last[1] - half_s * (target.velocity_east_m_s + last[3])
-    north_m = target.north_m - last[2] - half_s * (target.velocity_north_m_s + last[4])
-    turned_m_s = math.hypot(target.velocity_east_m_s - last[3], target.velocity_north_m_s - last[4])
+    before_east_m_s, before_north_m_s = memory.last_velocity_east_m_s, memory.last_velocity_north_m_s
+    east_m = target.east_m - memory.last_east_m - half_s * (target.velocity_east_m_s + before_east_m_s)
+    north_m = target.north_m - memory.last_north_m - half_s * (target.velocity_north_m_s + before_north_m_s)
+    turned_m_s = math.hypot(target.velocity_east_m_s - before_east_m_s, target.velocity_north_m_s - before_north_m_s)
     if step_s > gap_max_s or math.hypot(east_m, north_m) > _JUMP_M + abs(half_s) * turned_m_s:
-        for i in range(count):
-            places[3 * i + 1] += east_m
-            places[3 * i + 2] += north_m
+        for i in range(memory.places):
+            memory.place[i, 1] += east_m
+            memory.place[i, 2] += north_m
 
 
 @compiled
-def remember_place(target: Known, memory: FloatArray, gap_max_s: float) -> None:
-    """Keep a place for the course made good, about one each second, and for the trail.
+def remember_place(target: Known, memory: Record, gap_max_s: float) -> None:
+    """Remember a position for the course made good, about one each second, and for the path history.
 
-    If the estimate has jumped, the kept places jump along: the jump corrects the estimate, the target did not move.
+    If the estimate has jumped, the remembered positions jump along: the target did not move.
     """
-    places, count = memory[_PLACES + 1 :], int(memory[_PLACES])
-    if count > 0:
-        _follow_jump(target, memory, places, count, gap_max_s)
-    last = memory[_LAST:]
-    last[0], last[1], last[2] = target.time_s, target.east_m, target.north_m
-    last[3], last[4] = target.velocity_east_m_s, target.velocity_north_m_s
-    if count > 0 and target.time_s < places[3 * count - 3] + _PLACE_EVERY_S:
+    place = memory.place
+    if memory.places > 0:
+        _follow_jump(target, memory, gap_max_s)
+    memory.last_s, memory.last_east_m, memory.last_north_m = target.time_s, target.east_m, target.north_m
+    memory.last_velocity_east_m_s = target.velocity_east_m_s
+    memory.last_velocity_north_m_s = target.velocity_north_m_s
+    if memory.places > 0 and target.time_s < place[memory.places - 1, 0] + _PLACE_EVERY_S:
         return
-    if count == _PLACES_MAX:
-        for i in range(3 * (count - 1)):
-            places[i] = places[i + 3]
-        count -= 1
-    places[3 * count], places[3 * count + 1], places[3 * count + 2] = target.time_s, target.east_m, target.north_m
-    memory[_PLACES] = count + 1
-    remember(memory[TRAIL:], target.east_m, target.north_m)
+    if memory.places == _PLACES_MAX:
+        for i in range(_PLACES_MAX - 1):
+            place[i, 0], place[i, 1], place[i, 2] = place[i + 1, 0], place[i + 1, 1], place[i + 1, 2]
+        memory.places -= 1
+    k = memory.places
+    place[k, 0], place[k, 1], place[k, 2] = target.time_s, target.east_m, target.north_m
+    memory.places = k + 1
+    remember(memory.path, target.east_m, target.north_m)
 
 
 @inlined
-def place_at(memory: FloatArray, time_s: float) -> tuple[float, float]:
-    """Return where the target was (east, north): before the first kept place that one, after the last the last."""
-    places, k = memory[_PLACES + 1 :], int(memory[_PLACES]) - 1
-    while k > 0 and places[3 * k] > time_s:
+def place_at(memory: Record, time_s: float) -> tuple[float, float]:
+    """Return where the target was (east, north): before the first position that one, after the last the last."""
+    place, k = memory.place, memory.places - 1
+    while k > 0 and place[k, 0] > time_s:
         k -= 1
-    if k + 1 >= int(memory[_PLACES]) or places[3 * k] > time_s:
-        return places[3 * k + 1], places[3 * k + 2]
-    past = (time_s - places[3 * k]) / (places[3 * k + 3] - places[3 * k])
+    if k + 1 >= memory.places or place[k, 0] > time_s:
+        return place[k, 1], place[k, 2]
+    past = (time_s - place[k, 0]) / (place[k + 1, 0] - place[k, 0])
     return (
-        places[3 * k + 1] + past * (places[3 * k + 4] - places[3 * k + 1]),
-        places[3 * k + 2] + past * (places[3 * k + 5] - places[3 * k + 2]),
+        place[k, 1] + past * (place[k + 1, 1] - place[k, 1]),
+        place[k, 2] + past * (place[k + 1, 2] - place[k, 2]),
     )
 
 
@@ -423,13 +440,13 @@ def position_sigma_m(target: Known) -> float:
 
 
 @compiled
-def least_way_m(target: Known, memory: FloatArray) -> float:
+def least_way_m(target: Known, memory: Record) -> float:
     """Return the least way that has a course."""
-    return max(MIN_WAY_M, _WAY_SIGMAS * position_sigma_m(target)) if memory[STANDING] > 0.0 else MIN_WAY_M
+    return max(MIN_WAY_M, _WAY_SIGMAS * position_sigma_m(target)) if memory.standing else MIN_WAY_M
 
 
 @compiled
-def made_good(estimates: Estimates, horizon_s: float, memory: FloatArray, gap_max_s: float) -> tuple[float, float]:
+def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s: float) -> tuple[float, float]:
     """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before.
 
     The motion between two estimates further apart than gap_max_s is unknown and counts as none.
@@ -440,16 +457,16 @@ def made_good(estimates: Estimates, horizon_s: float, memory: FloatArray, gap_ma
     east_m, north_m = target.east_m - east_m, target.north_m - north_m
     way_m = math.hypot(east_m, north_m)
     if way_m > least_way_m(estimates.seen, memory):
-        memory[MADE_GOOD] = math.atan2(east_m, north_m)
-    return memory[MADE_GOOD], made_good_sigma_rad(position_sigma_m(target), way_m)
+        memory.made_good_rad = math.atan2(east_m, north_m)
+    return float(memory.made_good_rad), made_good_sigma_rad(position_sigma_m(target), way_m)
 
 
 @compiled
 def courses_made_good(
-    time_s: FloatArray, place_m: FloatArray, velocity_m_s: FloatArray, horizon_s: FloatArray, gap_max_s: float
+    time_s: FloatArray, place_m: FloatArray, velocity_m_s: FloatArray, horizon_s: FloatArray, gap_max_s: float, memory: Record
 ) -> FloatArray:
-    """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`."""
-    memory, exact, courses_rad = fresh_memory(1.0), np.zeros((4, 4)), np.empty(time_s.size)
+    """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`; memory: a fresh one."""
+    exact, courses_rad = np.zeros((4, 4)), np.empty(time_s.size)
     for i in range(time_s.size):
         east_m_s, north_m_s = velocity_m_s[i, 0], velocity_m_s[i, 1]
         target = Known(time_s[i], place_m[i, 0], place_m[i, 1], east_m_s, north_m_s, exact)
@@ -458,23 +475,23 @@ def courses_made_good(
 
 
 @compiled
-def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: Wish, memory: FloatArray) -> View:
+def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: Wish, memory: Record) -> View:
     """See :meth:`sidelong.mission.viewpoint.side_policy.SidePolicy.viewpoint`."""
     if not math.isnan(wish.fixed_course_rad):
-        return View(wish.fixed_course_rad, memory[SIDE], 0.0)
+        return View(wish.fixed_course_rad, memory.side, 0.0)
     target = estimates.now
     course_rad = held_course_rad(estimates.seen, memory)
-    sigma_rad = 0.0 if memory[STANDING] > 0.0 else course_sigma_rad(target)
+    sigma_rad = 0.0 if memory.standing else course_sigma_rad(target)
     if wish.course_horizon_s > 0.0:
         course_rad, sigma_rad = made_good(estimates, wish.course_horizon_s, memory, math.inf)
     away_rad = math.atan2(east_m - target.east_m, north_m - target.north_m)
     if math.isnan(course_rad):
-        if math.isnan(memory[PRESUMED]):
-            memory[PRESUMED] = away_rad + 0.5 * math.pi * memory[SIDE]
-        return View(memory[PRESUMED], memory[SIDE], 0.0)
+        if math.isnan(memory.presumed_course_rad):
+            memory.presumed_course_rad = away_rad + 0.5 * math.pi * memory.side
+        return View(memory.presumed_course_rad, memory.side, 0.0)
     if wish.either_side:
         range_m = math.hypot(east_m - target.east_m, north_m - target.north_m)
-        aside_m = range_m * math.cos(away_rad - course_rad + 0.5 * math.pi * memory[SIDE])
+        aside_m = range_m * math.cos(away_rad - course_rad + 0.5 * math.pi * memory.side)
         if aside_m < -wish.hysteresis_m:
-            memory[SIDE] = -memory[SIDE]
-    return View(course_rad, memory[SIDE], sigma_rad)
+            memory.side = -memory.side
+    return View(course_rad, memory.side, sigma_rad)

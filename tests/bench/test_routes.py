@@ -37,7 +37,7 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
-from sidelong.mission.route.progress_kernel import ON_ROUTE, fresh_progress
+from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route
 from tests.bench.size import size
 
@@ -188,7 +188,7 @@ class _Noted(PredictivePlanner):
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
         decision = super().decide(aircraft, target, present, wind, latency_s)
-        self.noted.append((aircraft.time_s - BOOT_S, bool(self._memory[ON_ROUTE])))
+        self.noted.append((aircraft.time_s - BOOT_S, bool(self._memory.state.on_route)))
         return decision
 
 

@@ -41,7 +41,6 @@ from sidelong.mission.predictive.second_kernel import (
 from sidelong.mission.predictive.value_table import completed
 from sidelong.mission.viewpoint.side_policy import watching_from
 from sidelong.mission.viewpoint.viewpoint_kernel import (
-    STANDING,
     Estimates,
     Known,
     Wish,
@@ -275,7 +274,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     """Three futures of equal weight: straight on, and turns to either side that fade."""
     look = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement))
     memory, turns = fresh_memory(1.0), TURNING
-    memory[STANDING] = 0.0
+    memory.standing = False
     futures = winding(look.scene, look.table.motions, WISH, memory, turns)
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
     course = np.unwrap(np.arctan2(futures.place[:, :, 2], futures.place[:, :, 3]), axis=1)
@@ -288,7 +287,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
 def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, paper_requirement):
     look, memory = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement)), fresh_memory(1.0)
     for standing, stands, stays in ((1.0, True, True), (1.0, False, False), (0.0, True, False)):
-        memory[STANDING] = standing
+        memory.standing = standing
         turns = TURNING._replace(stands=stands)
         place = winding(look.scene, look.table.motions, WISH, memory, turns).place
         assert np.all(place == 0.0) == stays
@@ -333,7 +332,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
     for time_s in range(30):
         remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory, math.inf)
-    memory[STANDING] = 0.0
+    memory.standing = False
     futures = winding(scene, table.motions, wish, memory, TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
     ahead, end = staying_ahead(scene, under_way)

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.mission.viewpoint.viewpoint_kernel import PLACES, TRAIL_SIZE, predict_along, remember, repeated_part
+from sidelong.estimators.compiled import new_record
+from sidelong.mission.viewpoint.viewpoint_kernel import PATH_HISTORY, predict_along, remember, repeated_part
 
 SPEED_M_S, PREDICTED_S = 2.0, 60
 
@@ -32,8 +33,8 @@ def walked(corners: np.ndarray, seed: int = 0) -> np.ndarray:
     return places + np.random.default_rng(seed).normal(0.0, 0.5, places.shape)
 
 
-def remembered(places: np.ndarray) -> np.ndarray:
-    trail = np.zeros(TRAIL_SIZE)
+def remembered(places: np.ndarray) -> np.record:
+    trail = new_record(PATH_HISTORY)
     for east_m, north_m in places:
         remember(trail, east_m, north_m)
     return trail
@@ -96,7 +97,7 @@ def test_a_part_is_held_on_to_in_a_bend_that_is_another_one_now_and_left_by_one_
     corner = round(np.hypot(*np.diff(corners[:10], axis=0).T).sum() / SPEED_M_S)  # the end of the fifth row
     beyond = places[corner] + np.outer(np.arange(1, 31) * SPEED_M_S, (0.0, 1.0 if corners[9, 1] > 0.0 else -1.0))
     for then, ahead in ((places[corner + 1 :], -1), (beyond, 0)):
-        trail = np.zeros(TRAIL_SIZE)
+        trail = new_record(PATH_HISTORY)
         for east_m, north_m in np.concatenate([places[: corner + 1], then[:10]]):
             remember(trail, east_m, north_m)
             part = repeated_part(trail, east_m, north_m, SPEED_M_S)
@@ -105,8 +106,7 @@ def test_a_part_is_held_on_to_in_a_bend_that_is_another_one_now_and_left_by_one_
 
 def test_a_long_trail_forgets_its_older_half():
     trail = remembered(np.stack([np.zeros(5000), 4.0 * np.arange(5000.0)], axis=1))
-    count = int(trail[0])
-    kept = trail[PLACES : PLACES + 3 * count].reshape(count, 3)
-    assert 2048 <= count <= 4096
+    kept = trail.points[: trail.count]
+    assert 2048 <= trail.count <= 4096
     np.testing.assert_allclose(kept[-1], (0.0, 19_996.0, 19_996.0))
     np.testing.assert_allclose(np.diff(kept[:, 2]), 4.0)
