@@ -413,14 +413,14 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
     changed_rad -= 2.0 * math.pi * round(changed_rad / (2.0 * math.pi))
     # The frame of a sector is fixed: its angle in the plane does not change.
     if motions.wind_speed_m_s > 0.0 and abs(changed_rad) > _OTHER_WIND_RAD:
-        s.state.known[:] = False
+        s.state.known[:] = 0
         s.state.wind_rad = wind_rad
     classes, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     for k in range(f.place.shape[1]):
         course = course_index(f, _ROUTE, k, turn_rad)
-        if s.state.known[course]:
+        if s.state.known[course] > 0:
             continue
-        s.state.known[course] = True
+        s.state.known[course] = 1
         course_rad = course * 2.0 * math.pi / HEADINGS
         table_rad = course_rad if motions.follows_course else f.course[_ROUTE, k, 2] - turn_rad
         to_rad, from_rad = course_rad - table_rad, s.state.wind_rad - table_rad

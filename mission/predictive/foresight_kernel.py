@@ -48,7 +48,7 @@ LAYERS = record_type(
     mirror="f8",
     part="i8",
     wind_rad="f8",
-    known=("?", (HEADINGS,)),  # for which courses the values after a turn are computed
+    known=("i1", (HEADINGS,)),  # 1 or 0: for which courses the values after a turn are computed
 )
 
 
