@@ -130,7 +130,12 @@ class Predictive:
         planner = PredictivePlanner(aircraft, requirement, table, self.settings())
         looker = planner.lookers[0]
         scene = scene_at(*known, looker)
-        futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+        futures = winding(
+            scene,
+            looker.context.motions,
+            looker.context.watcher,
+            looker.context.turns,
+        )
         min_gain = commitment(scene, futures, looker)
         look_deeper(scene, futures, looker, planner.sight_in(scene), min_gain, np.empty(MOVES))
 

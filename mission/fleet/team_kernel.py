@@ -110,12 +110,29 @@ def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, turned: Fl
         found[i] = min(max(off_s, 0.0), _OFF_MAX_S)
 
 
+class Scratch(NamedTuple):
+    """Arrays to work in.
+
+    Attributes:
+        classes: to look up one value with, (1, 1, 4).
+        share: the same, (1, 1, 4); only the first counts.
+        off_s: time off the side after each turn, (t,).
+        places: positions of four continuations, (4, 2, k).
+    """
+
+    classes: IntArray
+    share: FloatArray
+    off_s: FloatArray
+    places: FloatArray
+
+
 @compiled
-def asking_room() -> tuple[IntArray, FloatArray]:
-    """Return room to ask tables with: classes (1, 1, 4) of the first only, and their shares."""
+def scratch_for(team: Team) -> Scratch:
+    """Return arrays to work in."""
     share = np.zeros((1, 1, 4))
     share[0, 0, 0] = 1.0
-    return np.zeros((1, 1, 4), np.int64), share
+    classes = np.zeros((1, 1, 4), np.int64)
+    return Scratch(classes, share, np.empty(len(team.turns_rad)), np.empty((4, 2, _CONTINUED)))
 
 
 @compiled
@@ -136,26 +153,26 @@ def off_side(across_m: float, blur_m: float) -> float:
 
 @compiled
 def wanted_value(
-    scene: Scene,
-    f: Futures,
-    looker: Looker,
-    s: float,
-    one: int,
-    p: int,
-    off_x: float,
-    off_y: float,
-    heading_rad: float,
-    classes: IntArray,
-    share: FloatArray,
+    scene: Scene, f: Futures, looker: Looker, s: float, one: int, p: int, off: Pose, scratch: Scratch
 ) -> float:
     """Return what an aircraft alone would pay on the wanted side, from a place relative to the target on.
 
-    s: 1 where the departure's frame is the wanted one, -1 where it is mirrored. classes, share: to be filled in.
+    Args:
+        scene: The scene of the decision.
+        f: Futures of the target.
+        looker: What is judged by.
+        s: 1 where the departure's frame is the wanted one, -1 where it is mirrored.
+        one: The future.
+        p: Its sample.
+        off: Position relative to the target, and heading.
+        scratch: Arrays to work in.
     """
+    off_x, off_y, heading_rad = off
+    classes, share = scratch.classes, scratch.share
     sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
     vx, vy, air = f.place[one, p, 2], f.place[one, p, 3], scene.air
     which, shares, _ = classes_about(
-        looker.motions,
+        looker.context.motions,
         s * (vx * cos_t - vy * sin_t),
         vx * sin_t + vy * cos_t,
         s * (air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t),
@@ -178,10 +195,10 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
     futures, turns, m = len(f.weight), len(team.turns_rad), len(others)
     off, now = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN), np.inf)
     after = np.full((futures, FORESEEN, turns), np.inf)
-    bearings, found = np.empty((futures, FORESEEN, m)), np.empty(turns)
-    classes, share = asking_room()
+    bearings, scratch = np.empty((futures, FORESEEN, m)), scratch_for(team)
+    found = scratch.off_s
     s = scene.mirror * team.wanted
-    near_m, far_m = looker.terms.near_m, looker.terms.far_m
+    near_m, far_m = looker.context.terms.near_m, looker.context.terms.far_m
     n = others.shape[2]
     turned = np.empty((futures, f.course.shape[1], turns, 2))
     for one in range(futures):
@@ -207,7 +224,7 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
                 range_m = math.hypot(off_x, off_y)
                 if near_m - IN_BAND_M < range_m < far_m + IN_BAND_M:
                     off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
-                value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
+                value = wanted_value(scene, f, looker, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
                 now[one, k] = min(now[one, k], value)
                 off_after_turns(team, scene, s * off_x, off_y, turned[one, p], found)
                 for t in range(turns):
@@ -254,7 +271,7 @@ def _team_rate(
     time_s: float,
 ) -> float:
     """Return the running cost at a place of the departure's frame, over all futures, without discount."""
-    c, d, s = looker.terms, scene.doubt, scene.mirror * team.wanted
+    c, d, s = looker.context.terms, scene.doubt, scene.mirror * team.wanted
     k = min(int(time_s / STEP_S), FORESEEN - 1)
     total = 0.0
     for one in range(len(f.weight)):
@@ -315,7 +332,7 @@ def _way_back(scene: Scene, looker: Looker, range_m: float) -> float:
     What the others see bounds what an end costs together: without this the shortest line would be the cheapest one
     outside the band, and an aircraft that got there would stay.
     """
-    c = looker.terms
+    c = looker.context.terms
     outside_m = max(c.near_m - range_m, range_m - c.far_m) - IN_BAND_M
     if outside_m <= 0.0:
         return 0.0
@@ -329,7 +346,7 @@ def _continued(scene: Scene, looker: Looker, end: Pose, from_per_m: float, to_pe
     The curvature changes from one to the other as fast as the aircraft rolls.
     """
     air, x_m, y_m, heading_rad, per_m = scene.air, end.x_m, end.y_m, end.heading_rad, from_per_m
-    ramp = ramp_on(heading_rad, air, looker.craft)
+    ramp = ramp_on(heading_rad, air, looker.context.watcher.craft)
     for k in range(at.shape[1]):
         way_m = STEP_S * ground_speed_m_s(heading_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
         change = min(max(to_per_m - per_m, -ramp * way_m), ramp * way_m)
@@ -347,7 +364,7 @@ def _edges_after(
 
     The aircraft stays on the circle, flies straight on, or turns as tightly as it can, either way. places: room.
     """
-    c, d, total, tight_per_m, made = looker.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m, 0
+    c, d, total, tight_per_m, made = looker.context.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m, 0
     to_per_m = (curvature_per_m, 0.0, -tight_per_m, tight_per_m)
     for one in range(len(f.weight)):
         cheapest = np.inf
@@ -381,10 +398,7 @@ def _end_value(
     end: Pose,
     time_s: float,
     curvature_per_m: float,
-    classes: IntArray,
-    share: FloatArray,
-    found: FloatArray,
-    places: FloatArray,
+    scratch: Scratch,
 ) -> float:
     """Return what is to be paid from the end of a line on: its share alone, and together.
 
@@ -394,17 +408,17 @@ def _end_value(
     k, s, total, back = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
+        value = wanted_value(scene, f, looker, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
         total += f.weight[one] * min(value, cover.now[one, k])
         back += f.weight[one] * _way_back(scene, looker, math.hypot(off_x, off_y))
-    turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, found)
+    turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, scratch.off_s)
     return (
         total
         + _TAIL_S * team.opposite * gap
         + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
         + _CIRCLING_S / looker.table.mean_leg_s * turn
         + back
-        + _edges_after(scene, f, looker, end, time_s, curvature_per_m, places)
+        + _edges_after(scene, f, looker, end, time_s, curvature_per_m, scratch.places)
     )
 
 
@@ -458,20 +472,17 @@ def team_lines_costs(
     n, lines_count = len(time_s), len(lines.trunk)
     x, y = placed(lines, start)
     heading_rad = start.heading_rad + lines.turned_rad
-    classes, share = asking_room()
-    found, places = np.empty(len(team.turns_rad)), np.empty((4, 2, _CONTINUED))
+    scratch = scratch_for(team)
     rates, turn_rates, ends = np.empty(n), np.empty(n), np.empty(lines_count)
     for s in range(n):
         rates[s] = weight[s] * _team_rate(scene, f, cover, looker, team, x[s], y[s], time_s[s])
     for s in turn_samples(lines):
-        turn = _turn_cost(scene, f, cover, team, x[s], y[s], time_s[s], found)
+        turn = _turn_cost(scene, f, cover, team, x[s], y[s], time_s[s], scratch.off_s)
         turn_rates[s] = hazard_per_s * weight[s] * turn
     for i in range(lines_count):
         s = lines.own_first[i + 1] - 1
         end = Pose(x[s], y[s], heading_rad[s])
-        ends[i] = weight[s] * _end_value(
-            scene, f, cover, looker, team, end, time_s[s], end_per_m, classes, share, found, places
-        )
+        ends[i] = weight[s] * _end_value(scene, f, cover, looker, team, end, time_s[s], end_per_m, scratch)
     costs[:lines_count] = 0.0
     add_up(lines, rates, turn_rates, ends, 1.0, costs)
 
@@ -494,10 +505,10 @@ def team_look_ahead(scene: Scene, f: Futures, cover: Cover, looker: Looker, team
 @compiled
 def role_value(scene: Scene, looker: Looker) -> float:
     """Return what an aircraft would pay alone, from its next departure on, on the side of the memory."""
-    turns, routed = looker.turns, len(looker.foresight.way.points) > 0
+    turns, routed = looker.context.turns, len(looker.context.foresight.way.points) > 0
     if not routed:  # only the first future counts
         turns = Turns(turns.rate_rad_s[:1], turns.fades_s, turns.stands)
-    every = winding(scene, looker.motions, looker.wish, looker.memory, turns)
+    every = winding(scene, looker.context.motions, looker.context.watcher, turns)
     if routed:
         every, _ = along_route(scene, looker, every)
     f = first_of(every, 1)
@@ -522,8 +533,13 @@ def team_decide(
     """
     foreseen, judged_by = foresee(scene, looker)
     every = foreseen
-    if len(looker.foresight.way.points) > 0:  # without the layers of time
-        every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    if len(looker.context.foresight.way.points) > 0:  # without the layers of time
+        every = winding(
+            scene,
+            looker.context.motions,
+            looker.context.watcher,
+            looker.context.turns,
+        )
         every, _ = along_route(scene, looker, every)
     f = first_of(every, 1)
     cover = cover_of(scene, f, others, first_s, looker, team)

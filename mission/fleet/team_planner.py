@@ -117,7 +117,7 @@ class TeamPlanner:
             self._advice = news
             held = 1.0 if news.side is Side.LEFT else -1.0
             self._wanted = -held if news.role is Role.OPPOSITE else held
-            self._alone.lookers[0].memory.side = held  # of all lookers
+            self._alone.lookers[0].context.watcher.memory.side = held  # of all lookers
             if news.course_rad is not None:
                 self.presume(news.course_rad)
 
@@ -127,7 +127,7 @@ class TeamPlanner:
         Args:
             course_rad: Course of the target, rad.
         """
-        self._alone.lookers[0].memory.presumed_course_rad = course_rad  # of all lookers
+        self._alone.lookers[0].context.watcher.memory.presumed_course_rad = course_rad  # of all lookers
 
     def follow(self, route: Route | None, progress: Progress) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
@@ -151,12 +151,12 @@ class TeamPlanner:
             latency_s: Time until a new plan can depart, s.
         """
         looker, team = self._for(wind)
-        held, found = looker.memory.side, []
+        held, found = looker.context.watcher.memory.side, []
         for side in (team.wanted, -team.wanted):
-            looker.memory.side = side
+            looker.context.watcher.memory.side = side
             scene = scene_at(aircraft, target, present, wind, latency_s, looker)
             found.append(kernel.role_value(scene, looker))
-        looker.memory.side = held
+        looker.context.watcher.memory.side = held
         return RoleCosts(*found)
 
     def decide(
@@ -193,7 +193,7 @@ class TeamPlanner:
     def _for(self, wind: Wind) -> tuple[Looker, Team]:
         """Return what to decide with in this wind."""
         lookers = self._alone.lookers
-        k = min(range(len(lookers)), key=lambda i: abs(lookers[i].motions.wind_speed_m_s - wind.speed_m_s))
+        k = min(range(len(lookers)), key=lambda i: abs(lookers[i].context.motions.wind_speed_m_s - wind.speed_m_s))
         return lookers[k], self._teams[k]._replace(wanted=self._wanted)
 
     def _others(self, time_s: float) -> list[Neighbour]:

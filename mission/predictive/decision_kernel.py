@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import Record, compiled, inlined
+from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, crab_rad, line_at, sharpness_per_m2, turn_radius_m
@@ -40,7 +40,8 @@ from sidelong.mission.predictive.rollout_kernel import (
     Futures,
     Lines,
     Pose,
-    View,
+    Sampling,
+    WatchFrame,
     add_sight,
     lines_costs,
     single_line,
@@ -50,6 +51,7 @@ from sidelong.mission.predictive.scene_kernel import (
     Motions,
     Scene,
     Turns,
+    Watcher,
     classes_about,
     first_of,
     in_frame,
@@ -69,7 +71,6 @@ from sidelong.mission.predictive.second_kernel import (
     staying_ahead,
 )
 from sidelong.mission.route.progress_kernel import forecast, update_progress
-from sidelong.mission.viewpoint.viewpoint_kernel import Wish
 
 UNCERTAIN_M = 10.0
 _WIND_STEP_M_S = 0.5  # second moves are recomputed when the wind grows by this much
@@ -106,42 +107,35 @@ class Depth(NamedTuple):
     every_future: bool
 
 
-class Looker(NamedTuple):
-    """What a planner knows beforehand, and the memory that it looks with: arrays that change."""
+class PlannerContext(NamedTuple):
+    """What a planner decides with in every decision.
 
-    craft: Craft
-    target_speed_max_m_s: float
-    wish: Wish
+    Attributes:
+        watcher: the aircraft, how it watches, and its memory.
+        terms: running cost.
+        motions: arrangement of the value table's classes.
+        turns: how the target may turn.
+        kept: cache of lines, which changes.
+        seconds: second moves, laid out for one circle and airspeed; they change.
+        foresight: the target's route.
+    """
+
+    watcher: Watcher
     terms: CostTerms
-    table: Table
     motions: Motions
-    prices: Prices
-    memory: Record
-    kept: Kept
     turns: Turns
-    depth: Depth
+    kept: Kept
     seconds: Seconds
     foresight: Foresight
 
 
-@inlined
-def with_table(one: Looker, table: Table, prices: Prices, depth: Depth) -> Looker:
-    """Return the same with another table, and the prices and the depth that go with it."""
-    return Looker(
-        one.craft,
-        one.target_speed_max_m_s,
-        one.wish,
-        one.terms,
-        table,
-        one.motions,
-        prices,
-        one.memory,
-        one.kept,
-        one.turns,
-        depth,
-        one.seconds,
-        one.foresight,
-    )
+class Looker(NamedTuple):
+    """A context with the value table to judge by, and the prices and the depth that go with it."""
+
+    context: PlannerContext
+    table: Table
+    prices: Prices
+    depth: Depth
 
 
 class Alternatives(NamedTuple):
@@ -160,7 +154,7 @@ class Alternatives(NamedTuple):
 @compiled
 def choices(looker: Looker) -> int:
     """Return the number of moves to choose among: figures of eight are for a gimbal that cannot pan all around."""
-    return MOVES + EIGHTS if looker.terms.blind > 0.0 else MOVES
+    return MOVES + EIGHTS if looker.context.terms.blind > 0.0 else MOVES
 
 
 @compiled
@@ -204,20 +198,20 @@ def left_m(scene: Scene) -> float:
 @compiled
 def alternatives(scene: Scene, looker: Looker, beyond_m: float) -> Alternatives:
     """Return what to choose among; each line is followed beyond_m further than its end."""
-    kept, craft, air = looker.kept, looker.craft, scene.air
+    kept, craft, air = looker.context.kept, looker.context.watcher.craft, scene.air
     rate_per_s = fading_per_s(looker.table)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     start, start_per_m = Pose(x_m, y_m, heading_rad), scene.mirror * scene.start.curvature_per_m
-    ramp = ramp_on(heading_rad, air, craft)
-    moves = lines_from(0.0, scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
+    ramp, sampling = ramp_on(heading_rad, air, craft), Sampling(beyond_m, heading_rad, air, rate_per_s)
+    moves = lines_from(0.0, scene, start_per_m, ramp, sampling, craft, kept)
     rest_m = left_m(scene)
     if rest_m > 0.0:
         ahead, time_s = flown_on(scene, rest_m + beyond_m)
         rest = single_line(ahead[0], ahead[1], ahead[2], time_s, rate_per_s)
         return Alternatives(moves, start, rest, Pose(0.0, 0.0, 0.0), True)
     circle_per_m = scene.mirror / scene.circle.radius_m
-    stays = lines_from(1.0, scene, circle_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
+    stays = lines_from(1.0, scene, circle_per_m, ramp, sampling, craft, kept)
     return Alternatives(moves, start, stays, start, False)
 
 
@@ -238,29 +232,26 @@ def add_prices(among: Alternatives, radius_m: float, leave: float, change: float
 def look_ahead(scene: Scene, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray) -> float:
     """Fill in what each move costs (choices,), its price included, and return what going on as planned costs."""
     table, prices, radius_m = looker.table, looker.prices, scene.radius_m
+    terms = looker.context.terms
     # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
-    beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, looker.motions) else 0.0
+    beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, looker.context.motions) else 0.0
     among = alternatives(scene, looker, beyond_m)
     stay_costs = np.empty(len(among.stays.trunk))
-    view = View(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
+    view = WatchFrame(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
     lap_s, rate_per_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s, fading_per_s(table)
-    lines_costs(among.moves, among.start, futures, scene.doubt, looker.terms, table, scene.air, costs)
+    lines_costs(among.moves, among.start, futures, scene.doubt, terms, table, scene.air, costs)
     add_sight(among.moves, among.start, sight, view, radius_m, lap_s, rate_per_s, costs)
-    lines_costs(among.stays, among.stays_start, futures, scene.doubt, looker.terms, table, scene.air, stay_costs)
+    lines_costs(among.stays, among.stays_start, futures, scene.doubt, terms, table, scene.air, stay_costs)
     add_sight(among.stays, among.stays_start, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
     add_prices(among, radius_m, prices.leave, prices.change, costs)
     if len(costs) > MOVES:
-        eights = eights_from(
+        ramp, start_per_m = (
+            ramp_anywhere(scene.air, looker.context.watcher.craft),
             scene.mirror * scene.start.curvature_per_m,
-            radius_m,
-            ramp_anywhere(scene.air, looker.craft),
-            scene.air.airspeed_m_s * STEP_S,
-            beyond_m,
-            among.start.heading_rad,
-            scene.air,
-            rate_per_s,
         )
-        lines_costs(eights, among.start, futures, scene.doubt, looker.terms, table, scene.air, costs[MOVES:])
+        sampling = Sampling(beyond_m, among.start.heading_rad, scene.air, rate_per_s)
+        eights = eights_from(start_per_m, radius_m, ramp, sampling)
+        lines_costs(eights, among.start, futures, scene.doubt, terms, table, scene.air, costs[MOVES:])
         add_sight(eights, among.start, sight, view, radius_m, lap_s, rate_per_s, costs[MOVES:])
         costs[MOVES:] += prices.change if among.under_way else prices.leave
     return least(stay_costs)
@@ -272,9 +263,9 @@ def lay_out(looker: Looker, radius_m: float, airspeed_m_s: float, wind_m_s: floa
     # A wind of a whole step stays of that step, however its direction was rounded.
     steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
     fastest_m_s = airspeed_m_s + steps * _WIND_STEP_M_S
-    ramp = sharpness_per_m2(fastest_m_s, looker.craft)
-    turn_m = turn_radius_m(radius_m, fastest_m_s, looker.craft)
-    lay_out_seconds(looker.seconds, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
+    ramp = sharpness_per_m2(fastest_m_s, looker.context.watcher.craft)
+    turn_m = turn_radius_m(radius_m, fastest_m_s, looker.context.watcher.craft)
+    lay_out_seconds(looker.context.seconds, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
 
 
 @compiled
@@ -297,17 +288,17 @@ def look_deeper(
     seen = futures if looker.depth.every_future else likely(futures)
     stay_cost = look_ahead(scene, seen, looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
-    if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
+    if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, looker.context.motions):
         return stay_cost
     under_way = left_m(scene) > 0.0
     price = prices.change if under_way else prices.leave
-    if least(costs) - price > stay_cost and not leaves(scene, futures, looker, looker.terms.near_m, np.inf):
+    if least(costs) - price > stay_cost and not leaves(scene, futures, looker, looker.context.terms.near_m, np.inf):
         return stay_cost
     second = Second(
         foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),
-        looker.terms,
+        looker.context.terms,
         looker.table,
-        looker.seconds,
+        looker.context.seconds,
         prices.leave,
         prices.change,
         depth.horizon_s,
@@ -322,7 +313,7 @@ def look_deeper(
         if i >= depth.beam:
             costs[move] = np.inf
         elif costs[move] < np.inf:
-            ahead, end = moving_ahead(scene, looker.craft, move)
+            ahead, end = moving_ahead(scene, looker.context.watcher.craft, move)
             costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price - min_gain)
     return stay_cost
 
@@ -330,7 +321,7 @@ def look_deeper(
 @compiled
 def leaves(scene: Scene, futures: Futures, looker: Looker, near_m: float, far_m: float) -> bool:
     """Return whether the present plan leads out of a band, or beyond the pan limits, within threat_s in a future."""
-    place, air, terms = futures.place, scene.air, looker.terms
+    place, air, terms = futures.place, scene.air, looker.context.terms
     ahead, time_s = flown_on(scene, looker.prices.threat_s * scene.air.airspeed_m_s)
     for k in range(len(time_s)):
         i = min(int(time_s[k] / STEP_S + 0.5), place.shape[1] - 1)
@@ -353,7 +344,7 @@ def commitment(scene: Scene, futures: Futures, looker: Looker) -> float:
     Nothing where the present one leads out of the band, or beyond the pan limits, in a likely future: for others it
     is not given up so early.
     """
-    prices, terms = looker.prices, looker.terms
+    prices, terms = looker.prices, looker.context.terms
     if scene.line.shape[1] == 0 or scene.age_s >= prices.commit_s:
         return 0.0
     return 0.0 if leaves(scene, likely(futures), looker, terms.near_m, terms.far_m) else prices.commit
@@ -382,10 +373,10 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, 
 
     The route replaces the future along the target's path history.
     """
-    way, progress = looker.foresight.way, looker.foresight.progress.state
+    way, progress = looker.context.foresight.way, looker.context.foresight.progress.state
     if len(way.points) == 0 or not progress.on_route or not progress.of_use:
         return every, False
-    chance, turns, k = _TRUST * progress.chance, len(looker.turns.rate_rad_s), every.place.shape[1]
+    chance, turns, k = _TRUST * progress.chance, len(looker.context.turns.rate_rad_s), every.place.shape[1]
     if chance < _LEAST_TRUST:
         return every, False
     weight, place = np.full(turns + 1, (1.0 - chance) / turns), np.empty((turns + 1, k, 4))
@@ -399,14 +390,21 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, 
     for i in range(k):
         place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
         place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-    moving = not looker.memory.standing
-    return watched(scene, looker.motions, looker.wish, looker.memory, moving, weight, place), True
+    moving = not looker.context.watcher.memory.standing
+    return watched(
+        scene,
+        looker.context.motions,
+        looker.context.watcher,
+        moving,
+        weight,
+        place,
+    ), True
 
 
 @compiled
 def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) -> None:
     """Compute the values after a turn for the courses that the route takes, and for this wind, unless they are."""
-    s, motions, table = looker.foresight, looker.motions, looker.table
+    s, motions, table = looker.context.foresight, looker.context.motions, looker.table
     wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
     wind_rad = math.atan2(scene.air.wind_x_m_s, scene.air.wind_y_m_s) - turn_rad if wind_m_s > 0.0 else 0.0
     changed_rad = wind_rad - s.state.wind_rad
@@ -441,8 +439,13 @@ def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
     Processes the target's estimate: call it once for each, in order of time.
     """
     every, s, table = (
-        winding(scene, looker.motions, looker.wish, looker.memory, looker.turns),
-        looker.foresight,
+        winding(
+            scene,
+            looker.context.motions,
+            looker.context.watcher,
+            looker.context.turns,
+        ),
+        looker.context.foresight,
         looker.table,
     )
     if len(s.way.points) == 0:
@@ -460,21 +463,8 @@ def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
     since_s = scene.departure_s - state.computed_s
     if not 0.0 <= since_s <= _RENEW_S or state.mirror != scene.mirror or state.part != part:
         _fill_after_turn(f, turn_rad, scene, looker)
-        fill_layers(
-            f,
-            _ROUTE,
-            turn_rad,
-            scene.doubt,
-            looker.terms,
-            table,
-            scene.air,
-            scene.radius_m,
-            prices.leave,
-            prices.change,
-            s.cell_m,
-            s.after_turn[count:],
-            s.values[count:],
-        )
+        terms = looker.context.terms
+        fill_layers(f, _ROUTE, turn_rad, scene, terms, table, prices.leave, prices.change, s)
         least_of(s.values[count:], s.least[count:])
         state.computed_s, state.mirror, state.part, since_s = scene.departure_s, scene.mirror, part, 0.0
     sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
@@ -490,9 +480,9 @@ def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
     timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
     # Figures of eight have no second look, and the route alone would lead too near to a target that leaves it.
-    every_future = looker.terms.blind > 0.0
+    every_future = looker.context.terms.blind > 0.0
     depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn, every_future)
-    return f, with_table(looker, timed, prices, depth)
+    return f, Looker(looker.context, timed, prices, depth)
 
 
 @compiled
@@ -514,5 +504,5 @@ def decide(scene: Scene, looker: Looker) -> tuple[float, float, FloatArray]:
     """
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
     stay_cost, min_gain, costs = weigh(scene, looker, flat)
-    line = best_line(scene, looker.craft, costs, stay_cost - min_gain)
+    line = best_line(scene, looker.context.watcher.craft, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line

@@ -32,6 +32,7 @@ from sidelong.mission.predictive.cost_kernel import (
     table_value,
 )
 from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures
+from sidelong.mission.predictive.scene_kernel import Scene
 from sidelong.mission.route.progress_kernel import Progress, Way
 
 FloatRow = npt.NDArray[np.float32]
@@ -188,19 +189,17 @@ def _blend_row(
 
 @compiled
 def _choose_row(
-    circle: FloatRow,
-    straight: FloatRow,
-    other: FloatRow,
+    values: tuple[FloatRow, FloatRow, FloatRow],
     paid: FloatRow,
     leave: np.float32,
     change: np.float32,
     half: np.float32,
     found: FloatRow,
-    on: FloatRow,
-    ahead: FloatRow,
-    back: FloatRow,
+    best: tuple[FloatRow, FloatRow, FloatRow],
 ) -> None:
     """Fill in the cost to go on the circle, and that in each mode with half a step's cost before it."""
+    circle, straight, other = values
+    on, ahead, back = best
     for q in range(len(found)):
         c, s, o = circle[q], straight[q], other[q]
         away = s if s < o else o
@@ -233,16 +232,12 @@ def fill_layers(
     f: Futures,
     one: int,
     turn_rad: float,
-    d: Doubt,
+    scene: Scene,
     terms: CostTerms,
     table: Table,
-    air: Air,
-    radius_m: float,
     leave: float,
     change: float,
-    cell_m: float,
-    after_turn: Float32,
-    found: Float32,
+    s: Foresight,
 ) -> None:
     """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on.
 
@@ -250,18 +245,15 @@ def fill_layers(
         f: Futures of the target in the frame of the decision.
         one: The future to follow.
         turn_rad: Angle of the (mirrored) plane's north in that frame.
-        d: Uncertainty of the target.
+        scene: The scene of the decision.
         terms: Running cost.
         table: Value table: the cost to go at the end, and the hazard of turns.
-        air: Airspeed and wind, in the frame.
-        radius_m: Of the circle.
         leave: Cost of leaving the circle.
         change: Cost of another change.
-        cell_m: Of the result.
-        after_turn: Expected cost after a turn of the target, for each of HEADINGS courses before it:
-            (HEADINGS, HEADINGS, SIZE, SIZE).
-        found: Result (layers, HEADINGS, SIZE, SIZE).
+        s: Route; its layers are filled in.
     """
+    d, air, radius_m, cell_m, classes = scene.doubt, scene.air, scene.radius_m, s.cell_m, len(table.values)
+    after_turn, found = s.after_turn[classes:], s.values[classes:]
     layers, n = len(found), SIZE + 2 * _PAD
     dt_s, turn_step_rad = layer_s(air.airspeed_m_s, radius_m), 2.0 * math.pi / HEADINGS
     rate, table_values = np.empty((SIZE, SIZE), np.float32), np.empty((HEADINGS, SIZE, SIZE), np.float32)
@@ -333,18 +325,15 @@ def fill_layers(
                         values[mode, h, first : first + count],
                     )
         for h in range(HEADINGS):
+            last = first + count
             _choose_row(
-                values[0, h, first : first + count],
-                values[1, h, first : first + count],
-                values[2, h, first : first + count],
-                paid[h].ravel()[first : first + count],
+                (values[0, h, first:last], values[1, h, first:last], values[2, h, first:last]),
+                paid[h].ravel()[first:last],
                 np.float32(leave),
                 np.float32(change),
                 half,
-                here[first : first + count],
-                best[0, h, first : first + count],
-                best[1, h, first : first + count],
-                best[2, h, first : first + count],
+                here[first:last],
+                (best[0, h, first:last], best[1, h, first:last], best[2, h, first:last]),
             )
             found[layer, h] = here.reshape(n, n)[_PAD : _PAD + SIZE, _PAD : _PAD + SIZE]
             for mode in range(_MODES):

@@ -33,7 +33,7 @@ from sidelong.mission.geometry.line_kernel import (
     with_last_ramp,
 )
 from sidelong.mission.predictive.cost_kernel import IntArray
-from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Lines, spread, times_s
+from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Lines, Sampling, Shapes, spread, times_s
 from sidelong.mission.predictive.scene_kernel import Scene
 
 # The length of the legs, in radii of the circle; their curvature towards the target, as a share of the circle's; and
@@ -72,17 +72,10 @@ def eight_line(start: LinePoint, eight: int, signed_radius_m: float, ramp: float
 
 
 @compiled
-def eights_from(
-    start_per_m: float,
-    radius_m: float,
-    ramp: float,
-    step_m: float,
-    beyond_m: float,
-    heading_rad: float,
-    air: Air,
-    rate_per_s: float,
-) -> Lines:
+def eights_from(start_per_m: float, radius_m: float, ramp: float, sampling: Sampling) -> Lines:
     """Return the lines of all eights: see :func:`sidelong.mission.predictive.rollout_kernel.spread`."""
+    beyond_m, heading_rad, air, rate_per_s = sampling
+    step_m = air.airspeed_m_s * STEP_S
     own_first, end_m = np.ones(EIGHTS + 1, np.int64), np.empty(EIGHTS)
     for i in range(EIGHTS):
         leg, turn, leg_back = shapes_of(start_per_m, i, radius_m, ramp)
@@ -203,16 +196,7 @@ def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: flo
 
 
 @compiled
-def _made(
-    family: float,
-    scene: Scene,
-    start_per_m: float,
-    ramp: float,
-    beyond_m: float,
-    craft: Craft,
-    heading_rad: float,
-    rate_per_s: float,
-) -> Lines:
+def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft) -> Lines:
     """Return the lines of all moves, or stretches of the present circle in the form of moves.
 
     Such a stretch is a plain arc where the present circle is the clockwise one; from another circle it ramps over at
@@ -232,22 +216,10 @@ def _made(
             one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
             unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
             lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
-            last_ramps[move] = ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft)
+            last_ramps[move] = ramp_on(sampling.heading_rad + turned_rad(one, one[4]), scene.air, craft)
         lengths_m[MOVES - 1] = 0.0
-    return spread(
-        start_per_m,
-        holds_per_m,
-        hold,
-        lengths_m,
-        1.0 / scene.radius_m,
-        ramp,
-        last_ramps,
-        scene.air.airspeed_m_s * STEP_S,
-        beyond_m,
-        heading_rad,
-        scene.air,
-        rate_per_s,
-    )
+    shapes = Shapes(start_per_m, holds_per_m, hold, lengths_m, 1.0 / scene.radius_m, ramp, last_ramps)
+    return spread(shapes, sampling)
 
 
 @compiled
@@ -269,18 +241,11 @@ def _slot(kept: Kept, wanted: tuple[float, float, float, float, float, float, fl
 
 @compiled
 def lines_from(
-    family: float,
-    scene: Scene,
-    start_per_m: float,
-    ramp: float,
-    beyond_m: float,
-    craft: Craft,
-    heading_rad: float,
-    rate_per_s: float,
-    kept: Kept,
+    family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft, kept: Kept
 ) -> Lines:
     """Return the moves (family 0) or the stays (1) from a curvature, from those kept where they can be."""
     calm = scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0
+    beyond_m, rate_per_s = sampling.beyond_m, sampling.rate_per_s
     wanted = (family, start_per_m, scene.radius_m, ramp, beyond_m, rate_per_s, scene.air.airspeed_m_s)
     i, oldest = _slot(kept, wanted) if calm else (-1, 0)
     if i >= 0:
@@ -299,7 +264,7 @@ def lines_from(
             kept.on_trunk[i, :lines],
             kept.end_m[i, :lines],
         )
-    made = _made(family, scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s)
+    made = _made(family, scene, start_per_m, ramp, sampling, craft)
     n = len(made.x_m)
     if calm and n <= kept.samples.shape[2]:
         for k in range(len(wanted)):

@@ -33,12 +33,12 @@ from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, tu
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices, weigh
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, PlannerContext, Prices, weigh
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
 from sidelong.mission.predictive.foresight import foresight_along, no_route
 from sidelong.mission.predictive.foresight_kernel import Foresight
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
-from sidelong.mission.predictive.scene_kernel import Scene, Turns, scene_of
+from sidelong.mission.predictive.scene_kernel import FlownPlan, Scene, Turns, Watcher, scene_of
 from sidelong.mission.predictive.second_kernel import no_seconds
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 from sidelong.mission.route.progress_kernel import Progress, fresh_progress
@@ -169,24 +169,20 @@ class PredictivePlanner:
         own, price = self.settings, table.configuration.leave_cost
         least_of_class = table.values.min(axis=(1, 2, 3)).astype(np.float64)
         change = price if own.change_cost is None else own.change_cost
-        return Looker(
+        watcher = Watcher(
             craft_of(self.aircraft, own.turn_share),
-            self.requirement.target_speed_max_m_s,
             self._policy.wish,
-            table.configuration.cost.terms,
-            table.arrays,
-            table.motions,
-            Prices(price, change, own.commit_cost, own.commit_s, own.threat_s),
+            self.requirement.target_speed_max_m_s,
             self._policy.memory,
-            self._kept,
-            Turns(
-                own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]),
-                own.turn_fades_s,
-                table.configuration.cost.terms.blind > 0.0,
-            ),
+        )
+        terms = table.configuration.cost.terms
+        turns = Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s, terms.blind > 0.0)
+        foresight = self._foresight(table.arrays, table.configuration)
+        return Looker(
+            PlannerContext(watcher, terms, table.motions, turns, self._kept, self._seconds, foresight),
+            table.arrays,
+            Prices(price, change, own.commit_cost, own.commit_s, own.threat_s),
             Depth(own.beam, own.horizon_s, least_of_class, float(table.after_turn.min()), False),
-            self._seconds,
-            self._foresight(table.arrays, table.configuration),
         )
 
     def _foresight(self, table: Table, configuration: TableConfiguration) -> Foresight:
@@ -204,7 +200,7 @@ class PredictivePlanner:
 
         Nothing to do for a sector, whose table knows no wind.
         """
-        prepared = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
+        prepared = any(one.context.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
         if self._table_at is not None and self.requirement.sector is None and not prepared:
             self.tables.append(self._table_at(wind_speed_m_s))
             self.lookers.append(self._looker(self.tables[-1]))
@@ -213,7 +209,8 @@ class PredictivePlanner:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, (looker, table) in enumerate(zip(self.lookers, self.tables, strict=True)):
-            self.lookers[k] = looker._replace(foresight=self._foresight(table.arrays, table.configuration))
+            foresight = self._foresight(table.arrays, table.configuration)
+            self.lookers[k] = looker._replace(context=looker.context._replace(foresight=foresight))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
@@ -234,7 +231,7 @@ class PredictivePlanner:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
             reason = f"holding the circle: {words} for an airspeed of {self.aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
-        looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
+        looker = min(self.lookers, key=lambda one: abs(one.context.motions.wind_speed_m_s - wind.speed_m_s))
         full, share = looker.prices, self.price_share
         prices = full._replace(leave=share * full.leave, change=share * full.change)
         scene = scene_at(aircraft, target, present, wind, latency_s, looker)
@@ -292,15 +289,10 @@ def scene_at(
         LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m),
         aircraft.ground_speed_m_s,
         estimates_of(target),
-        *line_of(present),
-        wind.east_m_s,
-        wind.north_m_s,
+        FlownPlan(*line_of(present), aircraft.time_s - present.departure_s),
+        (wind.east_m_s, wind.north_m_s),
         latency_s,
-        aircraft.time_s - present.departure_s,
-        looker.target_speed_max_m_s,
-        looker.craft,
-        looker.wish,
-        looker.memory,
+        looker.context.watcher,
     )
 
 
@@ -320,9 +312,9 @@ def cheapest_allowed(
     """
     order, broken = np.argsort(costs, kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
-        path = Path(*move_line(scene, looker.craft, move))
+        path = Path(*move_line(scene, looker.context.watcher.craft, move))
         checked = check(
-            Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=looker.terms.blind > 0.0)
+            Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=looker.context.terms.blind > 0.0)
         )
         if isinstance(checked, Plan):
             return move, checked, broken

@@ -23,6 +23,7 @@ from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import (
+    Trapezoid,
     crab_rad,
     ground_speed_m_s,
     moved_m,
@@ -105,40 +106,61 @@ class Lines(NamedTuple):
 # -- lines -----------------------------------------------------------------------------------------------------------
 
 
-@compiled
-def spread(
-    start_per_m: float,
-    holds_per_m: FloatArray,
-    hold: IntArray,
-    lengths_m: FloatArray,
-    final_per_m: float,
-    sharpness_per_m2: float,
-    last_ramps_per_m2: FloatArray,
-    step_m: float,
-    beyond_m: float,
-    heading_rad: float,
-    air: Air,
-    rate_per_s: float,
-) -> Lines:
-    """Return the lines that ramp from a curvature to one of the holds (h,), hold it, and ramp on to a circle.
+class Shapes(NamedTuple):
+    """Lines that ramp from one curvature to holds, hold them, and ramp on to a circle.
 
-    Line i holds holds_per_m[hold[i]] for lengths_m[i] and ramps on at last_ramps_per_m2[i]. beyond_m: how far each
-    follows its circle. heading_rad: of the start, which matters in wind. rate_per_s: of the discount in ``weight``.
+    Attributes:
+        start_per_m: curvature at the start.
+        holds_per_m: curvatures that are held, (holds,).
+        hold: which of them each line holds, (lines,).
+        lengths_m: for how far it holds it, (lines,).
+        final_per_m: curvature of the circle.
+        ramp_per_m2: sharpness of the first ramp.
+        last_ramps_per_m2: sharpness of each last ramp, (lines,).
     """
+
+    start_per_m: float
+    holds_per_m: FloatArray
+    hold: IntArray
+    lengths_m: FloatArray
+    final_per_m: float
+    ramp_per_m2: float
+    last_ramps_per_m2: FloatArray
+
+
+class Sampling(NamedTuple):
+    """How lines are sampled.
+
+    Attributes:
+        beyond_m: how far each line follows its circle.
+        heading_rad: heading at the start, which matters in wind.
+        air: airspeed and wind; samples are STEP_S of flight at the airspeed apart.
+        rate_per_s: rate of the discount in ``Lines.weight``.
+    """
+
+    beyond_m: float
+    heading_rad: float
+    air: Air
+    rate_per_s: float
+
+
+@compiled
+def spread(shapes: Shapes, sampling: Sampling) -> Lines:
+    """Return the lines of some shapes."""
+    start_per_m, holds_per_m, hold, lengths_m, final_per_m, ramp, last_ramps = shapes
+    step_m, beyond_m = sampling.air.airspeed_m_s * STEP_S, sampling.beyond_m
     lines, trunks = len(hold), len(holds_per_m)
     on_trunk, end_m = np.empty(lines, np.int64), np.empty(lines)
     trunk_size = np.ones(trunks, np.int64)
     trunk_first, own_first = np.zeros(trunks + 1, np.int64), np.zeros(lines + 1, np.int64)
     for i in range(lines):
-        one = with_last_ramp(
-            trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, sharpness_per_m2),
-            last_ramps_per_m2[i],
-        )
-        on_trunk[i] = int(one[4] / step_m) + 1
-        end_m[i] = one[5]
+        shape = trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, ramp)
+        shape = with_last_ramp(shape, last_ramps[i])
+        on_trunk[i] = int(shape[4] / step_m) + 1
+        end_m[i] = shape[5]
         trunk_size[hold[i]] = max(trunk_size[hold[i]], on_trunk[i])
         own = 1
-        while step_m * (on_trunk[i] + own - 1) < one[5] + beyond_m:
+        while step_m * (on_trunk[i] + own - 1) < shape[5] + beyond_m:
             own += 1
         own_first[i + 1] = own_first[i] + own
     for h in range(trunks):
@@ -148,66 +170,44 @@ def spread(
     x, y, turned = np.empty(samples), np.empty(samples), np.empty(samples)
     time, weight = np.empty(samples), np.empty(samples)
     for h in range(trunks):
-        first = trunk_first[h]
-        one = trapezoid(start_per_m, holds_per_m[h], _ENDLESS_M, final_per_m, sharpness_per_m2)
-        x[first] = y[first] = turned[first] = time[first] = 0.0
-        weight[first] = 1.0
+        s = trunk_first[h]
+        shape = trapezoid(start_per_m, holds_per_m[h], _ENDLESS_M, final_per_m, ramp)
+        x[s] = y[s] = turned[s] = time[s] = 0.0
+        weight[s] = 1.0
         for k in range(1, trunk_size[h]):
-            _extend(
-                one,
-                first + k,
-                first + k - 1,
-                step_m * (k - 1),
-                step_m * k,
-                x,
-                y,
-                turned,
-                time,
-                weight,
-                heading_rad,
-                air,
-                rate_per_s,
+            here = (x[s], y[s], turned[s], time[s])
+            s += 1
+            x[s], y[s], turned[s], time[s], weight[s] = _sample_after(
+                shape, here, step_m * (k - 1), step_m * k, sampling
             )
     for i in range(lines):
-        one = with_last_ramp(
-            trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, sharpness_per_m2),
-            last_ramps_per_m2[i],
-        )
+        shape = trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, ramp)
+        shape = with_last_ramp(shape, last_ramps[i])
         before, from_m = trunk_first[hold[i]] + on_trunk[i] - 1, step_m * (on_trunk[i] - 1)
         last = own_first[i + 1] - 1
         for s in range(own_first[i], last + 1):
-            to_m = one[5] + beyond_m if s == last else from_m + step_m
-            _extend(one, s, before, from_m, to_m, x, y, turned, time, weight, heading_rad, air, rate_per_s)
+            to_m = shape[5] + beyond_m if s == last else from_m + step_m
+            here = (x[before], y[before], turned[before], time[before])
+            x[s], y[s], turned[s], time[s], weight[s] = _sample_after(shape, here, from_m, to_m, sampling)
             before, from_m = s, to_m
     return Lines(x, y, turned, time, weight, trunk_first, own_first, hold, on_trunk, end_m)
 
 
 @inlined
-def _extend(
-    one: tuple[float, float, float, float, float, float],
-    s: int,
-    before: int,
-    from_m: float,
-    to_m: float,
-    x: FloatArray,
-    y: FloatArray,
-    turned: FloatArray,
-    time: FloatArray,
-    weight: FloatArray,
-    heading_rad: float,
-    air: Air,
-    rate_per_s: float,
-) -> None:
-    """Fill in sample s, which follows ``before``."""
-    across_m, along_m = moved_m(one, 0.0, from_m, to_m)
-    x[s], y[s], turned[s] = x[before] + across_m, y[before] + along_m, turned_rad(one, to_m)
+def _sample_after(
+    shape: Trapezoid, here: tuple[float, float, float, float], from_m: float, to_m: float, sampling: Sampling
+) -> tuple[float, float, float, float, float]:
+    """Return x, y, turned, time and weight at an arc, from x, y, turned and time at another."""
+    x_m, y_m, here_rad, time_s = here
+    across_m, along_m = moved_m(shape, 0.0, from_m, to_m)
+    there_rad, heading_rad, air = turned_rad(shape, to_m), sampling.heading_rad, sampling.air
     if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
-        time[s] = to_m / air.airspeed_m_s
+        time_s = to_m / air.airspeed_m_s
     else:
-        slow = 1.0 / ground_speed_m_s(heading_rad + turned[before], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-        slower = 1.0 / ground_speed_m_s(heading_rad + turned[s], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-        time[s] = time[before] + (to_m - from_m) * 0.5 * (slow + slower)
-    weight[s] = math.exp(-rate_per_s * time[s])
+        slow = 1.0 / ground_speed_m_s(heading_rad + here_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        slower = 1.0 / ground_speed_m_s(heading_rad + there_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        time_s += (to_m - from_m) * 0.5 * (slow + slower)
+    return x_m + across_m, y_m + along_m, there_rad, time_s, math.exp(-sampling.rate_per_s * time_s)
 
 
 @compiled
@@ -422,7 +422,7 @@ def times_s(heading_rad: FloatArray, arc_m: FloatArray, air: Air) -> FloatArray:
 _LAP_SAMPLES = 16
 
 
-class View(NamedTuple):
+class WatchFrame(NamedTuple):
     """How the frame of the lines lies in the plane, and how the target moves in it."""
 
     course_rad: float
@@ -432,7 +432,7 @@ class View(NamedTuple):
 
 
 @compiled
-def hidden_rate(s: Sight, v: View, x_m: float, y_m: float, time_s: float) -> float:
+def hidden_rate(s: Sight, v: WatchFrame, x_m: float, y_m: float, time_s: float) -> float:
     """Return the cost per second at a place of the frame."""
     targets, azimuths, rings = s.needed_m.shape
     off_x_m, off_y_m = x_m - v.velocity_x_m_s * time_s, y_m - v.velocity_y_m_s * time_s
@@ -448,18 +448,10 @@ def hidden_rate(s: Sight, v: View, x_m: float, y_m: float, time_s: float) -> flo
 
 @compiled
 def _lap_cost(
-    s: Sight,
-    v: View,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
-    time_s: float,
-    weight: float,
-    radius_m: float,
-    lap_s: float,
-    rate_per_s: float,
+    s: Sight, v: WatchFrame, at: Pose, time_s: float, radius_m: float, lap_s: float, rate_per_s: float
 ) -> float:
-    """Return the cost of the clockwise circle from a place on it, for a lap."""
+    """Return the cost of the clockwise circle from a position on it, for a lap."""
+    x_m, y_m, heading_rad = at
     centre_x_m, centre_y_m = x_m + radius_m * math.cos(heading_rad), y_m - radius_m * math.sin(heading_rad)
     step_s = lap_s / _LAP_SAMPLES
     total = 0.0
@@ -470,7 +462,7 @@ def _lap_cost(
         on_y_m = centre_y_m + radius_m * math.sin(turned_rad)
         discount = math.exp(-rate_per_s * since_s)
         total += hidden_rate(s, v, on_x_m, on_y_m, time_s + since_s) * discount * step_s
-    return weight * total
+    return total
 
 
 @compiled
@@ -478,7 +470,7 @@ def add_sight(
     lines: Lines,
     start: Pose,
     s: Sight,
-    v: View,
+    v: WatchFrame,
     radius_m: float,
     lap_s: float,
     rate_per_s: float,
@@ -493,16 +485,6 @@ def add_sight(
         rates[k] = hidden_rate(s, v, x[k], y[k], lines.time_s[k]) * lines.weight[k]
     for i in range(len(ends)):
         last = lines.own_first[i + 1] - 1
-        ends[i] = _lap_cost(
-            s,
-            v,
-            x[last],
-            y[last],
-            start.heading_rad + lines.turned_rad[last],
-            lines.time_s[last],
-            lines.weight[last],
-            radius_m,
-            lap_s,
-            rate_per_s,
-        )
+        at = Pose(x[last], y[last], start.heading_rad + lines.turned_rad[last])
+        ends[i] = lines.weight[last] * _lap_cost(s, v, at, lines.time_s[last], radius_m, lap_s, rate_per_s)
     add_up(lines, rates, np.zeros(len(x)), ends, 1.0, costs)

@@ -95,32 +95,67 @@ def flown_airspeed_m_s(
     return flown_m_s if flown_m_s > wind_m_s else craft.airspeed_m_s
 
 
+class FlownPlan(NamedTuple):
+    """The present plan.
+
+    Attributes:
+        line: its transition, (5, n).
+        circle: its circle.
+        age_s: time since it departed.
+    """
+
+    line: FloatArray
+    circle: Circling
+    age_s: float
+
+
+class Watcher(NamedTuple):
+    """The aircraft that watches, and how.
+
+    Attributes:
+        craft: the aircraft.
+        rule: from where to watch.
+        target_speed_max_m_s: greatest speed of the target.
+        memory: a record of ``MEMORY``, which changes.
+    """
+
+    craft: Craft
+    rule: Wish
+    target_speed_max_m_s: float
+    memory: Record
+
+
 @compiled
 def scene_of(
     time_s: float,
     aircraft: LinePoint,
     speed_m_s: float,
     estimates: Estimates,
-    line: FloatArray,
-    circle: Circling,
-    wind_east_m_s: float,
-    wind_north_m_s: float,
+    present: FlownPlan,
+    wind_m_s: tuple[float, float],
     latency_s: float,
-    age_s: float,
-    target_speed_max_m_s: float,
-    craft: Craft,
-    wish: Wish,
-    memory: Record,
+    watcher: Watcher,
 ) -> Scene:
-    """Return what is to be decided about at time_s, with the aircraft's place, course and curvature.
+    """Return what is to be decided about.
 
-    line (5, n), circle: of the present plan, which departed age_s ago. latency_s: until another one can depart.
+    Args:
+        time_s: now.
+        aircraft: where it is.
+        speed_m_s: its speed over the ground.
+        estimates: of the target.
+        present: the plan that is flown.
+        wind_m_s: wind (east, north).
+        latency_s: time until another plan can depart.
+        watcher: the aircraft and how it watches; its memory is updated.
     """
-    wind_m_s = math.hypot(wind_east_m_s, wind_north_m_s)
+    line, circle, age_s = present
+    craft, rule, target_speed_max_m_s, memory = watcher
+    wind_east_m_s, wind_north_m_s = wind_m_s
+    blows_m_s = math.hypot(wind_east_m_s, wind_north_m_s)
     air_east_m_s = speed_m_s * math.sin(aircraft.course_rad) - wind_east_m_s
     air_north_m_s = speed_m_s * math.cos(aircraft.course_rad) - wind_north_m_s
-    airspeed_m_s = flown_airspeed_m_s(time_s, air_east_m_s, air_north_m_s, wind_m_s, craft, memory)
-    fastest_m_s = max(airspeed_m_s, craft.airspeed_m_s) + wind_m_s
+    airspeed_m_s = flown_airspeed_m_s(time_s, air_east_m_s, air_north_m_s, blows_m_s, craft, memory)
+    fastest_m_s = max(airspeed_m_s, craft.airspeed_m_s) + blows_m_s
     # The tightest circle over the ground whose bank stays within the limit where the wind is astern.
     radius_m = max(craft.radius_m, fastest_m_s * fastest_m_s / (GRAVITY_M_S2 * math.tan(craft.bank_max_rad)))
     turn_m = turn_radius_m(radius_m, fastest_m_s, craft)
@@ -137,7 +172,7 @@ def scene_of(
         arc_m += flown_m
         start = point_at(line, circle, arc_m, aircraft.east_m, aircraft.north_m)
     departure_s, target = time_s + latency_s, estimates.now
-    view = viewpoint(start.east_m, start.north_m, estimates, wish, memory)
+    view = viewpoint(start.east_m, start.north_m, estimates, rule, memory)
     # An estimate overshoots when the target turns: a speed beyond the greatest of the target counts only
     # if it is certain.
     sigma_m_s = velocity_sigma_m_s(target)
@@ -250,18 +285,19 @@ def classes_about(
 
 
 @compiled
-def winding(scene: Scene, motions: Motions, wish: Wish, memory: Record, turns: Turns) -> Futures:
+def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> Futures:
     """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
 
     There is one for each turn, the first straight on. If the target repeats a part of its path, the second follows
     the path. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
     asked in the frame of the velocity, in which it was computed, or of the fixed course.
     """
+    memory = watcher.memory
     k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     moving = not memory.standing and speed_m_s > _SLOW_M_S
     # The rest of its velocity is an error of the estimate, which would turn the course that is watched.
-    if turns.stands and memory.standing and math.isnan(wish.fixed_course_rad):
+    if turns.stands and memory.standing and math.isnan(watcher.rule.fixed_course_rad):
         speed_m_s = 0.0
     part, path = no_part(), memory.path
     if moving and len(turns.rate_rad_s) > 1:
@@ -281,7 +317,7 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: Record, turns: T
             x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
         place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
         place[1, :, 2], place[1, :, 3] = (x_m[1:] - x_m[:k]) / STEP_S, (y_m[1:] - y_m[:k]) / STEP_S
-    return watched(scene, motions, wish, memory, moving, weight, place)
+    return watched(scene, motions, watcher, moving, weight, place)
 
 
 @compiled
@@ -302,14 +338,13 @@ def _turning(scene: Scene, speed_m_s: float, rate_rad_s: float, faded_s: FloatAr
 def watched(
     scene: Scene,
     motions: Motions,
-    wish: Wish,
-    memory: Record,
+    watcher: Watcher,
     moving: bool,
     weight: FloatArray,
     place: FloatArray,
 ) -> Futures:
     """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
-    horizon_s, fixed = wish.course_horizon_s, not math.isnan(wish.fixed_course_rad)
+    horizon_s, fixed = watcher.rule.course_horizon_s, not math.isnan(watcher.rule.fixed_course_rad)
     f, k = place.shape[:2]
     found = Futures(
         weight,
@@ -322,7 +357,7 @@ def watched(
         np.empty((f, k, 4)),
     )
     past = np.empty((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
-    _watch(scene, motions, wish, memory, moving, past, found)
+    _watch(scene, motions, watcher, moving, past, found)
     return found
 
 
@@ -330,20 +365,19 @@ def watched(
 def _watch(
     scene: Scene,
     motions: Motions,
-    wish: Wish,
-    memory: Record,
+    watcher: Watcher,
     moving: bool,
     past: FloatArray,
     found: Futures,
 ) -> None:
     """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
-    horizon_s, place, facing, course = wish.course_horizon_s, found.place, found.facing, found.course
+    horizon_s, place, facing, course = watcher.rule.course_horizon_s, found.place, found.facing, found.course
     classes, share, turn_share = found.classes, found.share, found.turn_share
-    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
+    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(watcher.rule.fixed_course_rad)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     # Where it was one horizon before each of the first steps.
     for i in range(len(past)):
-        east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
+        east_m, north_m = place_at(watcher.memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
         past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
     # No sine is taken where a way or a velocity has it: this is done for hundreds of places in each decision.
     position2, velocity2 = doubt.position_m * doubt.position_m, doubt.velocity_m_s * doubt.velocity_m_s

@@ -337,24 +337,23 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
     return ahead[:, :k], end if end >= 0 else k - 1
 
 
+class Ahead(NamedTuple):
+    """Rows of one future from the second on at which a line begins, arrays (k,): see Foretold."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    sin_f: FloatArray
+    cos_f: FloatArray
+    beside: FloatArray
+    sigma_m: FloatArray
+    weight: FloatArray
+
+
 @inlined
-def _running(
-    x: FloatArray,
-    y: FloatArray,
-    j: int,
-    n: int,
-    to_x: FloatArray,
-    to_y: FloatArray,
-    sin_f: FloatArray,
-    cos_f: FloatArray,
-    beside: FloatArray,
-    sigma: FloatArray,
-    weight: FloatArray,
-    c: CostTerms,
-    room: FloatArray,
-) -> None:
+def _running(x: FloatArray, y: FloatArray, j: int, n: int, ahead: Ahead, c: CostTerms, room: FloatArray) -> None:
     """Fill in the discounted running cost at n places of line j, as the last of three rows of room."""
     # Loops of one row each, over arrays that begin where the line does: so the compiler makes vectors of them.
+    to_x, to_y, sin_f, cos_f, beside, sigma, weight = ahead
     for k in range(n):
         room[0, k] = (x[j, k] - to_x[k]) * cos_f[k] - (y[j, k] - to_y[k]) * sin_f[k]
     for k in range(n):
@@ -374,11 +373,10 @@ def _asked(
     share: FloatArray,
     one: int,
     k: int,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
+    at: tuple[float, float, float],
 ) -> float:
-    """Return what the table says at second k of a future; rows (8, k): its own."""
+    """Return what the table says at second k of a future for x, y and heading; rows (8, k): its own."""
+    x_m, y_m, heading_rad = at
     x_m, y_m = x_m - rows[_X, k], y_m - rows[_Y, k]
     sin_t, cos_t = rows[_TABLE_SIN, k], rows[_TABLE_COS, k]
     across, along = x_m * cos_t - y_m * sin_t, x_m * sin_t + y_m * cos_t
@@ -393,13 +391,7 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
     """
     f, c, table = second.foretold, second.terms, second.table
     rows, sigma, weight, min_value = f.rows[one], f.sigma_m[at:], f.weight[at:], f.min_value[one, at:]
-    to_x, to_y, sin_f, cos_f, beside = (
-        rows[_X, at:],
-        rows[_Y, at:],
-        rows[_SIN, at:],
-        rows[_COS, at:],
-        rows[_BESIDE, at:],
-    )
+    ahead = Ahead(rows[_X, at:], rows[_Y, at:], rows[_SIN, at:], rows[_COS, at:], rows[_BESIDE, at:], sigma, weight)
     values, after_turn, cell_m, mean_leg_s = table.values, table.after_turn, table.cell_m, table.mean_leg_s
     classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
     x, y, heading, laid, lasts = fan.placed[0], fan.placed[1], fan.placed[2], fan.laid, fan.last
@@ -412,7 +404,7 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
         if last == 0 or weight[last] * min_value[last] + least >= bound:
             continue
         place = x[j, last], y[j, last], heading[j, last]
-        end = _asked(values, cell_m, rows, classes, share, one, at + last, place[0], place[1], place[2])
+        end = _asked(values, cell_m, rows, classes, share, one, at + last, place)
         ends[j] = weight[last] * end
         if ends[j] + least < most:
             best, most = j, ends[j] + least
@@ -427,7 +419,7 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
         if not laid[j]:
             lay(s, fan, j, last)
             laid[j] = True
-        _running(x, y, j, last + 1, to_x, to_y, sin_f, cos_f, beside, sigma, weight, c, room)
+        _running(x, y, j, last + 1, ahead, c, room)
         cost = -0.5 * (room[2, 0] + room[2, last])
         for k in range(last + 1):
             cost += room[2, k]
@@ -439,7 +431,7 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
             length = min(_STRIDE, last - k)
             m = k + length // 2
             after = _asked(
-                after_turn, cell_m, rows, classes, turn_share, one, at + m, x[j, m], y[j, m], heading[j, m]
+                after_turn, cell_m, rows, classes, turn_share, one, at + m, (x[j, m], y[j, m], heading[j, m])
             )
             turns += length * STEP_S / mean_leg_s * weight[m] * after
             if turns > bound - cost:
@@ -502,22 +494,20 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
     before, best, found = room.before, room.best, room.rows[2]
     for one in range(count):
         rows = f.rows[one]
-        to_x, to_y, sin_f, cos_f, beside = rows[_X], rows[_Y], rows[_SIN], rows[_COS], rows[_BESIDE]
-        _running(
-            ahead[0:1], ahead[1:2], 0, size, to_x, to_y, sin_f, cos_f, beside, f.sigma_m, f.weight, terms, room.rows
-        )
+        future = Ahead(rows[_X], rows[_Y], rows[_SIN], rows[_COS], rows[_BESIDE], f.sigma_m, f.weight)
+        _running(ahead[0:1], ahead[1:2], 0, size, future, terms, room.rows)
         before[one, 0] = turned = 0.0
         for k in range(1, size):
             if (k - 1) % _STRIDE == 0:
                 m = min(k + 1, size - 1)
-                after = _asked(after_turn, cell_m, rows, classes, turn_share, one, m, x[m], y[m], heading[m])
+                after = _asked(after_turn, cell_m, rows, classes, turn_share, one, m, (x[m], y[m], heading[m]))
                 turned = STEP_S / table.mean_leg_s * f.weight[m] * after
             before[one, k] = before[one, k - 1] + 0.5 * STEP_S * (found[k - 1] + found[k]) + turned
         best[one] = np.inf
         for valued in _VALUED:
             k = min(max(end, valued), size - 1)
             cost = before[one, k] + f.weight[k] * _asked(
-                values, cell_m, rows, classes, share, one, k, x[k], y[k], heading[k]
+                values, cell_m, rows, classes, share, one, k, (x[k], y[k], heading[k])
             )
             best[one] = min(best[one], cost)
             if end > 0:

@@ -135,30 +135,26 @@ class _Solver:
         self._pad = math.ceil(reach_m / cell_m) + 2
         # Where each move leads, in cells and steps of heading, and what counts there: at three nodes and at its end.
         places = (*self.shape[:2], len(moves))
-        self._to_x, self._to_y, self._weight = (np.empty((*places, kernel.NODES)) for _ in range(3))
-        self._to_heading = np.empty((*places[1:], kernel.NODES))
-        self._own = np.empty((*places, n, n), np.float32)
+        self._transitions = kernel.Transitions(
+            np.empty((*places, kernel.NODES)),
+            np.empty((*places, kernel.NODES)),
+            np.empty((*places[1:], kernel.NODES)),
+            np.empty((*places, kernel.NODES)),
+            np.empty((*places, n, n), np.float32),
+        )
+        mean_leg_s = configuration.habits.mean_leg_s
+        rate_per_s = configuration.discount_per_s + 1.0 / mean_leg_s
         kernel.lay_out(
-            np.cumsum([0, *(m.arc_m.size for m in moves)]),
-            np.array([m.price for m in moves]),
-            np.concatenate([(m.arc_m, m.east_m, m.north_m, m.turned_rad) for m in moves], axis=1),
-            np.append(_NODES, 1.0),
-            _NODE_WEIGHTS,
-            targets,
-            winds,
-            HEADING_STEP_RAD,
-            configuration.airspeed_m_s,
-            configuration.discount_per_s + 1.0 / configuration.habits.mean_leg_s,
-            configuration.habits.mean_leg_s,
-            cell_m,
-            _COST_PER_CELL,
-            self._pad,
-            self._cost_grids(),
-            self._to_x,
-            self._to_y,
-            self._to_heading,
-            self._weight,
-            self._own,
+            kernel.MoveSamples(
+                np.cumsum([0, *(m.arc_m.size for m in moves)]),
+                np.array([m.price for m in moves]),
+                np.concatenate([(m.arc_m, m.east_m, m.north_m, m.turned_rad) for m in moves], axis=1),
+                np.append(_NODES, 1.0),
+                _NODE_WEIGHTS,
+            ),
+            kernel.Surroundings(targets, winds, configuration.airspeed_m_s, HEADING_STEP_RAD, rate_per_s, mean_leg_s),
+            kernel.CostGrid(self._cost_grids(), cell_m, _COST_PER_CELL, self._pad),
+            self._transitions,
         )
 
     def solve(self, values: Float32, improvements: int, progress: Progress) -> Float32:
@@ -166,9 +162,8 @@ class _Solver:
         policy = np.empty(self.shape, np.int32)
         for k in range(improvements):
             progress((k + 1.0) / (improvements + 2.0))
-            leads = (self._to_x, self._to_y, self._to_heading, self._weight)
             after = expected_after_turn(self._c, values)
-            kernel.improve(values, after, self._own, *leads, self._pad, policy)
+            kernel.improve(values, after, self._transitions, self._pad, policy)
             values = self._evaluated(values, policy)
         return values
 
@@ -190,8 +185,7 @@ class _Solver:
         """Return the values after following the policy for some more moves."""
         led_to, parts = np.empty((values.size, 5), np.int32), np.empty((values.size, 7), np.float32)
         cost, fixed = np.empty(values.size, np.float32), np.empty(values.size, np.float32)
-        leads = (self._to_x, self._to_y, self._to_heading, self._weight)
-        kernel.follow(policy, self._own, *leads, led_to, parts, cost)
+        kernel.follow(policy, self._transitions, led_to, parts, cost)
         found = np.empty_like(values)
         classes = len(values)
         for k in range(_EVALUATIONS):

@@ -7,6 +7,7 @@ vector instructions.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,37 +31,86 @@ def _at(values: FloatArray, share: float) -> float:
     return float(values[i] + (place - i) * (values[i + 1] - values[i]))
 
 
-@compiled
-def lay_out(
-    first: Int64,
-    price: FloatArray,
-    line: FloatArray,
-    nodes: FloatArray,
-    node_weights: FloatArray,
-    targets: FloatArray,
-    winds: FloatArray,
-    heading_step_rad: float,
-    airspeed_m_s: float,
-    rate_per_s: float,
-    mean_leg_s: float,
-    cell_m: float,
-    per_cell: int,
-    pad: int,
-    grids: Float32,
-    to_x: FloatArray,
-    to_y: FloatArray,
-    to_heading: FloatArray,
-    weight: FloatArray,
-    own: Float32,
-) -> None:
-    """Fill in where each move leads, what counts there, and its discounted running cost with its price.
+class MoveSamples(NamedTuple):
+    """Moves as flown from heading 0, at evenly spaced arcs; every other sample is the middle of a step.
 
-    Move m is line[:, first[m]:first[m + 1]]: evenly spaced arc, east, north and course turned, flown from heading 0;
-    every other sample is the middle of a step. grids (directions, per_cell, per_cell, k, k) is the running cost at
-    each offset within a cell, where the nose points in evenly spaced directions; one if they do not matter. Filled
-    in: to_x, to_y, weight (classes, headings, moves, 4), to_heading (headings, moves, 4) and own (classes, headings,
-    moves, n, n).
+    Attributes:
+        first: move m is samples[:, first[m]:first[m + 1]], (moves + 1,).
+        price: cost of each move, (moves,).
+        samples: arc, east, north and course turned, m and rad, (4, k).
+        nodes: where turns of the target count, and the end, as shares of a move's length, (NODES,).
+        node_weights: weights of the former, (NODES - 1,).
     """
+
+    first: Int64
+    price: FloatArray
+    samples: FloatArray
+    nodes: FloatArray
+    node_weights: FloatArray
+
+
+class Surroundings(NamedTuple):
+    """What the moves are flown in.
+
+    Attributes:
+        targets: velocity of the target in each class, m/s, (classes, 2).
+        winds: wind in each class, m/s, (classes, 2).
+        airspeed_m_s: airspeed.
+        heading_step_rad: angle between two headings of the table.
+        rate_per_s: rate of the discount.
+        mean_leg_s: mean time between two turns of the target.
+    """
+
+    targets: FloatArray
+    winds: FloatArray
+    airspeed_m_s: float
+    heading_step_rad: float
+    rate_per_s: float
+    mean_leg_s: float
+
+
+class CostGrid(NamedTuple):
+    """The running cost about the target.
+
+    Attributes:
+        rates: cost at each offset within a cell, where the nose points in evenly spaced directions; one direction if
+            they do not matter, (directions, per_cell, per_cell, k, k).
+        cell_m: cell of the table.
+        per_cell: offsets within a cell.
+        pad: cells beyond the edge of the table.
+    """
+
+    rates: Float32
+    cell_m: float
+    per_cell: int
+    pad: int
+
+
+class Transitions(NamedTuple):
+    """Where each move leads from each class and heading, at each node, and what it costs.
+
+    Attributes:
+        to_x: cells to the right, (classes, headings, moves, NODES).
+        to_y: cells ahead, the same shape.
+        to_heading: steps of heading, (headings, moves, NODES).
+        weight: what the value there counts, (classes, headings, moves, NODES).
+        own: discounted running cost with the price, (classes, headings, moves, n, n).
+    """
+
+    to_x: FloatArray
+    to_y: FloatArray
+    to_heading: FloatArray
+    weight: FloatArray
+    own: Float32
+
+
+@compiled
+def lay_out(flown: MoveSamples, s: Surroundings, cost: CostGrid, found: Transitions) -> None:
+    """Fill in where each move leads, what counts there, and its discounted running cost with its price."""
+    to_x, to_y, to_heading, weight, own = found
+    first, price, line, nodes, node_weights = flown
+    targets, winds, airspeed_m_s, heading_step_rad, rate_per_s, mean_leg_s = s
+    grids, cell_m, per_cell, pad = cost
     classes, headings, moves, n, _ = own.shape
     longest = 0
     for m in range(moves):
@@ -142,11 +192,7 @@ def _padded(wide: Float32, plane: Float32, pad: int) -> None:
 def improve(
     values: Float32,
     after: Float32,
-    own: Float32,
-    to_x: FloatArray,
-    to_y: FloatArray,
-    to_heading: FloatArray,
-    weight: FloatArray,
+    transitions: Transitions,
     pad: int,
     policy: Int32,
 ) -> None:
@@ -154,6 +200,7 @@ def improve(
 
     A move displaces all places alike, so its backup is a shifted copy of the table.
     """
+    to_x, to_y, to_heading, weight, own = transitions
     classes, headings, moves, n, _ = own.shape
     padded = np.empty((headings, n + 2 * pad, n + 2 * pad), np.float32)
     padded_after = np.empty_like(padded)
@@ -204,23 +251,14 @@ def _take_less(best: Float32, best_move: Int32, total: Float32, move: np.int32) 
 
 
 @compiled
-def follow(
-    policy: Int32,
-    own: Float32,
-    to_x: FloatArray,
-    to_y: FloatArray,
-    to_heading: FloatArray,
-    weight: FloatArray,
-    led_to: Int32,
-    parts: Float32,
-    cost: Float32,
-) -> None:
+def follow(policy: Int32, transitions: Transitions, led_to: Int32, parts: Float32, cost: Float32) -> None:
     """Fill in where the policy leads from each place: what :func:`evaluate` needs, arrays of one row a place.
 
     led_to (places, 5): the flat indices, within the class, of three nodes and of the end's first corner on the plane
     of either heading. parts (places, 7): weights of the nodes; of the end; its shares of turn, across and along.
     cost (places,): of the move itself.
     """
+    to_x, to_y, to_heading, weight, own = transitions
     classes, headings, _, n, _ = own.shape
     place, half = 0, (n - 1) / 2
     for v in range(classes):

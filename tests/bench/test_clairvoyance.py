@@ -82,7 +82,7 @@ class Clairvoyant(PredictivePlanner):
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
-        paths = self._paths(round((scene.departure_s - BOOT_S) / STEP_S), k, looker.turns)
+        paths = self._paths(round((scene.departure_s - BOOT_S) / STEP_S), k, looker.context.turns)
         time_s, per_s = STEP_S * PER_S * np.arange(paths.shape[1]), STEP_S * PER_S
         made_good = np.array(
             [
@@ -102,7 +102,7 @@ class Clairvoyant(PredictivePlanner):
         shape = *speed_m_s.shape, 4
         classes, share, turn_share = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
         for at, speed in np.ndenumerate(speed_m_s):
-            classes[at], share[at], turn_share[at] = classes_about(looker.motions, 0.0, speed, 0.0, 0.0)
+            classes[at], share[at], turn_share[at] = classes_about(looker.context.motions, 0.0, speed, 0.0, 0.0)
         facing = np.stack([np.sin(facing_rad), np.cos(facing_rad), np.zeros_like(facing_rad)], axis=2)
         course = np.stack([np.sin(course_rad), np.cos(course_rad), course_rad], axis=2)
         known = np.concatenate([place[:, :-1], velocity], axis=2)

@@ -31,7 +31,7 @@ from sidelong.mission.predictive.cost_kernel import blind_rate
 from sidelong.mission.predictive.decision_kernel import commitment, foresee
 from sidelong.mission.predictive.moves_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, price_s, scene_at, table_configuration
-from sidelong.mission.predictive.rollout_kernel import Air
+from sidelong.mission.predictive.rollout_kernel import Air, Sampling
 from sidelong.mission.predictive.value_iteration import compute
 
 RADIUS_M, RAMP, AIRSPEED_M_S = 50.0, 0.0008, 10.0
@@ -75,7 +75,7 @@ def test_an_eight_is_a_leg_a_turn_the_other_way_round_and_a_leg():
 @pytest.mark.parametrize("wind", [(0.0, 0.0), (2.0, -1.0)])
 def test_what_is_rolled_out_is_what_is_flown(wind):
     air, step_m, beyond_m = Air(AIRSPEED_M_S, *wind), 10.0, 40.0
-    lines = eights_from(1.0 / RADIUS_M, RADIUS_M, RAMP, step_m, beyond_m, 0.4, air, 0.01)
+    lines = eights_from(1.0 / RADIUS_M, RADIUS_M, RAMP, Sampling(beyond_m, 0.4, air, 0.01))
     for eight in (0, 17, EIGHTS - 1):
         line = eight_line(LinePoint(0.0, 0.0, 0.0, 1.0 / RADIUS_M), eight, RADIUS_M, RAMP)
         first, last = lines.own_first[eight], lines.own_first[eight + 1] - 1

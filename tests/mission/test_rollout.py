@@ -9,7 +9,7 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
-from sidelong.mission.geometry.line_kernel import LinePoint, circle_after, craft_of, line_at
+from sidelong.mission.geometry.line_kernel import Craft, LinePoint, circle_after, craft_of, line_at
 from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
@@ -18,7 +18,7 @@ from sidelong.mission.predictive.foresight import no_route
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
-from sidelong.mission.predictive.scene_kernel import Turns, first_of, in_frame, scene_of, winding
+from sidelong.mission.predictive.scene_kernel import FlownPlan, Turns, Watcher, first_of, in_frame, scene_of, winding
 from sidelong.mission.predictive.second_kernel import (
     LEVELS,
     MOVE_BRANCHES,
@@ -53,6 +53,11 @@ from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
 STRAIGHT, TURNING = Turns(np.zeros(1), 10.0, False), Turns(np.radians([0.0, -3.0, 3.0]), 10.0, False)
 SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0, False)
+
+
+def watching(rule, memory):
+    """An aircraft that watches by a rule; nothing but that and the memory counts for the futures."""
+    return Watcher(Craft(10.0, 50.0, 0.6, 0.5, 1.0), rule, 5.0, memory)
 
 
 def prompt(*known):
@@ -91,8 +96,8 @@ class Look:
     def _scene(self, target, present):
         s, wind = self.state, (self.wind.east_m_s, self.wind.north_m_s)
         here = s.time_s, LinePoint(s.east_m, s.north_m, s.course_rad, s.curvature_per_m), s.ground_speed_m_s
-        known = 5.0, self.craft, WISH, fresh_memory(self.side)
-        return scene_of(*here, target, *line_of(present), *wind, 0.4, 0.0, *known)
+        watcher = Watcher(self.craft, WISH, 5.0, fresh_memory(self.side))
+        return scene_of(*here, target, FlownPlan(*line_of(present), 0.0), wind, 0.4, watcher)
 
     def compiled(self, futures=None, kept=None):
         costs, motions, c = np.empty(MOVES), self.table.motions, self.table.configuration
@@ -100,8 +105,11 @@ class Look:
             self.scene,
             futures or going_straight(self.scene, motions),
             kernel.Looker(
-                *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
-                *(fresh_memory(self.side), kept or nothing_kept(), STRAIGHT, SHALLOW, no_seconds(), no_route()),
+                kernel.PlannerContext(
+                    Watcher(self.craft, WISH, 5.0, fresh_memory(self.side)),
+                    *(c.cost.terms, motions, STRAIGHT, kept or nothing_kept(), no_seconds(), no_route()),
+                ),
+                *(self.table.arrays, kernel.Prices(0.5, 1.0), SHALLOW),
             ),
             NOTHING_HIDDEN,
             costs,
@@ -172,7 +180,7 @@ def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
 
 def going_straight(scene, motions):
     """One future of a steady velocity, its first sample alone: it goes on indefinitely."""
-    every = winding(scene, motions, WISH, fresh_memory(1.0), STRAIGHT)
+    every = winding(scene, motions, watching(WISH, fresh_memory(1.0)), STRAIGHT)
     return Futures(*every[:2], *(np.ascontiguousarray(a[:, :1]) for a in every[2:]))
 
 
@@ -238,12 +246,11 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         for time_s in range(61):
             velocity = (0.0, 4.0) if time_s < 60 else (4.0, 0.0)
             target = prompt(float(time_s), 0.0, 4.0 * time_s, *velocity, np.diag([0.25, 0.09, 0.04, 0.04]))
-            here, known = (
-                LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
-                (5.0, craft_of(paper_aircraft), wish, memory),
-            )
-            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
-        future = winding(scene, motions, wish, memory, STRAIGHT)
+            here = LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0)
+            watcher = Watcher(craft_of(paper_aircraft), wish, 5.0, memory)
+            flown = FlownPlan(*line_of(present), 0.0)
+            scene = scene_of(float(time_s), here, 10.0, target, flown, (0.0, 0.0), 0.0, watcher)
+        future = winding(scene, motions, watching(wish, memory), STRAIGHT)
         seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
         ahead_s = np.arange(seen.size)
         wanted = np.arctan2(4.0 * np.minimum(ahead_s, 20.0), 4.0 * np.maximum(20.0 - ahead_s, 0.0))
@@ -264,8 +271,9 @@ def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share
         course = 0.15 * time_s
         speed = float(ground_speeds_m_s(np.array([course]), 10.0 * share, wind)[0])
         here = LinePoint(*present.circle.position_at_course(course), course, 1.0 / 60.0)
-        known = target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0, 5.0, craft, WISH, memory
-        found.append(scene_of(float(time_s), here, speed, *known).air.airspeed_m_s)
+        flown, watcher = FlownPlan(*line_of(present), 0.0), Watcher(craft, WISH, 5.0, memory)
+        scene = scene_of(float(time_s), here, speed, target, flown, (wind.east_m_s, wind.north_m_s), 0.0, watcher)
+        found.append(scene.air.airspeed_m_s)
     assert found[0] == 10.0
     assert found[-1] == pytest.approx(10.0 * given)
 
@@ -275,7 +283,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     look = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement))
     memory, turns = fresh_memory(1.0), TURNING
     memory.standing = False
-    futures = winding(look.scene, look.table.motions, WISH, memory, turns)
+    futures = winding(look.scene, look.table.motions, watching(WISH, memory), turns)
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
     course = np.unwrap(np.arctan2(futures.place[:, :, 2], futures.place[:, :, 3]), axis=1)
     np.testing.assert_allclose(np.degrees(course[:, -1] - course[:, 0]), [0.0, -30.0, 30.0], atol=2.0)
@@ -289,11 +297,11 @@ def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, pa
     for standing, stands, stays in ((1.0, True, True), (1.0, False, False), (0.0, True, False)):
         memory.standing = standing
         turns = TURNING._replace(stands=stands)
-        place = winding(look.scene, look.table.motions, WISH, memory, turns).place
+        place = winding(look.scene, look.table.motions, watching(WISH, memory), turns).place
         assert np.all(place == 0.0) == stays
     # A sector does not depend on whether the target stands: the memory holds its first value.
     sector = WISH._replace(fixed_course_rad=0.3)
-    assert np.any(winding(look.scene, look.table.motions, sector, fresh_memory(1.0), turns).place != 0.0)
+    assert np.any(winding(look.scene, look.table.motions, watching(sector, fresh_memory(1.0)), turns).place != 0.0)
 
 
 def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft, paper_requirement):
@@ -306,12 +314,11 @@ def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft,
             turned, past_m = divmod(4.0 * time_s, 200.0)
             north_m, speed_m_s = (past_m, 4.0) if turned % 2 == 0 else (200.0 - past_m, -4.0)
             target = prompt(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
-            here, known = (
-                LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0),
-                (5.0, craft_of(paper_aircraft), wish, memory),
-            )
-            scene = scene_of(float(time_s), here, 10.0, target, *line_of(present), 0.0, 0.0, 0.0, 0.0, *known)
-        futures = winding(scene, motions, wish, memory, turns)
+            here = LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0)
+            watcher = Watcher(craft_of(paper_aircraft), wish, 5.0, memory)
+            flown = FlownPlan(*line_of(present), 0.0)
+            scene = scene_of(float(time_s), here, 10.0, target, flown, (0.0, 0.0), 0.0, watcher)
+        futures = winding(scene, motions, watching(wish, memory), turns)
         straight, again = futures.place[0], futures.place[1]
         assert futures.weight.sum() == pytest.approx(1.0)
         assert futures.weight[1] >= 0.7
@@ -333,7 +340,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     for time_s in range(30):
         remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory, math.inf)
     memory.standing = False
-    futures = winding(scene, table.motions, wish, memory, TURNING)
+    futures = winding(scene, table.motions, watching(wish, memory), TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
     ahead, end = staying_ahead(scene, under_way)
     moved = moving_ahead(scene, look.craft, 20)
