@@ -463,7 +463,12 @@ def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s:
 
 @compiled
 def courses_made_good(
-    time_s: FloatArray, place_m: FloatArray, velocity_m_s: FloatArray, horizon_s: FloatArray, gap_max_s: float, memory: Record
+    time_s: FloatArray,
+    place_m: FloatArray,
+    velocity_m_s: FloatArray,
+    horizon_s: FloatArray,
+    gap_max_s: float,
+    memory: Record,
 ) -> FloatArray:
     """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`; memory: a fresh one."""
     exact, courses_rad = np.zeros((4, 4)), np.empty(time_s.size)
