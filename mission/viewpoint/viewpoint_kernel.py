@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from sidelong.estimators.compiled import Record, compiled, inlined, new_record, record_type
 from sidelong.mission.core.path import FloatArray
 
