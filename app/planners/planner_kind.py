@@ -115,7 +115,7 @@ class Predictive:
         """Compile the search, while another process compiles the forecast, which the search knows nothing of."""
         import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
 
-        from sidelong.mission.predictive.decision_kernel import commitment, look_deeper  # noqa: PLC0415
+        from sidelong.mission.predictive.decision_kernel import commitment, look_two_moves_ahead  # noqa: PLC0415
         from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
         from sidelong.mission.predictive.planner import (  # noqa: PLC0415
             PredictivePlanner,
@@ -128,16 +128,16 @@ class Predictive:
         configuration = table_configuration(aircraft, requirement, 0.0, self.settings())
         table = completed(configuration, np.zeros(configuration.shape, np.float32))
         planner = PredictivePlanner(aircraft, requirement, table, self.settings())
-        looker = planner.lookers[0]
-        scene = scene_at(*known, looker)
+        question = planner.questions[0]
+        scene = scene_at(*known, question)
         futures = winding(
             scene,
-            looker.context.motions,
-            looker.context.watcher,
-            looker.context.turns,
+            question.context.motions,
+            question.context.watcher,
+            question.context.turns,
         )
-        min_gain = commitment(scene, futures, looker)
-        look_deeper(scene, futures, looker, planner.sight_in(scene), min_gain, np.empty(MOVES))
+        min_gain = commitment(scene, futures, question)
+        look_two_moves_ahead(scene, futures, question, planner.sight_in(scene), min_gain, np.empty(MOVES))
 
     def settings(self) -> PredictiveSettings:
         """Return how it plans, but for what the configuration sets."""

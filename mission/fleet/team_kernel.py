@@ -32,20 +32,20 @@ from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ground_speed_m_s
 from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
 from sidelong.mission.predictive.decision_kernel import (
-    Looker,
+    Question,
     add_prices,
     along_route,
     alternatives,
     commitment,
     foresee,
-    look_deeper,
+    look_two_moves_ahead,
 )
 from sidelong.mission.predictive.moves_kernel import MOVES, ramp_on
 from sidelong.mission.predictive.rollout_kernel import (
     STEP_S,
-    Futures,
     Lines,
     Pose,
+    Scenarios,
     add_up,
     from_target,
     placed,
@@ -153,14 +153,14 @@ def off_side(across_m: float, blur_m: float) -> float:
 
 @compiled
 def wanted_value(
-    scene: Scene, f: Futures, looker: Looker, s: float, one: int, p: int, off: Pose, scratch: Scratch
+    scene: Scene, f: Scenarios, question: Question, s: float, one: int, p: int, off: Pose, scratch: Scratch
 ) -> float:
     """Return what an aircraft alone would pay on the wanted side, from a place relative to the target on.
 
     Args:
         scene: The scene of the decision.
-        f: Futures of the target.
-        looker: What is judged by.
+        f: Scenarios of the target.
+        question: What is judged by.
         s: 1 where the departure's frame is the wanted one, -1 where it is mirrored.
         one: The future.
         p: Its sample.
@@ -172,7 +172,7 @@ def wanted_value(
     sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
     vx, vy, air = f.place[one, p, 2], f.place[one, p, 3], scene.air
     which, shares, _ = classes_about(
-        looker.context.motions,
+        question.context.motions,
         s * (vx * cos_t - vy * sin_t),
         vx * sin_t + vy * cos_t,
         s * (air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t),
@@ -182,7 +182,7 @@ def wanted_value(
         classes[0, 0, c], share[0, 0, c] = which[c], shares[c]
     across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
     heading_rad = s * (heading_rad - f.course[one, p, 2])
-    table = looker.table
+    table = question.table
     value = table_value(table.values, table.cell_m, across_m, along_m, heading_rad, classes, share, 0, 0)
     classes[:], share[:] = 0, 0.0
     share[0, 0, 0] = 1.0
@@ -190,7 +190,9 @@ def wanted_value(
 
 
 @compiled
-def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, looker: Looker, team: Team) -> Cover:
+def cover_of(
+    scene: Scene, f: Scenarios, others: FloatArray, first_s: FloatArray, question: Question, team: Team
+) -> Cover:
     """Return what the others cover. others (m, 3, n): east, north, course every STEP_S from first_s (m,) on."""
     futures, turns, m = len(f.weight), len(team.turns_rad), len(others)
     off, now = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN), np.inf)
@@ -198,7 +200,7 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
     bearings, scratch = np.empty((futures, FORESEEN, m)), scratch_for(team)
     found = scratch.off_s
     s = scene.mirror * team.wanted
-    near_m, far_m = looker.context.terms.near_m, looker.context.terms.far_m
+    near_m, far_m = question.context.terms.near_m, question.context.terms.far_m
     n = others.shape[2]
     turned = np.empty((futures, f.course.shape[1], turns, 2))
     for one in range(futures):
@@ -224,7 +226,7 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
                 range_m = math.hypot(off_x, off_y)
                 if near_m - IN_BAND_M < range_m < far_m + IN_BAND_M:
                     off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
-                value = wanted_value(scene, f, looker, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
+                value = wanted_value(scene, f, question, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
                 now[one, k] = min(now[one, k], value)
                 off_after_turns(team, scene, s * off_x, off_y, turned[one, p], found)
                 for t in range(turns):
@@ -262,16 +264,16 @@ _QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 @compiled
 def _team_rate(
     scene: Scene,
-    f: Futures,
+    f: Scenarios,
     cover: Cover,
-    looker: Looker,
+    question: Question,
     team: Team,
     x_m: float,
     y_m: float,
     time_s: float,
 ) -> float:
     """Return the running cost at a place of the departure's frame, over all futures, without discount."""
-    c, d, s = looker.context.terms, scene.doubt, scene.mirror * team.wanted
+    c, d, s = question.context.terms, scene.doubt, scene.mirror * team.wanted
     k = min(int(time_s / STEP_S), FORESEEN - 1)
     total = 0.0
     for one in range(len(f.weight)):
@@ -291,7 +293,7 @@ def _team_rate(
 @compiled
 def _turn_cost(
     scene: Scene,
-    f: Futures,
+    f: Scenarios,
     cover: Cover,
     team: Team,
     x_m: float,
@@ -312,9 +314,9 @@ def _turn_cost(
 
 
 @compiled
-def _role_value(f: Futures, looker: Looker, x_m: float, y_m: float, heading_rad: float, time_s: float) -> float:
+def _role_value(f: Scenarios, question: Question, x_m: float, y_m: float, heading_rad: float, time_s: float) -> float:
     """Return what an aircraft alone would pay from a place of the departure's frame on, on the side of its role."""
-    table, total = looker.table, 0.0
+    table, total = question.table, 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
         sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
@@ -326,13 +328,13 @@ def _role_value(f: Futures, looker: Looker, x_m: float, y_m: float, heading_rad:
 
 
 @compiled
-def _way_back(scene: Scene, looker: Looker, range_m: float) -> float:
+def _way_back(scene: Scene, question: Question, range_m: float) -> float:
     """Return what the way back into the band costs.
 
     What the others see bounds what an end costs together: without this the shortest line would be the cheapest one
     outside the band, and an aircraft that got there would stay.
     """
-    c = looker.context.terms
+    c = question.context.terms
     outside_m = max(c.near_m - range_m, range_m - c.far_m) - IN_BAND_M
     if outside_m <= 0.0:
         return 0.0
@@ -340,13 +342,15 @@ def _way_back(scene: Scene, looker: Looker, range_m: float) -> float:
 
 
 @compiled
-def _continued(scene: Scene, looker: Looker, end: Pose, from_per_m: float, to_per_m: float, at: FloatArray) -> None:
+def _continued(
+    scene: Scene, question: Question, end: Pose, from_per_m: float, to_per_m: float, at: FloatArray
+) -> None:
     """Fill in the places (2, n) of flying on from the end of a line for 1..n seconds.
 
     The curvature changes from one to the other as fast as the aircraft rolls.
     """
     air, x_m, y_m, heading_rad, per_m = scene.air, end.x_m, end.y_m, end.heading_rad, from_per_m
-    ramp = ramp_on(heading_rad, air, looker.context.watcher.craft)
+    ramp = ramp_on(heading_rad, air, question.context.watcher.craft)
     for k in range(at.shape[1]):
         way_m = STEP_S * ground_speed_m_s(heading_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
         change = min(max(to_per_m - per_m, -ramp * way_m), ramp * way_m)
@@ -358,19 +362,25 @@ def _continued(scene: Scene, looker: Looker, end: Pose, from_per_m: float, to_pe
 
 @compiled
 def _edges_after(
-    scene: Scene, f: Futures, looker: Looker, end: Pose, time_s: float, curvature_per_m: float, places: FloatArray
+    scene: Scene,
+    f: Scenarios,
+    question: Question,
+    end: Pose,
+    time_s: float,
+    curvature_per_m: float,
+    places: FloatArray,
 ) -> float:
     """Return what the edges of the band cost after the end of a line, on the cheapest continuation of each future.
 
     The aircraft stays on the circle, flies straight on, or turns as tightly as it can, either way. places: room.
     """
-    c, d, total, tight_per_m, made = looker.context.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m, 0
+    c, d, total, tight_per_m, made = question.context.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m, 0
     to_per_m = (curvature_per_m, 0.0, -tight_per_m, tight_per_m)
     for one in range(len(f.weight)):
         cheapest = np.inf
         for e in range(len(places)):
             if e == made:  # the circle alone nearly always costs nothing
-                _continued(scene, looker, end, curvature_per_m, to_per_m[e], places[e])
+                _continued(scene, question, end, curvature_per_m, to_per_m[e], places[e])
                 made += 1
             cost = 0.0
             for k in range(_CONTINUED):
@@ -391,9 +401,9 @@ def _edges_after(
 @compiled
 def _end_value(
     scene: Scene,
-    f: Futures,
+    f: Scenarios,
     cover: Cover,
-    looker: Looker,
+    question: Question,
     team: Team,
     end: Pose,
     time_s: float,
@@ -408,24 +418,24 @@ def _end_value(
     k, s, total, back = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        value = wanted_value(scene, f, looker, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
+        value = wanted_value(scene, f, question, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
         total += f.weight[one] * min(value, cover.now[one, k])
-        back += f.weight[one] * _way_back(scene, looker, math.hypot(off_x, off_y))
+        back += f.weight[one] * _way_back(scene, question, math.hypot(off_x, off_y))
     turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, scratch.off_s)
     return (
         total
         + _TAIL_S * team.opposite * gap
-        + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
-        + _CIRCLING_S / looker.table.mean_leg_s * turn
+        + team.alone_end * _role_value(f, question, x_m, y_m, heading_rad, time_s)
+        + _CIRCLING_S / question.table.mean_leg_s * turn
         + back
-        + _edges_after(scene, f, looker, end, time_s, curvature_per_m, scratch.places)
+        + _edges_after(scene, f, question, end, time_s, curvature_per_m, scratch.places)
     )
 
 
 @compiled
 def _circling_cost(
     scene: Scene,
-    f: Futures,
+    f: Scenarios,
     cover: Cover,
     team: Team,
     end: Pose,
@@ -457,9 +467,9 @@ def team_lines_costs(
     lines: Lines,
     start: Pose,
     scene: Scene,
-    f: Futures,
+    f: Scenarios,
     cover: Cover,
-    looker: Looker,
+    question: Question,
     team: Team,
     end_per_m: float,
     costs: FloatArray,
@@ -468,53 +478,55 @@ def team_lines_costs(
 
     end_per_m: the curvature of the circles that they end in.
     """
-    time_s, weight, hazard_per_s = lines.time_s, lines.weight, 1.0 / looker.table.mean_leg_s
+    time_s, weight, hazard_per_s = lines.time_s, lines.weight, 1.0 / question.table.mean_leg_s
     n, lines_count = len(time_s), len(lines.trunk)
     x, y = placed(lines, start)
     heading_rad = start.heading_rad + lines.turned_rad
     scratch = scratch_for(team)
     rates, turn_rates, ends = np.empty(n), np.empty(n), np.empty(lines_count)
     for s in range(n):
-        rates[s] = weight[s] * _team_rate(scene, f, cover, looker, team, x[s], y[s], time_s[s])
+        rates[s] = weight[s] * _team_rate(scene, f, cover, question, team, x[s], y[s], time_s[s])
     for s in turn_samples(lines):
         turn = _turn_cost(scene, f, cover, team, x[s], y[s], time_s[s], scratch.off_s)
         turn_rates[s] = hazard_per_s * weight[s] * turn
     for i in range(lines_count):
         s = lines.own_first[i + 1] - 1
         end = Pose(x[s], y[s], heading_rad[s])
-        ends[i] = weight[s] * _end_value(scene, f, cover, looker, team, end, time_s[s], end_per_m, scratch)
+        ends[i] = weight[s] * _end_value(scene, f, cover, question, team, end, time_s[s], end_per_m, scratch)
     costs[:lines_count] = 0.0
     add_up(lines, rates, turn_rates, ends, 1.0, costs)
 
 
 @compiled
-def team_look_ahead(scene: Scene, f: Futures, cover: Cover, looker: Looker, team: Team, costs: FloatArray) -> float:
+def team_look_ahead(
+    scene: Scene, f: Scenarios, cover: Cover, question: Question, team: Team, costs: FloatArray
+) -> float:
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
     # No other plan departs before it was uploaded: until then the circle is flown that a line ends in. Whole seconds,
     # because lines of the same length are kept.
     beyond_m = scene.air.airspeed_m_s * math.ceil(max(scene.latency_s - _QUICK_S, 0.0))
-    among, prices = alternatives(scene, looker, beyond_m), looker.prices
+    among, prices = alternatives(scene, question, beyond_m), question.prices
     stay_costs = np.empty(len(among.stays.trunk))
     stay_per_m = scene.mirror / scene.circle.radius_m
-    team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, 1.0 / scene.radius_m, costs)
-    team_lines_costs(among.stays, among.stays_start, scene, f, cover, looker, team, stay_per_m, stay_costs)
+    team_lines_costs(among.moves, among.start, scene, f, cover, question, team, 1.0 / scene.radius_m, costs)
+    team_lines_costs(among.stays, among.stays_start, scene, f, cover, question, team, stay_per_m, stay_costs)
     add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
     return least(stay_costs)
 
 
 @compiled
-def role_value(scene: Scene, looker: Looker) -> float:
+def role_value(scene: Scene, question: Question) -> float:
     """Return what an aircraft would pay alone, from its next departure on, on the side of the memory."""
-    turns, routed = looker.context.turns, len(looker.context.foresight.way.points) > 0
+    turns, routed = question.context.turns, len(question.context.route.way.points) > 0
     if not routed:  # only the first future counts
         turns = Turns(turns.rate_rad_s[:1], turns.fades_s, turns.stands)
-    every = winding(scene, looker.context.motions, looker.context.watcher, turns)
+    every = winding(scene, question.context.motions, question.context.watcher, turns)
     if routed:
-        every, _ = along_route(scene, looker, every)
+        every, _ = along_route(scene, question, every)
     f = first_of(every, 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
-    return _role_value(f, looker, x_m, y_m, heading_rad, 0.0)
+    return _role_value(f, question, x_m, y_m, heading_rad, 0.0)
 
 
 @compiled
@@ -522,7 +534,7 @@ def team_decide(
     scene: Scene,
     others: FloatArray,
     first_s: FloatArray,
-    looker: Looker,
+    question: Question,
     team: Team,
     sight: Sight,
     costs: FloatArray,
@@ -531,22 +543,22 @@ def team_decide(
 
     others, first_s: see :func:`cover_of`.
     """
-    foreseen, judged_by = foresee(scene, looker)
+    foreseen, answered_by = foresee(scene, question)
     every = foreseen
-    if len(looker.context.foresight.way.points) > 0:  # without the layers of time
+    if len(question.context.route.way.points) > 0:  # without the layers of time
         every = winding(
             scene,
-            looker.context.motions,
-            looker.context.watcher,
-            looker.context.turns,
+            question.context.motions,
+            question.context.watcher,
+            question.context.turns,
         )
-        every, _ = along_route(scene, looker, every)
+        every, _ = along_route(scene, question, every)
     f = first_of(every, 1)
-    cover = cover_of(scene, f, others, first_s, looker, team)
-    stay_cost = team_look_ahead(scene, f, cover, looker, team, costs)
+    cover = cover_of(scene, f, others, first_s, question, team)
+    stay_cost = team_look_ahead(scene, f, cover, question, team, costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)
-        alone_stay = look_deeper(scene, foreseen, judged_by, sight, 0.0, alone)
+        alone_stay = look_two_moves_ahead(scene, foreseen, answered_by, sight, 0.0, alone)
         for i in range(MOVES):
             costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
-    return stay_cost, stay_cost - team.price * commitment(scene, f, looker)
+    return stay_cost, stay_cost - team.price * commitment(scene, f, question)

@@ -21,7 +21,7 @@ from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.team_kernel import Team
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
-from sidelong.mission.predictive.decision_kernel import Looker
+from sidelong.mission.predictive.decision_kernel import Question
 from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.planner import (
     PRICE_SHARE,
@@ -117,7 +117,7 @@ class TeamPlanner:
             self._advice = news
             held = 1.0 if news.side is Side.LEFT else -1.0
             self._wanted = -held if news.role is Role.OPPOSITE else held
-            self._alone.lookers[0].context.watcher.memory.side = held  # of all lookers
+            self._alone.questions[0].context.watcher.memory.side = held  # of all questions
             if news.course_rad is not None:
                 self.presume(news.course_rad)
 
@@ -127,7 +127,7 @@ class TeamPlanner:
         Args:
             course_rad: Course of the target, rad.
         """
-        self._alone.lookers[0].context.watcher.memory.presumed_course_rad = course_rad  # of all lookers
+        self._alone.questions[0].context.watcher.memory.presumed_course_rad = course_rad  # of all questions
 
     def follow(self, route: Route | None, progress: Progress) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
@@ -150,13 +150,13 @@ class TeamPlanner:
             wind: Estimate of the wind.
             latency_s: Time until a new plan can depart, s.
         """
-        looker, team = self._for(wind)
-        held, found = looker.context.watcher.memory.side, []
+        question, team = self._for(wind)
+        held, found = question.context.watcher.memory.side, []
         for side in (team.wanted, -team.wanted):
-            looker.context.watcher.memory.side = side
-            scene = scene_at(aircraft, target, present, wind, latency_s, looker)
-            found.append(kernel.role_value(scene, looker))
-        looker.context.watcher.memory.side = held
+            question.context.watcher.memory.side = side
+            scene = scene_at(aircraft, target, present, wind, latency_s, question)
+            found.append(kernel.role_value(scene, question))
+        question.context.watcher.memory.side = held
         return RoleCosts(*found)
 
     def decide(
@@ -168,21 +168,21 @@ class TeamPlanner:
         lost = target.quality is TrackQuality.LOST or unseen_s > self._alone.settings.lost_after_s
         if not others or lost or wind.speed_m_s >= self._alone.aircraft.airspeed_m_s:
             return self._alone.decide(aircraft, target, present, wind, latency_s)
-        looker, team = self._for(wind)
+        question, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
             team = next_to_standing(team)
-        scene, costs = scene_at(aircraft, target, present, wind, latency_s, looker), np.empty(MOVES)
+        scene, costs = scene_at(aircraft, target, present, wind, latency_s, question), np.empty(MOVES)
         stay_cost, bar = kernel.team_decide(
             scene,
             np.stack([self._predicted(one, wind) for one in others]),
             np.array([one.state.time_s for one in others]),
-            looker,
+            question,
             team,
             self._alone.sight_in(scene),
             costs,
         )
         values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}
-        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._alone.check)
+        move, plan, broken = cheapest_allowed(scene, question, costs, bar, self._alone.check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
             reason = f"moving {moved}: better alongside {_names(others)}"
@@ -190,11 +190,13 @@ class TeamPlanner:
         reason = f"staying: {broken}" if broken else f"staying alongside {_names(others)}"
         return Decision(aircraft.time_s, None, reason, values)
 
-    def _for(self, wind: Wind) -> tuple[Looker, Team]:
+    def _for(self, wind: Wind) -> tuple[Question, Team]:
         """Return what to decide with in this wind."""
-        lookers = self._alone.lookers
-        k = min(range(len(lookers)), key=lambda i: abs(lookers[i].context.motions.wind_speed_m_s - wind.speed_m_s))
-        return lookers[k], self._teams[k]._replace(wanted=self._wanted)
+        questions = self._alone.questions
+        k = min(
+            range(len(questions)), key=lambda i: abs(questions[i].context.motions.wind_speed_m_s - wind.speed_m_s)
+        )
+        return questions[k], self._teams[k]._replace(wanted=self._wanted)
 
     def _others(self, time_s: float) -> list[Neighbour]:
         """Return who else watches the same target and is to be counted on."""

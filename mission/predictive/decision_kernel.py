@@ -1,7 +1,7 @@
 """The decision of :mod:`mission.predictive.planner`: what staying and each move cost, and which move is taken.
 
-On a known route one more future follows it, and the value table has layers of time. Futures in which the target turns
-keep a fifth of the probability at least: a route does not exclude that the target leaves it.
+On a known route one more scenario follows it, and the value table has layers of time. Scenarios in which the target
+turns keep a fifth of the probability at least: a route does not exclude that the target leaves it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sidelong.mission.geometry.line_kernel import ARC, Craft, crab_rad, line_at,
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, blind_rate, fading_per_s, least
 from sidelong.mission.predictive.foresight_kernel import (
     HEADINGS,
-    Foresight,
+    RouteValues,
     course_index,
     fill_layers,
     layer_s,
@@ -28,7 +28,7 @@ from sidelong.mission.predictive.foresight_kernel import (
 from sidelong.mission.predictive.moves_kernel import (
     EIGHTS,
     MOVES,
-    Kept,
+    LineCache,
     eights_from,
     lines_from,
     move_line,
@@ -37,10 +37,10 @@ from sidelong.mission.predictive.moves_kernel import (
 )
 from sidelong.mission.predictive.rollout_kernel import (
     STEP_S,
-    Futures,
     Lines,
     Pose,
     Sampling,
+    Scenarios,
     WatchFrame,
     add_sight,
     lines_costs,
@@ -62,13 +62,13 @@ from sidelong.mission.predictive.second_kernel import (
     MOVE_BRANCHES,
     STAY_BRANCHES,
     Second,
-    Seconds,
+    SecondMoves,
     deep_cost,
-    foretold_of,
-    lay_out_seconds,
+    lay_out_second_moves,
     moving_ahead,
-    room_for,
+    scenario_rows,
     staying_ahead,
+    workspace_for,
 )
 from sidelong.mission.route.progress_kernel import forecast, update_progress
 
@@ -80,7 +80,7 @@ MIN_MOVE = 0.4  # of the radius: the length of a transition
 NEARLY_FLOWN_S = 0.2
 
 
-class Prices(NamedTuple):
+class SwitchingCosts(NamedTuple):
     """In seconds off side: of leaving the circle, of changing a plan under way, and of one younger than commit_s.
 
     A young plan that leads out of the cost's band within threat_s in a likely future has no price.
@@ -93,7 +93,7 @@ class Prices(NamedTuple):
     threat_s: float = 0.0
 
 
-class Depth(NamedTuple):
+class LookaheadDepth(NamedTuple):
     """How deep to look: number of the best moves, 0 for none, over horizon_s at least.
 
     min_values (classes,), min_after_turn: the least that the table says, by which lines are passed over.
@@ -115,27 +115,34 @@ class PlannerContext(NamedTuple):
         terms: running cost.
         motions: arrangement of the value table's classes.
         turns: how the target may turn.
-        kept: cache of lines, which changes.
-        seconds: second moves, laid out for one circle and airspeed; they change.
-        foresight: the target's route.
+        line_cache: lines of earlier decisions, which change.
+        second_moves: laid out for one circle and airspeed; they change.
+        route: the target's route, and the value table along it.
     """
 
     watcher: Watcher
     terms: CostTerms
     motions: Motions
     turns: Turns
-    kept: Kept
-    seconds: Seconds
-    foresight: Foresight
+    line_cache: LineCache
+    second_moves: SecondMoves
+    route: RouteValues
 
 
-class Looker(NamedTuple):
-    """A context with the value table to judge by, and the prices and the depth that go with it."""
+class Question(NamedTuple):
+    """What a decision answers.
+
+    Attributes:
+        context: what the planner decides with.
+        table: value table.
+        prices: switching costs that go with the table.
+        depth: how far the two-stage lookahead goes.
+    """
 
     context: PlannerContext
     table: Table
-    prices: Prices
-    depth: Depth
+    prices: SwitchingCosts
+    depth: LookaheadDepth
 
 
 class Alternatives(NamedTuple):
@@ -152,9 +159,9 @@ class Alternatives(NamedTuple):
 
 
 @compiled
-def choices(looker: Looker) -> int:
+def choices(question: Question) -> int:
     """Return the number of moves to choose among: figures of eight are for a gimbal that cannot pan all around."""
-    return MOVES + EIGHTS if looker.context.terms.blind > 0.0 else MOVES
+    return MOVES + EIGHTS if question.context.terms.blind > 0.0 else MOVES
 
 
 @compiled
@@ -181,7 +188,7 @@ def doubtful(scene: Scene, motions: Motions) -> bool:
 
 
 @compiled
-def likely(futures: Futures) -> Futures:
+def likely(futures: Scenarios) -> Scenarios:
     """Return the target's course alone, and the repetition of its path where that is more probable."""
     repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
     return first_of(futures, 2 if repeats else 1)
@@ -196,10 +203,10 @@ def left_m(scene: Scene) -> float:
 
 
 @compiled
-def alternatives(scene: Scene, looker: Looker, beyond_m: float) -> Alternatives:
+def alternatives(scene: Scene, question: Question, beyond_m: float) -> Alternatives:
     """Return what to choose among; each line is followed beyond_m further than its end."""
-    kept, craft, air = looker.context.kept, looker.context.watcher.craft, scene.air
-    rate_per_s = fading_per_s(looker.table)
+    kept, craft, air = question.context.line_cache, question.context.watcher.craft, scene.air
+    rate_per_s = fading_per_s(question.table)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     start, start_per_m = Pose(x_m, y_m, heading_rad), scene.mirror * scene.start.curvature_per_m
@@ -229,13 +236,13 @@ def add_prices(among: Alternatives, radius_m: float, leave: float, change: float
 
 
 @compiled
-def look_ahead(scene: Scene, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray) -> float:
+def look_ahead(scene: Scene, futures: Scenarios, question: Question, sight: Sight, costs: FloatArray) -> float:
     """Fill in what each move costs (choices,), its price included, and return what going on as planned costs."""
-    table, prices, radius_m = looker.table, looker.prices, scene.radius_m
-    terms = looker.context.terms
+    table, prices, radius_m = question.table, question.prices, scene.radius_m
+    terms = question.context.terms
     # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
-    beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, looker.context.motions) else 0.0
-    among = alternatives(scene, looker, beyond_m)
+    beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, question.context.motions) else 0.0
+    among = alternatives(scene, question, beyond_m)
     stay_costs = np.empty(len(among.stays.trunk))
     view = WatchFrame(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
     lap_s, rate_per_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s, fading_per_s(table)
@@ -246,7 +253,7 @@ def look_ahead(scene: Scene, futures: Futures, looker: Looker, sight: Sight, cos
     add_prices(among, radius_m, prices.leave, prices.change, costs)
     if len(costs) > MOVES:
         ramp, start_per_m = (
-            ramp_anywhere(scene.air, looker.context.watcher.craft),
+            ramp_anywhere(scene.air, question.context.watcher.craft),
             scene.mirror * scene.start.curvature_per_m,
         )
         sampling = Sampling(beyond_m, among.start.heading_rad, scene.air, rate_per_s)
@@ -258,21 +265,21 @@ def look_ahead(scene: Scene, futures: Futures, looker: Looker, sight: Sight, cos
 
 
 @compiled
-def lay_out(looker: Looker, radius_m: float, airspeed_m_s: float, wind_m_s: float) -> None:
+def lay_out(question: Question, radius_m: float, airspeed_m_s: float, wind_m_s: float) -> None:
     """Have the second moves at hand for a circle, an airspeed and a wind: the first time takes half a millisecond."""
     # A wind of a whole step stays of that step, however its direction was rounded.
     steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
     fastest_m_s = airspeed_m_s + steps * _WIND_STEP_M_S
-    ramp = sharpness_per_m2(fastest_m_s, looker.context.watcher.craft)
-    turn_m = turn_radius_m(radius_m, fastest_m_s, looker.context.watcher.craft)
-    lay_out_seconds(looker.context.seconds, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
+    ramp = sharpness_per_m2(fastest_m_s, question.context.watcher.craft)
+    turn_m = turn_radius_m(radius_m, fastest_m_s, question.context.watcher.craft)
+    lay_out_second_moves(question.context.second_moves, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
 
 
 @compiled
-def look_deeper(
+def look_two_moves_ahead(
     scene: Scene,
-    futures: Futures,
-    looker: Looker,
+    futures: Scenarios,
+    question: Question,
     sight: Sight,
     min_gain: float,
     costs: FloatArray,
@@ -285,26 +292,28 @@ def look_deeper(
     that.
     """
     # Turns that the target may begin only matter with a second move.
-    seen = futures if looker.depth.every_future else likely(futures)
-    stay_cost = look_ahead(scene, seen, looker, sight, costs)
-    depth, prices, air = looker.depth, looker.prices, scene.air
-    if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, looker.context.motions):
+    seen = futures if question.depth.every_future else likely(futures)
+    stay_cost = look_ahead(scene, seen, question, sight, costs)
+    depth, prices, air = question.depth, question.prices, scene.air
+    if depth.beam == 0 or len(costs) > MOVES or len(sight.needed_m) > 0 or doubtful(scene, question.context.motions):
         return stay_cost
     under_way = left_m(scene) > 0.0
     price = prices.change if under_way else prices.leave
-    if least(costs) - price > stay_cost and not leaves(scene, futures, looker, looker.context.terms.near_m, np.inf):
+    if least(costs) - price > stay_cost and not leaves(
+        scene, futures, question, question.context.terms.near_m, np.inf
+    ):
         return stay_cost
     second = Second(
-        foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),
-        looker.context.terms,
-        looker.table,
-        looker.context.seconds,
+        scenario_rows(futures, scene.doubt, question.table, depth.min_values, depth.min_after_turn),
+        question.context.terms,
+        question.table,
+        question.context.second_moves,
         prices.leave,
         prices.change,
         depth.horizon_s,
-        room_for(futures, air),
+        workspace_for(futures, air),
     )
-    lay_out(looker, scene.radius_m, air.airspeed_m_s, math.hypot(air.wind_x_m_s, air.wind_y_m_s))
+    lay_out(question, scene.radius_m, air.airspeed_m_s, math.hypot(air.wind_x_m_s, air.wind_y_m_s))
     ahead, end = staying_ahead(scene, under_way)
     stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second, np.inf)
     order = np.argsort(costs, kind="mergesort")
@@ -313,16 +322,16 @@ def look_deeper(
         if i >= depth.beam:
             costs[move] = np.inf
         elif costs[move] < np.inf:
-            ahead, end = moving_ahead(scene, looker.context.watcher.craft, move)
+            ahead, end = moving_ahead(scene, question.context.watcher.craft, move)
             costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price - min_gain)
     return stay_cost
 
 
 @compiled
-def leaves(scene: Scene, futures: Futures, looker: Looker, near_m: float, far_m: float) -> bool:
+def leaves(scene: Scene, futures: Scenarios, question: Question, near_m: float, far_m: float) -> bool:
     """Return whether the present plan leads out of a band, or beyond the pan limits, within threat_s in a future."""
-    place, air, terms = futures.place, scene.air, looker.context.terms
-    ahead, time_s = flown_on(scene, looker.prices.threat_s * scene.air.airspeed_m_s)
+    place, air, terms = futures.place, scene.air, question.context.terms
+    ahead, time_s = flown_on(scene, question.prices.threat_s * scene.air.airspeed_m_s)
     for k in range(len(time_s)):
         i = min(int(time_s[k] / STEP_S + 0.5), place.shape[1] - 1)
         for one in range(len(place)):
@@ -338,16 +347,16 @@ def leaves(scene: Scene, futures: Futures, looker: Looker, near_m: float, far_m:
 
 
 @compiled
-def commitment(scene: Scene, futures: Futures, looker: Looker) -> float:
+def commitment(scene: Scene, futures: Scenarios, question: Question) -> float:
     """Return what a new plan must gain beyond its price because the present one departed only just now.
 
     Nothing where the present one leads out of the band, or beyond the pan limits, in a likely future: for others it
     is not given up so early.
     """
-    prices, terms = looker.prices, looker.context.terms
+    prices, terms = question.prices, question.context.terms
     if scene.line.shape[1] == 0 or scene.age_s >= prices.commit_s:
         return 0.0
-    return 0.0 if leaves(scene, likely(futures), looker, terms.near_m, terms.far_m) else prices.commit
+    return 0.0 if leaves(scene, likely(futures), question, terms.near_m, terms.far_m) else prices.commit
 
 
 @compiled
@@ -368,15 +377,15 @@ _PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are ne
 
 
 @compiled
-def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, bool]:
+def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Scenarios, bool]:
     """Return futures of which the first follows the route, and True; the same and False off the route, or of no use.
 
     The route replaces the future along the target's path history.
     """
-    way, progress = looker.context.foresight.way, looker.context.foresight.progress.state
+    way, progress = question.context.route.way, question.context.route.progress.state
     if len(way.points) == 0 or not progress.on_route or not progress.of_use:
         return every, False
-    chance, turns, k = _TRUST * progress.chance, len(looker.context.turns.rate_rad_s), every.place.shape[1]
+    chance, turns, k = _TRUST * progress.chance, len(question.context.turns.rate_rad_s), every.place.shape[1]
     if chance < _LEAST_TRUST:
         return every, False
     weight, place = np.full(turns + 1, (1.0 - chance) / turns), np.empty((turns + 1, k, 4))
@@ -390,11 +399,11 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, 
     for i in range(k):
         place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
         place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-    moving = not looker.context.watcher.memory.standing
+    moving = not question.context.watcher.memory.standing
     return watched(
         scene,
-        looker.context.motions,
-        looker.context.watcher,
+        question.context.motions,
+        question.context.watcher,
         moving,
         weight,
         place,
@@ -402,9 +411,9 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, 
 
 
 @compiled
-def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) -> None:
+def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Question) -> None:
     """Compute the values after a turn for the courses that the route takes, and for this wind, unless they are."""
-    s, motions, table = looker.context.foresight, looker.context.motions, looker.table
+    s, motions, table = question.context.route, question.context.motions, question.table
     wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
     wind_rad = math.atan2(scene.air.wind_x_m_s, scene.air.wind_y_m_s) - turn_rad if wind_m_s > 0.0 else 0.0
     changed_rad = wind_rad - s.state.wind_rad
@@ -433,37 +442,37 @@ def _fill_after_turn(f: Futures, turn_rad: float, scene: Scene, looker: Looker) 
 
 
 @compiled
-def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
-    """Return what the target may do, and the looker to judge it by.
+def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
+    """Return what the target may do, and the question to answer with it.
 
     Processes the target's estimate: call it once for each, in order of time.
     """
     every, s, table = (
         winding(
             scene,
-            looker.context.motions,
-            looker.context.watcher,
-            looker.context.turns,
+            question.context.motions,
+            question.context.watcher,
+            question.context.turns,
         ),
-        looker.context.foresight,
-        looker.table,
+        question.context.route,
+        question.table,
     )
     if len(s.way.points) == 0:
-        return every, looker
+        return every, question
     update_progress(s.way, scene.target, s.progress)
-    f, on_route = along_route(scene, looker, every)
+    f, on_route = along_route(scene, question, every)
     part, state = s.progress.state.part, s.state
     if not on_route:
         state.computed_s = -np.inf
-        return f, looker
-    p = looker.prices
-    prices = Prices(_PRICE_SHARE * p.leave, _PRICE_SHARE * p.change, p.commit, p.commit_s, p.threat_s)
+        return f, question
+    p = question.prices
+    prices = SwitchingCosts(_PRICE_SHARE * p.leave, _PRICE_SHARE * p.change, p.commit, p.commit_s, p.threat_s)
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
     layers, dt_s = len(s.values) - count, layer_s(scene.air.airspeed_m_s, scene.radius_m)
     since_s = scene.departure_s - state.computed_s
     if not 0.0 <= since_s <= _RENEW_S or state.mirror != scene.mirror or state.part != part:
-        _fill_after_turn(f, turn_rad, scene, looker)
-        terms = looker.context.terms
+        _fill_after_turn(f, turn_rad, scene, question)
+        terms = question.context.terms
         fill_layers(f, _ROUTE, turn_rad, scene, terms, table, prices.leave, prices.change, s)
         least_of(s.values[count:], s.least[count:])
         state.computed_s, state.mirror, state.part, since_s = scene.departure_s, scene.mirror, part, 0.0
@@ -480,29 +489,31 @@ def foresee(scene: Scene, looker: Looker) -> tuple[Futures, Looker]:
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
     timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
     # Figures of eight have no second look, and the route alone would lead too near to a target that leaves it.
-    every_future = looker.context.terms.blind > 0.0
-    depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn, every_future)
-    return f, Looker(looker.context, timed, prices, depth)
+    every_future = question.context.terms.blind > 0.0
+    depth = LookaheadDepth(
+        question.depth.beam, question.depth.horizon_s, s.least, question.depth.min_after_turn, every_future
+    )
+    return f, Question(question.context, timed, prices, depth)
 
 
 @compiled
-def weigh(scene: Scene, looker: Looker, sight: Sight) -> tuple[float, float, FloatArray]:
+def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float, FloatArray]:
     """Return what staying costs, what a move must gain beyond its price, and what each move costs (choices,).
 
     Processes the target's estimate, as :func:`foresee` does.
     """
-    futures, judged_by = foresee(scene, looker)
-    min_gain, costs = commitment(scene, futures, judged_by), np.empty(choices(looker))
-    return look_deeper(scene, futures, judged_by, sight, min_gain, costs), min_gain, costs
+    futures, answered_by = foresee(scene, question)
+    min_gain, costs = commitment(scene, futures, answered_by), np.empty(choices(question))
+    return look_two_moves_ahead(scene, futures, answered_by, sight, min_gain, costs), min_gain, costs
 
 
 @compiled
-def decide(scene: Scene, looker: Looker) -> tuple[float, float, FloatArray]:
+def decide(scene: Scene, question: Question) -> tuple[float, float, FloatArray]:
     """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
 
     The ground hides nothing.
     """
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    stay_cost, min_gain, costs = weigh(scene, looker, flat)
-    line = best_line(scene, looker.context.watcher.craft, costs, stay_cost - min_gain)
+    stay_cost, min_gain, costs = weigh(scene, question, flat)
+    line = best_line(scene, question.context.watcher.craft, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line

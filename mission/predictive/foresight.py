@@ -17,25 +17,25 @@ from sidelong.mission.predictive.foresight_kernel import (
     HORIZON_S,
     LAYERS,
     SIZE,
-    Foresight,
+    RouteValues,
     layer_s,
     resample,
 )
 from sidelong.mission.predictive.value_table import TableConfiguration
 from sidelong.mission.route.progress import way_of
-from sidelong.mission.route.progress_kernel import Progress, Way, fresh_progress
+from sidelong.mission.route.progress_kernel import Progress, RouteArrays, fresh_progress
 from sidelong.mission.route.route import Route
 
 _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 
 
-def no_route() -> Foresight:
+def no_route_values() -> RouteValues:
     """Return what a planner without a route looks ahead with."""
-    way = Way(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
-    return Foresight(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), new_record(LAYERS))
+    way = RouteArrays(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
+    return RouteValues(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), new_record(LAYERS))
 
 
-def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: Progress) -> Foresight:
+def route_values(route: Route, own: Table, c: TableConfiguration, progress: Progress) -> RouteValues:
     """Return room for the layers along a route, and the table's classes on their grid.
 
     Args:
@@ -57,4 +57,4 @@ def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: P
     least = values.min(axis=(1, 2, 3)).astype(np.float64)
     state = new_record(LAYERS)
     state.computed_s = -np.inf
-    return Foresight(way_of(route), progress, values, after_turn, cell_m, least, state)
+    return RouteValues(way_of(route), progress, values, after_turn, cell_m, least, state)

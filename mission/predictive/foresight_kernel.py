@@ -31,9 +31,9 @@ from sidelong.mission.predictive.cost_kernel import (
     cost_rate,
     table_value,
 )
-from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures
+from sidelong.mission.predictive.rollout_kernel import Air, Scenarios, Uncertainty
 from sidelong.mission.predictive.scene_kernel import Scene
-from sidelong.mission.route.progress_kernel import Progress, Way
+from sidelong.mission.route.progress_kernel import Progress, RouteArrays
 
 FloatRow = npt.NDArray[np.float32]
 
@@ -53,14 +53,14 @@ LAYERS = record_type(
 )
 
 
-class Foresight(NamedTuple):
+class RouteValues(NamedTuple):
     """A route and the layers of the value table along it; without points, no route.
 
     values: classes of the value table on the program's grid, then the layers. after_turn: the same classes, then one
     for each of HEADINGS courses. least (classes + layers,): of ``values``. state: a record of ``LAYERS``.
     """
 
-    way: Way
+    way: RouteArrays
     progress: Progress
     values: Float32
     after_turn: Float32
@@ -76,7 +76,7 @@ def layer_s(airspeed_m_s: float, radius_m: float) -> float:
 
 
 @inlined
-def course_index(f: Futures, one: int, k: int, turn_rad: float) -> int:
+def course_index(f: Scenarios, one: int, k: int, turn_rad: float) -> int:
     """Return which of HEADINGS directions of the plane the target moves in at a sample; turn_rad: of the plane."""
     motion_rad = math.atan2(f.place[one, k, 2], f.place[one, k, 3])
     return round((motion_rad - turn_rad) / (2.0 * math.pi) * HEADINGS) % HEADINGS
@@ -121,13 +121,13 @@ def resample(
 
 @compiled
 def _fill_rates(
-    f: Futures,
+    f: Scenarios,
     one: int,
     k: int,
     since_s: float,
     turn_rad: float,
     cell_m: float,
-    d: Doubt,
+    d: Uncertainty,
     c: CostTerms,
     found: Float32,
 ) -> None:
@@ -229,7 +229,7 @@ def _extend_edges(padded: Float32) -> None:
 
 @compiled
 def fill_layers(
-    f: Futures,
+    f: Scenarios,
     one: int,
     turn_rad: float,
     scene: Scene,
@@ -237,12 +237,12 @@ def fill_layers(
     table: Table,
     leave: float,
     change: float,
-    s: Foresight,
+    s: RouteValues,
 ) -> None:
     """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on.
 
     Args:
-        f: Futures of the target in the frame of the decision.
+        f: Scenarios of the target in the frame of the decision.
         one: The future to follow.
         turn_rad: Angle of the (mirrored) plane's north in that frame.
         scene: The scene of the decision.

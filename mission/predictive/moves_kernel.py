@@ -127,7 +127,7 @@ MOVES = HOLD_CURVATURES.size * HOLD_LENGTHS.size + 1
 _SLOTS, _SAMPLES_MAX = 12, 4096
 
 
-class Kept(NamedTuple):
+class LineCache(NamedTuple):
     """Sets of lines for still air, as many as there are slots, by what they depend on.
 
     used (slots + 1,): when each was asked for last, then the clock. Arrays (slots, ...) of the fields of Lines.
@@ -144,9 +144,9 @@ class Kept(NamedTuple):
     end_m: FloatArray
 
 
-def nothing_kept() -> Kept:
+def new_line_cache() -> LineCache:
     """Return empty slots."""
-    return Kept(
+    return LineCache(
         np.zeros((_SLOTS, 7)),
         np.zeros(_SLOTS + 1, np.int64),
         np.zeros(_SLOTS, np.int64),
@@ -223,7 +223,7 @@ def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling
 
 
 @compiled
-def _slot(kept: Kept, wanted: tuple[float, float, float, float, float, float, float]) -> tuple[int, int]:
+def _slot(kept: LineCache, wanted: tuple[float, float, float, float, float, float, float]) -> tuple[int, int]:
     """Return the slot with the lines of a key, -1 for none, and the one asked for longest ago."""
     slots, oldest = len(kept.size), 0
     kept.used[slots] += 1
@@ -241,7 +241,7 @@ def _slot(kept: Kept, wanted: tuple[float, float, float, float, float, float, fl
 
 @compiled
 def lines_from(
-    family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft, kept: Kept
+    family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft, kept: LineCache
 ) -> Lines:
     """Return the moves (family 0) or the stays (1) from a curvature, from those kept where they can be."""
     calm = scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0

@@ -33,13 +33,19 @@ from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, tu
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, PlannerContext, Prices, weigh
+from sidelong.mission.predictive.decision_kernel import (
+    LookaheadDepth,
+    PlannerContext,
+    Question,
+    SwitchingCosts,
+    weigh,
+)
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
-from sidelong.mission.predictive.foresight import foresight_along, no_route
-from sidelong.mission.predictive.foresight_kernel import Foresight
-from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
+from sidelong.mission.predictive.foresight import no_route_values, route_values
+from sidelong.mission.predictive.foresight_kernel import RouteValues
+from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
 from sidelong.mission.predictive.scene_kernel import FlownPlan, Scene, Turns, Watcher, scene_of
-from sidelong.mission.predictive.second_kernel import no_seconds
+from sidelong.mission.predictive.second_kernel import new_second_moves
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 from sidelong.mission.route.progress_kernel import Progress, fresh_progress
 from sidelong.mission.route.route import Route
@@ -158,13 +164,13 @@ class PredictivePlanner:
         self.check, self._sight, self._table_at = check, sight, table_at
         self.price_share = 1.0  # of what moves cost, in its own decisions
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
-        self._kept, self._seconds = nothing_kept(), no_seconds()
+        self._line_cache, self._second_moves = new_line_cache(), new_second_moves()
         self._route, self._progress = route, fresh_progress(0 if route is None else route.east_m.size)
-        self.lookers = [self._looker(one) for one in self.tables]
+        self.questions = [self._question(one) for one in self.tables]
         if self.settings.beam > 0:  # else the first decisions would wait for it
-            kernel.lay_out(self.lookers[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
+            kernel.lay_out(self.questions[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
 
-    def _looker(self, table: ValueTable) -> Looker:
+    def _question(self, table: ValueTable) -> Question:
         """Return what looks ahead with a table; all remember the same."""
         own, price = self.settings, table.configuration.leave_cost
         least_of_class = table.values.min(axis=(1, 2, 3)).astype(np.float64)
@@ -177,18 +183,18 @@ class PredictivePlanner:
         )
         terms = table.configuration.cost.terms
         turns = Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s, terms.blind > 0.0)
-        foresight = self._foresight(table.arrays, table.configuration)
-        return Looker(
-            PlannerContext(watcher, terms, table.motions, turns, self._kept, self._seconds, foresight),
+        route = self._route_values(table.arrays, table.configuration)
+        return Question(
+            PlannerContext(watcher, terms, table.motions, turns, self._line_cache, self._second_moves, route),
             table.arrays,
-            Prices(price, change, own.commit_cost, own.commit_s, own.threat_s),
-            Depth(own.beam, own.horizon_s, least_of_class, float(table.after_turn.min()), False),
+            SwitchingCosts(price, change, own.commit_cost, own.commit_s, own.threat_s),
+            LookaheadDepth(own.beam, own.horizon_s, least_of_class, float(table.after_turn.min()), False),
         )
 
-    def _foresight(self, table: Table, configuration: TableConfiguration) -> Foresight:
+    def _route_values(self, table: Table, configuration: TableConfiguration) -> RouteValues:
         if self._route is None:
-            return no_route()
-        return foresight_along(self._route, table, configuration, self._progress)
+            return no_route_values()
+        return route_values(self._route, table, configuration, self._progress)
 
     @property
     def plans_pan_limits(self) -> bool:
@@ -200,17 +206,17 @@ class PredictivePlanner:
 
         Nothing to do for a sector, whose table knows no wind.
         """
-        prepared = any(one.context.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
+        prepared = any(one.context.motions.wind_speed_m_s == wind_speed_m_s for one in self.questions)
         if self._table_at is not None and self.requirement.sector is None and not prepared:
             self.tables.append(self._table_at(wind_speed_m_s))
-            self.lookers.append(self._looker(self.tables[-1]))
+            self.questions.append(self._question(self.tables[-1]))
 
     def follow(self, route: Route | None, progress: Progress) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
-        for k, (looker, table) in enumerate(zip(self.lookers, self.tables, strict=True)):
-            foresight = self._foresight(table.arrays, table.configuration)
-            self.lookers[k] = looker._replace(context=looker.context._replace(foresight=foresight))
+        for k, (question, table) in enumerate(zip(self.questions, self.tables, strict=True)):
+            route = self._route_values(table.arrays, table.configuration)
+            self.questions[k] = question._replace(context=question.context._replace(route=route))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
@@ -231,11 +237,11 @@ class PredictivePlanner:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
             reason = f"holding the circle: {words} for an airspeed of {self.aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
-        looker = min(self.lookers, key=lambda one: abs(one.context.motions.wind_speed_m_s - wind.speed_m_s))
-        full, share = looker.prices, self.price_share
+        question = min(self.questions, key=lambda one: abs(one.context.motions.wind_speed_m_s - wind.speed_m_s))
+        full, share = question.prices, self.price_share
         prices = full._replace(leave=share * full.leave, change=share * full.change)
-        scene = scene_at(aircraft, target, present, wind, latency_s, looker)
-        return self._look_ahead(scene, aircraft.time_s, present, looker._replace(prices=prices))
+        scene = scene_at(aircraft, target, present, wind, latency_s, question)
+        return self._look_ahead(scene, aircraft.time_s, present, question._replace(prices=prices))
 
     def sight_in(self, scene: Scene) -> Sight:
         """Return from where the target of a scene is seen."""
@@ -244,16 +250,16 @@ class PredictivePlanner:
         velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
         return self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
 
-    def _look_ahead(self, scene: Scene, now_s: float, present: Plan, looker: Looker) -> Decision:
+    def _look_ahead(self, scene: Scene, now_s: float, present: Plan, question: Question) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
-        stay_cost, min_gain_s, costs = weigh(scene, looker, self.sight_in(scene))
+        stay_cost, min_gain_s, costs = weigh(scene, question, self.sight_in(scene))
         places, time_s = kernel.flown_on(scene, 4.0 * math.pi * scene.radius_m)
         x_m, y_m = places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s
         ahead = Outlook(x_m, np.hypot(x_m, y_m), time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
         breach = describe_breach(ahead, side, self.requirement, scene.departure_s - now_s)
         bar = stay_cost - min_gain_s
-        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self.check)
+        move, plan, broken = cheapest_allowed(scene, question, costs, bar, self.check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
             why = breach or (_EIGHT if move >= MOVES else _NO_BREACH)
@@ -272,7 +278,7 @@ class PredictivePlanner:
 
 
 def scene_at(
-    aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float, looker: Looker
+    aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float, question: Question
 ) -> Scene:
     """Return what is to be decided about.
 
@@ -282,7 +288,7 @@ def scene_at(
         present: The plan that is flown.
         wind: Estimate of the wind.
         latency_s: Time until a new plan can depart, s.
-        looker: Constants and memory of the planner.
+        question: Constants and memory of the planner.
     """
     return scene_of(
         aircraft.time_s,
@@ -292,12 +298,12 @@ def scene_at(
         FlownPlan(*line_of(present), aircraft.time_s - present.departure_s),
         (wind.east_m_s, wind.north_m_s),
         latency_s,
-        looker.context.watcher,
+        question.context.watcher,
     )
 
 
 def cheapest_allowed(
-    scene: Scene, looker: Looker, costs: FloatArray, bar: float, check: Callable[[Plan], Plan | str]
+    scene: Scene, question: Question, costs: FloatArray, bar: float, check: Callable[[Plan], Plan | str]
 ) -> tuple[int, Plan | None, str | None]:
     """Return the cheapest move that costs less than the bar and passes the check, and its plan.
 
@@ -305,16 +311,18 @@ def cheapest_allowed(
 
     Args:
         scene: The scene of the decision.
-        looker: Constants and memory of the planner.
+        question: Constants and memory of the planner.
         costs: Cost of each move.
         bar: Cost that a move must stay below.
         check: Returns a plan as it can be flown, or why it is rejected.
     """
     order, broken = np.argsort(costs, kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
-        path = Path(*move_line(scene, looker.context.watcher.craft, move))
+        path = Path(*move_line(scene, question.context.watcher.craft, move))
         checked = check(
-            Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=looker.context.terms.blind > 0.0)
+            Plan(
+                end_circle(path, scene.radius_m), path, scene.departure_s, precise=question.context.terms.blind > 0.0
+            )
         )
         if isinstance(checked, Plan):
             return move, checked, broken

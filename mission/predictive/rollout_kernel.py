@@ -40,7 +40,7 @@ STEP_S = 1.0
 _ENDLESS_M = 1e9
 
 
-class Doubt(NamedTuple):
+class Uncertainty(NamedTuple):
     """One standard deviation of the target's place and velocity on the worse axis, and of the watch course."""
 
     position_m: float
@@ -48,7 +48,7 @@ class Doubt(NamedTuple):
     course_rad: float
 
 
-class Futures(NamedTuple):
+class Scenarios(NamedTuple):
     """What the target may do: f futures, sampled k times every step_s from the departure on, k >= 1.
 
     weight (f,) sums to 1. place (f, k, 4): x, y, and the velocity that carries on from there to the next sample (from
@@ -262,7 +262,7 @@ def _relate(
     across: FloatArray,
     along: FloatArray,
 ) -> None:
-    """Fill in places relative to the target of one future, in a frame that turns: turn (f, k, 2...) as Futures."""
+    """Fill in places relative to the target of one future, in a frame that turns: turn (f, k, 2...) as Scenarios."""
     n, last = len(x_m), place.shape[1] - 1
     if last == 0:
         sin_t, cos_t = turn[one, 0, 0], turn[one, 0, 1]
@@ -288,7 +288,7 @@ def _rates(
     weight: FloatArray,
     sigmas_rad: FloatArray,
     step_s: float,
-    d: Doubt,
+    d: Uncertainty,
     c: CostTerms,
     found: FloatArray,
 ) -> None:
@@ -367,7 +367,7 @@ def add_up(
 
 @compiled
 def lines_costs(
-    lines: Lines, start: Pose, f: Futures, d: Doubt, c: CostTerms, table: Table, air: Air, costs: FloatArray
+    lines: Lines, start: Pose, f: Scenarios, d: Uncertainty, c: CostTerms, table: Table, air: Air, costs: FloatArray
 ) -> None:
     """Fill in the expected cost (lines,) of flying each line from a start in the departure's frame."""
     turned, time_s, weight, own_first = lines.turned_rad, lines.time_s, lines.weight, lines.own_first

@@ -25,12 +25,12 @@ from sidelong.mission.geometry.line_kernel import (
     remainder,
     turn_radius_m,
 )
-from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Doubt, Futures
+from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Scenarios, Uncertainty
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     MIN_WAY_M,
     Estimates,
-    Known,
-    Wish,
+    SideRule,
+    TargetState,
     made_good_sigma_rad,
     no_part,
     place_at,
@@ -66,10 +66,10 @@ class Scene(NamedTuple):
     velocity_x_m_s: float
     velocity_y_m_s: float
     air: Air
-    doubt: Doubt
+    doubt: Uncertainty
     radius_m: float
     turn_radius_m: float
-    target: Known
+    target: TargetState
     line: FloatArray
     circle: Circling
     aircraft_east_m: float
@@ -120,7 +120,7 @@ class Watcher(NamedTuple):
     """
 
     craft: Craft
-    rule: Wish
+    rule: SideRule
     target_speed_max_m_s: float
     memory: Record
 
@@ -197,7 +197,7 @@ def scene_of(
             mirror * (wind_east_m_s * cos_c - wind_north_m_s * sin_c),
             wind_east_m_s * sin_c + wind_north_m_s * cos_c,
         ),
-        Doubt(position_sigma_m(target), sigma_m_s, view.course_sigma_rad),
+        Uncertainty(position_sigma_m(target), sigma_m_s, view.course_sigma_rad),
         radius_m,
         turn_m,
         target,
@@ -220,7 +220,7 @@ def in_frame(scene: Scene, east_m: float, north_m: float) -> tuple[float, float]
 
 Four = tuple[float, float, float, float]
 
-FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
+PREDICTED_S = 110  # longer than any line: after it the watch course is the target's
 _SLOW_M_S = 0.5  # the course of such a slow target is meaningless
 _SPEED_RINGS = 3  # of the table's classes: standing, half and full speed
 
@@ -285,7 +285,7 @@ def classes_about(
 
 
 @compiled
-def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> Futures:
+def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> Scenarios:
     """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
 
     There is one for each turn, the first straight on. If the target repeats a part of its path, the second follows
@@ -293,7 +293,7 @@ def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> F
     asked in the frame of the velocity, in which it was computed, or of the fixed course.
     """
     memory = watcher.memory
-    k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
+    k = min(PREDICTED_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     moving = not memory.standing and speed_m_s > _SLOW_M_S
     # The rest of its velocity is an error of the estimate, which would turn the course that is watched.
@@ -342,11 +342,11 @@ def watched(
     moving: bool,
     weight: FloatArray,
     place: FloatArray,
-) -> Futures:
+) -> Scenarios:
     """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
     horizon_s, fixed = watcher.rule.course_horizon_s, not math.isnan(watcher.rule.fixed_course_rad)
     f, k = place.shape[:2]
-    found = Futures(
+    found = Scenarios(
         weight,
         STEP_S,
         place,
@@ -368,7 +368,7 @@ def _watch(
     watcher: Watcher,
     moving: bool,
     past: FloatArray,
-    found: Futures,
+    found: Scenarios,
 ) -> None:
     """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
     horizon_s, place, facing, course = watcher.rule.course_horizon_s, found.place, found.facing, found.course
@@ -427,7 +427,7 @@ def _watch(
 
 
 @compiled
-def first_of(f: Futures, n: int) -> Futures:
+def first_of(f: Scenarios, n: int) -> Scenarios:
     """Return the first n futures alone; the probability of the removed ones is added to the first."""
     weight = np.ones(n)
     weight[1:] = f.weight[1:n]
@@ -435,6 +435,6 @@ def first_of(f: Futures, n: int) -> Futures:
     for one in range(1, n):
         others += weight[one]
     weight[0] -= others
-    return Futures(
+    return Scenarios(
         weight, f.step_s, f.place[:n], f.facing[:n], f.course[:n], f.classes[:n], f.share[:n], f.turn_share[:n]
     )

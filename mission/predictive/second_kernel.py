@@ -38,7 +38,7 @@ from sidelong.mission.predictive.cost_kernel import (
     table_value,
 )
 from sidelong.mission.predictive.moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, move_from, ramp_on, unit_m
-from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Doubt, Futures, Pose
+from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Pose, Scenarios, Uncertainty
 from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 
 BoolArray = npt.NDArray[np.bool_]
@@ -50,7 +50,7 @@ SAMPLES = 64  # of a second move; longer ones are left out
 _HEADINGS = 48
 
 
-class Seconds(NamedTuple):
+class SecondMoves(NamedTuple):
     """Second moves from each level of curvature, from the origin along y: arrays (levels, lines, samples).
 
     key (4,): radius, tightest turn's radius, ramp and step that they were laid out for. end (levels, lines): the
@@ -67,15 +67,15 @@ class Seconds(NamedTuple):
     flown: FloatArray
 
 
-def no_seconds() -> Seconds:
+def new_second_moves() -> SecondMoves:
     """Return room for second moves."""
     shape = len(LEVELS), SECONDS, SAMPLES
     laid_out = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int64)
-    return Seconds(np.zeros(4), *laid_out, np.zeros((3, SECONDS, SAMPLES)), np.zeros((SAMPLES, SECONDS)))
+    return SecondMoves(np.zeros(4), *laid_out, np.zeros((3, SECONDS, SAMPLES)), np.zeros((SAMPLES, SECONDS)))
 
 
 @compiled
-def lay_out_seconds(s: Seconds, radius_m: float, turn_radius_m: float, ramp: float, step_m: float) -> None:
+def lay_out_second_moves(s: SecondMoves, radius_m: float, turn_radius_m: float, ramp: float, step_m: float) -> None:
     """Fill in the second moves, unless they are there."""
     if s.key[0] == radius_m and s.key[1] == turn_radius_m and s.key[2] == ramp and s.key[3] == step_m:
         return
@@ -111,7 +111,7 @@ def speeds_over_ground(air: Air) -> FloatArray:
     return speeds
 
 
-class Fan(NamedTuple):
+class PlacedMoves(NamedTuple):
     """Second moves from one start, of a level of curvature; sin_h, cos_h: of the heading there.
 
     flown (k, lines): as :func:`stretch` has it, of no length in still air. placed (3, lines, k): x, y, heading: all
@@ -129,7 +129,7 @@ class Fan(NamedTuple):
 
 
 @compiled
-def stretch(s: Seconds, level: int, heading_rad: float, speeds: FloatArray, last: int, flown: FloatArray) -> None:
+def stretch(s: SecondMoves, level: int, heading_rad: float, speeds: FloatArray, last: int, flown: FloatArray) -> None:
     """Fill in how far along each second move (k, lines) the aircraft is in wind, in samples, each second up to last.
 
     speeds: see speeds_over_ground. A line is stretched along itself.
@@ -149,7 +149,7 @@ def stretch(s: Seconds, level: int, heading_rad: float, speeds: FloatArray, last
 
 
 @inlined
-def placed_at(s: Seconds, fan: Fan, j: int, k: int) -> tuple[float, float, float]:
+def placed_at(s: SecondMoves, fan: PlacedMoves, j: int, k: int) -> tuple[float, float, float]:
     """Return place and heading (x, y, heading) of second move j of a fan at second k of it."""
     own_x, own_y, turned, level, flown = s.x_m, s.y_m, s.turned_rad, fan.level, fan.flown
     if len(flown) == 0:
@@ -168,7 +168,7 @@ def placed_at(s: Seconds, fan: Fan, j: int, k: int) -> tuple[float, float, float
 
 
 @inlined
-def lay(s: Seconds, fan: Fan, j: int, last: int) -> None:
+def lay(s: SecondMoves, fan: PlacedMoves, j: int, last: int) -> None:
     """Fill in second move j of a fan, up to second ``last`` of it."""
     placed = fan.placed
     for k in range(last + 1):
@@ -185,13 +185,13 @@ _STRIDE = 4  # of looking at what a turn of the target would cost
 _X, _Y, _SIN, _COS, _BESIDE, _TABLE_SIN, _TABLE_COS, _TABLE_RAD = range(8)
 
 
-class Foretold(NamedTuple):
-    """Futures (f,), row by row: rows (f, 8, k). sigma_m, weight (k,): of the target's place, of the discount.
+class ScenarioRows(NamedTuple):
+    """Scenarios (f,), row by row: rows (f, 8, k). sigma_m, weight (k,): of the target's place, of the discount.
 
     min_value (f, k), min_turn_cost_per_s: no place costs less.
     """
 
-    futures: Futures
+    futures: Scenarios
     rows: FloatArray
     sigma_m: FloatArray
     weight: FloatArray
@@ -199,7 +199,7 @@ class Foretold(NamedTuple):
     min_turn_cost_per_s: float
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Arrays to work in, made once a decision; speeds: see :func:`speeds_over_ground`, none in still air.
 
     rows (3, k + SAMPLES); before (f, 4 * SAMPLES); best, first (f,); of second moves laid, last, ends (SECONDS,).
@@ -218,21 +218,23 @@ class Room(NamedTuple):
 class Second(NamedTuple):
     """What second moves are judged by. leave, change: what one costs from the circle, and before it."""
 
-    foretold: Foretold
+    foretold: ScenarioRows
     terms: CostTerms
     table: Table
-    moves: Seconds
+    moves: SecondMoves
     leave: float
     change: float
     horizon_s: float
-    room: Room
+    room: Workspace
 
 
 @compiled
-def foretold_of(f: Futures, d: Doubt, table: Table, min_values: FloatArray, min_after_turn: float) -> Foretold:
+def scenario_rows(
+    f: Scenarios, d: Uncertainty, table: Table, min_values: FloatArray, min_after_turn: float
+) -> ScenarioRows:
     """Return futures as this look needs them. min_values (classes,): of the table; min_after_turn: of all classes."""
     count, k = f.place.shape[:2]
-    found = Foretold(
+    found = ScenarioRows(
         f,
         np.empty((count, 8, k)),
         np.empty(k),
@@ -240,12 +242,12 @@ def foretold_of(f: Futures, d: Doubt, table: Table, min_values: FloatArray, min_
         np.zeros((count, k)),
         min_after_turn / table.mean_leg_s,
     )
-    _foretell(found, d, fading_per_s(table), min_values)
+    _fill_rows(found, d, fading_per_s(table), min_values)
     return found
 
 
 @compiled
-def _foretell(found: Foretold, d: Doubt, rate_per_s: float, min_values: FloatArray) -> None:
+def _fill_rows(found: ScenarioRows, d: Uncertainty, rate_per_s: float, min_values: FloatArray) -> None:
     """Fill in the rows. rate_per_s: of the discount."""
     f, rows, min_value = found.futures, found.rows, found.min_value
     place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
@@ -262,11 +264,11 @@ def _foretell(found: Foretold, d: Doubt, rate_per_s: float, min_values: FloatArr
 
 
 @compiled
-def room_for(f: Futures, air: Air) -> Room:
+def workspace_for(f: Scenarios, air: Air) -> Workspace:
     """Return arrays to work in."""
     count, foretold = f.place.shape[:2]
     calm = air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0
-    return Room(
+    return Workspace(
         np.empty((3, foretold + SAMPLES)),
         np.empty((count, 4 * SAMPLES)),
         np.empty(count),
@@ -338,7 +340,7 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
 
 
 class Ahead(NamedTuple):
-    """Rows of one future from the second on at which a line begins, arrays (k,): see Foretold."""
+    """Rows of one future from the second on at which a line begins, arrays (k,): see ScenarioRows."""
 
     x_m: FloatArray
     y_m: FloatArray
@@ -384,7 +386,7 @@ def _asked(
 
 
 @inlined
-def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: float) -> float:
+def _cheapest(s: SecondMoves, fan: PlacedMoves, at: int, one: int, second: Second, bound: float) -> float:
     """Return what the cheapest of lines that begin at second ``at`` costs in one future, if it is below a bound.
 
     What the table says of a line's end bounds its cost from below: few lines have to be followed.
@@ -441,7 +443,7 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
 
 
 @inlined
-def _lasts(s: Seconds, curvature: float, at: int, horizon: int, foretold: int, last: IntArray) -> tuple[int, int]:
+def _lasts(s: SecondMoves, curvature: float, at: int, horizon: int, foretold: int, last: IntArray) -> tuple[int, int]:
     """Fill in how many seconds of each second move count that begins at a curvature, in 1 / radius, 0 for none.
 
     Return the level of curvature that is nearest, and the most seconds.
@@ -459,7 +461,7 @@ def _lasts(s: Seconds, curvature: float, at: int, horizon: int, foretold: int, l
 
 
 @inlined
-def _least_from(f: Foretold, one: int, at: int, last: IntArray) -> float:
+def _least_from(f: ScenarioRows, one: int, at: int, last: IntArray) -> float:
     """Return what second moves cost at least in one future: from the end on the least of the table's classes."""
     least = np.inf
     for j in range(SECONDS):
@@ -470,7 +472,7 @@ def _least_from(f: Foretold, one: int, at: int, last: IntArray) -> float:
 
 
 @inlined
-def _expected(f: Foretold, costs: FloatArray) -> float:
+def _expected(f: ScenarioRows, costs: FloatArray) -> float:
     """Return the mean of what futures cost (f,)."""
     total = 0.0
     for one in range(len(f.rows)):
@@ -540,7 +542,9 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
         start = Pose(x[at], y[at], heading[at])
         if not calm:
             stretch(seconds, level, start.heading_rad, room.speeds, longest, flown)
-        fan = Fan(start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, placed, laid, n)
+        fan = PlacedMoves(
+            start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, placed, laid, n
+        )
         laid[:] = False
         for j in range(SECONDS):
             if n[j] > 0:

@@ -18,7 +18,7 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import Planner
 from sidelong.mission.route.progress_kernel import (
     Progress,
-    Way,
+    RouteArrays,
     fresh_progress,
     update_progress,
 )
@@ -71,11 +71,11 @@ class RoutePlanner(Planner, Protocol):
         """
 
 
-def way_of(route: Route) -> Way:
+def way_of(route: Route) -> RouteArrays:
     """Return a route as the loops see it."""
     points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
     direction = _DIRECTIONS[route.direction]
-    return Way(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
+    return RouteArrays(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
 
 
 class RouteFollower:

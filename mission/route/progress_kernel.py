@@ -15,7 +15,7 @@ import numpy as np
 
 from sidelong.estimators.compiled import Record, compiled, inlined, new_record, record_type
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.viewpoint.viewpoint_kernel import Known
+from sidelong.mission.viewpoint.viewpoint_kernel import TargetState
 
 # A forecast is made each second, and compared after this many seconds; it has this many points, 1 s apart.
 _AHEAD_S, _FORECAST = 10, 21
@@ -92,7 +92,7 @@ class Progress(NamedTuple):
     chances: FloatArray
 
 
-class Way(NamedTuple):
+class RouteArrays(NamedTuple):
     """A route as the loops see it: points (n, 2), east and north, evenly spaced; n = 0 for no route.
 
     speed_m_s: expected speed, NaN for unknown. direction: 1 forward, -1 backward, 0 either.
@@ -126,14 +126,14 @@ def reset(progress: Progress) -> None:
 
 
 @inlined
-def length_m(way: Way) -> float:
+def length_m(way: RouteArrays) -> float:
     """Return the length of the route, of one lap if it is one."""
     n = len(way.points)
     return way.spacing_m * (n if way.lap else n - 1)
 
 
 @inlined
-def point_along(way: Way, along_m: float) -> tuple[float, float]:
+def point_along(way: RouteArrays, along_m: float) -> tuple[float, float]:
     """Return the point (east, north) at a position along the route; beyond its ends, straight on."""
     n, place = len(way.points), along_m / way.spacing_m
     if way.lap:
@@ -151,7 +151,7 @@ def point_along(way: Way, along_m: float) -> tuple[float, float]:
 
 
 @inlined
-def _tangent(way: Way, along_m: float) -> tuple[float, float]:
+def _tangent(way: RouteArrays, along_m: float) -> tuple[float, float]:
     """Return the unit vector (east, north) of the route's course at a position."""
     reach_m = _TANGENT_M
     from_m, to_m = along_m - reach_m, along_m + reach_m
@@ -183,7 +183,7 @@ def _evidence(offset_m: float, sigma_m: float, agreement: float, speed_m_s: floa
 
 
 @compiled
-def _move(way: Way, chance: FloatArray, travelled_m: float, skips: float, found: FloatArray) -> None:
+def _move(way: RouteArrays, chance: FloatArray, travelled_m: float, skips: float, found: FloatArray) -> None:
     """Fill in the probabilities (n,) of one direction after the target has travelled. skips: share that skips."""
     n, cells = len(chance), travelled_m / way.spacing_m
     whole = math.floor(cells)
@@ -217,7 +217,7 @@ def _share(per_s: float, dt_s: float) -> float:
 
 
 @compiled
-def update_progress(way: Way, target: Known, progress: Progress) -> None:
+def update_progress(way: RouteArrays, target: TargetState, progress: Progress) -> None:
     """Process an estimate of the target, in order of time."""
     state = progress.state
     dt_s = target.time_s - state.last_s
@@ -263,7 +263,9 @@ def update_progress(way: Way, target: Known, progress: Progress) -> None:
 
 
 @compiled
-def _weigh(way: Way, target: Known, joining: float, dt_s: float, state: Record, chance: FloatArray) -> None:
+def _weigh(
+    way: RouteArrays, target: TargetState, joining: float, dt_s: float, state: Record, chance: FloatArray
+) -> None:
     """Weigh the probabilities (2, n) of the points by the estimate; ``joining`` is first shared by those near it."""
     n, exponent, p = len(way.points), _SHARE_PER_S * dt_s, target.covariance
     ve, vn = target.velocity_east_m_s, target.velocity_north_m_s
@@ -295,7 +297,9 @@ def _weigh(way: Way, target: Known, joining: float, dt_s: float, state: Record, 
 
 
 @compiled
-def _register(way: Way, target: Known, tangent_e: float, tangent_n: float, gone_m: float, state: Record) -> None:
+def _register(
+    way: RouteArrays, target: TargetState, tangent_e: float, tangent_n: float, gone_m: float, state: Record
+) -> None:
     """Estimate the route's displacement from the target's distance aside of a tangent: a Kalman filter.
 
     What was aside before a turn is along the course after it: the position along the route is corrected by that.
@@ -321,7 +325,7 @@ def _register(way: Way, target: Known, tangent_e: float, tangent_n: float, gone_
 
 
 @compiled
-def _summarise(way: Way, target: Known, dt_s: float, state: Record, chance: FloatArray) -> None:
+def _summarise(way: RouteArrays, target: TargetState, dt_s: float, state: Record, chance: FloatArray) -> None:
     """Fill in the most probable part of the route, the speed along it, and the usual speed."""
     n, best_d, best_i = len(way.points), 0, 0
     for d in range(2):
@@ -367,7 +371,7 @@ def _summarise(way: Way, target: Known, dt_s: float, state: Record, chance: Floa
 
 
 @compiled
-def forecast(way: Way, state: Record, time_s: float, found: FloatArray) -> None:
+def forecast(way: RouteArrays, state: Record, time_s: float, found: FloatArray) -> None:
     """Fill in points (k, 2) of the route, one each second from a time on, that the target is expected to pass.
 
     Its speed rises from the present one to the mean of that and the expected or usual one. It does not fall: a target
@@ -393,7 +397,7 @@ def _from_line_m(east_m: float, north_m: float, from_e: float, from_n: float, to
 
 
 @compiled
-def _compare(way: Way, target: Known, state: Record) -> None:
+def _compare(way: RouteArrays, target: TargetState, state: Record) -> None:
     """Compare the forecast that is due with where the target is, decide whether the route is of use, and forecast."""
     e, n = target.east_m, target.north_m
     due = math.floor(target.time_s) % _AHEAD_S

@@ -16,15 +16,15 @@ import numpy as np
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.viewpoint import viewpoint_kernel as kernel
-from sidelong.mission.viewpoint.viewpoint_kernel import Estimates, Known
+from sidelong.mission.viewpoint.viewpoint_kernel import Estimates, TargetState
 
 STANDING_M_S = 0.3
 """Below this speed a target keeps its present course: the direction of its velocity is noise."""
 
 
-def known(target: TargetEstimate) -> Known:
+def known(target: TargetEstimate) -> TargetState:
     """Return an estimate as the loops see it."""
-    return Known(
+    return TargetState(
         target.time_s,
         target.east_m,
         target.north_m,

@@ -36,7 +36,7 @@ class SidePolicy:
         """
         sector, side = requirement.sector, requirement.side
         fixed_rad = math.nan if sector is None else sector.middle_rad - side.normal_turn_rad
-        self.wish = kernel.Wish(requirement.either_side, hysteresis_m, fixed_rad, course_horizon_s)
+        self.wish = kernel.SideRule(requirement.either_side, hysteresis_m, fixed_rad, course_horizon_s)
         self.memory = kernel.fresh_memory(1.0 if side is Side.LEFT else -1.0)
 
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:

@@ -283,7 +283,7 @@ MEMORY = record_type(
 """What is remembered of one target and of the aircraft's airspeed; a record whose fields change."""
 
 
-class Known(NamedTuple):
+class TargetState(NamedTuple):
     """An estimate of the target: see :class:`sidelong.estimators.estimate.TargetEstimate`; covariance (4, 4)."""
 
     time_s: float
@@ -297,11 +297,11 @@ class Known(NamedTuple):
 class Estimates(NamedTuple):
     """The target now, and as it was last seen. They differ where the payload is late: the rest is a prediction."""
 
-    now: Known
-    seen: Known
+    now: TargetState
+    seen: TargetState
 
 
-class Wish(NamedTuple):
+class SideRule(NamedTuple):
     """From where to watch: a side (SIDE of the memory), either side, or a fixed course, NaN for none.
 
     course_horizon_s: the sides are those of the course made good over this time, s; 0: of the present course.
@@ -313,7 +313,7 @@ class Wish(NamedTuple):
     course_horizon_s: float = 0.0
 
 
-class View(NamedTuple):
+class WatchCourse(NamedTuple):
     """The course whose side counts, the side (1 left, -1 right), and how well the course is known."""
 
     course_rad: float
@@ -334,13 +334,13 @@ def fresh_memory(side: float) -> Record:
 
 
 @compiled
-def velocity_sigma_m_s(target: Known) -> float:
+def velocity_sigma_m_s(target: TargetState) -> float:
     """Return one standard deviation of the velocity on its worse axis."""
     return math.sqrt(max(target.covariance[2, 2], target.covariance[3, 3], 0.0))
 
 
 @compiled
-def course_sigma_rad(target: Known) -> float:
+def course_sigma_rad(target: TargetState) -> float:
     """Return one standard deviation of a moving target's course: the velocity's across it, over the speed."""
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     course_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
@@ -351,7 +351,7 @@ def course_sigma_rad(target: Known) -> float:
 
 
 @compiled
-def held_course_rad(target: Known, memory: Record) -> float:
+def held_course_rad(target: TargetState, memory: Record) -> float:
     """Take an estimate, in the order of time, and return the course to watch from; NaN until the target has moved."""
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     threshold_m_s = _MOVING_ABOVE_M_S if memory.standing else _STOPPED_BELOW_M_S
@@ -373,7 +373,7 @@ def held_course_rad(target: Known, memory: Record) -> float:
 
 
 @compiled
-def _follow_jump(target: Known, memory: Record, gap_max_s: float) -> None:
+def _follow_jump(target: TargetState, memory: Record, gap_max_s: float) -> None:
     """Shift the remembered positions by the part of the last displacement that the velocities do not explain.
 
     After more than gap_max_s they explain nothing: the target counts as standing in between.
@@ -391,7 +391,7 @@ def _follow_jump(target: Known, memory: Record, gap_max_s: float) -> None:
 
 
 @compiled
-def remember_place(target: Known, memory: Record, gap_max_s: float) -> None:
+def remember_place(target: TargetState, memory: Record, gap_max_s: float) -> None:
     """Remember a position for the course made good, about one each second, and for the path history.
 
     If the estimate has jumped, the remembered positions jump along: the target did not move.
@@ -436,13 +436,13 @@ def made_good_sigma_rad(sigma_m: float, way_m: float) -> float:
 
 
 @compiled
-def position_sigma_m(target: Known) -> float:
+def position_sigma_m(target: TargetState) -> float:
     """Return one standard deviation of the position on its worse axis."""
     return math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0))
 
 
 @compiled
-def least_way_m(target: Known, memory: Record) -> float:
+def least_way_m(target: TargetState, memory: Record) -> float:
     """Return the least way that has a course."""
     return max(MIN_WAY_M, _WAY_SIGMAS * position_sigma_m(target)) if memory.standing else MIN_WAY_M
 
@@ -476,16 +476,16 @@ def courses_made_good(
     exact, courses_rad = np.zeros((4, 4)), np.empty(time_s.size)
     for i in range(time_s.size):
         east_m_s, north_m_s = velocity_m_s[i, 0], velocity_m_s[i, 1]
-        target = Known(time_s[i], place_m[i, 0], place_m[i, 1], east_m_s, north_m_s, exact)
+        target = TargetState(time_s[i], place_m[i, 0], place_m[i, 1], east_m_s, north_m_s, exact)
         courses_rad[i] = made_good(Estimates(target, target), horizon_s[i], memory, gap_max_s)[0]
     return courses_rad
 
 
 @compiled
-def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: Wish, memory: Record) -> View:
+def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: SideRule, memory: Record) -> WatchCourse:
     """See :meth:`sidelong.mission.viewpoint.side_policy.SidePolicy.viewpoint`."""
     if not math.isnan(wish.fixed_course_rad):
-        return View(wish.fixed_course_rad, memory.side, 0.0)
+        return WatchCourse(wish.fixed_course_rad, memory.side, 0.0)
     target = estimates.now
     course_rad = held_course_rad(estimates.seen, memory)
     sigma_rad = 0.0 if memory.standing else course_sigma_rad(target)
@@ -495,10 +495,10 @@ def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: Wish, m
     if math.isnan(course_rad):
         if math.isnan(memory.presumed_course_rad):
             memory.presumed_course_rad = away_rad + 0.5 * math.pi * memory.side
-        return View(memory.presumed_course_rad, memory.side, 0.0)
+        return WatchCourse(memory.presumed_course_rad, memory.side, 0.0)
     if wish.either_side:
         range_m = math.hypot(east_m - target.east_m, north_m - target.north_m)
         aside_m = range_m * math.cos(away_rad - course_rad + 0.5 * math.pi * memory.side)
         if aside_m < -wish.hysteresis_m:
             memory.side = -memory.side
-    return View(course_rad, memory.side, sigma_rad)
+    return WatchCourse(course_rad, memory.side, sigma_rad)

@@ -87,13 +87,13 @@ def test_the_planner_goes_on_with_what_it_remembers():
     (announcement,) = controller.step(WindPrepared(2.0, 3.75))
     assert announcement == Announce(2.0, "decision", "ready for a wind of 3.75 m/s")
     assert controller.planning.planner is before
-    calm, windy = before.lookers
+    calm, windy = before.questions
     assert windy.context.motions.wind_speed_m_s == 3.75
     assert windy.context.watcher.memory is calm.context.watcher.memory
     assert controller.step(WindPrepared(3.0, 3.75)) == ()
     controller.step(MissionChange(4.0, radius_m=70.0))
     assert controller.planning.planner is not before
-    assert [one.context.motions.wind_speed_m_s for one in controller.planning.planner.lookers] == [0.0, 3.75]
+    assert [one.context.motions.wind_speed_m_s for one in controller.planning.planner.questions] == [0.0, 3.75]
 
 
 def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):

@@ -35,10 +35,10 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlanCheck
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive import planner as planner_module
-from sidelong.mission.predictive.decision_kernel import Looker, choices, commitment, look_deeper
+from sidelong.mission.predictive.decision_kernel import Question, choices, commitment, look_two_moves_ahead
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
-from sidelong.mission.predictive.rollout_kernel import Futures
-from sidelong.mission.predictive.scene_kernel import FORETOLD_S, Scene, Turns, classes_about
+from sidelong.mission.predictive.rollout_kernel import Scenarios
+from sidelong.mission.predictive.scene_kernel import PREDICTED_S, Scene, Turns, classes_about
 from sidelong.mission.viewpoint.course_hold import courses_made_good_rad
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
@@ -51,9 +51,9 @@ class Clairvoyant(PredictivePlanner):
     def __init__(self, planner: PredictivePlanner, truth: np.ndarray, known_s: float) -> None:
         settings = replace(PredictiveSettings(), horizon_s=LOOKED_S)
         super().__init__(planner.aircraft, planner.requirement, *planner.tables, settings)
-        ending = round(2.0 * FORETOLD_S / STEP_S)
+        ending = round(2.0 * PREDICTED_S / STEP_S)
         self._place = np.pad(truth[:, :2], ((0, ending), (0, 0)), "edge")
-        self._known = round(min(known_s, FORETOLD_S) / STEP_S)
+        self._known = round(min(known_s, PREDICTED_S) / STEP_S)
 
     def _paths(self, first: int, k: int, turns: Turns) -> np.ndarray:
         """Return places (f, n, 2) each second, from the start of the run until k seconds after a step."""
@@ -74,15 +74,15 @@ class Clairvoyant(PredictivePlanner):
         with mock.patch.object(planner_module, "weigh", self._weigh):
             return super().decide(aircraft, target, present, wind, latency_s)
 
-    def _weigh(self, scene: Scene, looker: Looker, sight: Sight) -> tuple[float, float, np.ndarray]:
+    def _weigh(self, scene: Scene, question: Question, sight: Sight) -> tuple[float, float, np.ndarray]:
         """Weigh the moves by what the target does, in place of what it may do."""
-        futures = self._futures(scene, looker)
-        min_gain_s, costs = commitment(scene, futures, looker), np.empty(choices(looker))
-        return look_deeper(scene, futures, looker, sight, min_gain_s, costs), min_gain_s, costs
+        futures = self._futures(scene, question)
+        min_gain_s, costs = commitment(scene, futures, question), np.empty(choices(question))
+        return look_two_moves_ahead(scene, futures, question, sight, min_gain_s, costs), min_gain_s, costs
 
-    def _futures(self, scene: Scene, looker: Looker) -> Futures:
-        k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
-        paths = self._paths(round((scene.departure_s - BOOT_S) / STEP_S), k, looker.context.turns)
+    def _futures(self, scene: Scene, question: Question) -> Scenarios:
+        k = min(PREDICTED_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
+        paths = self._paths(round((scene.departure_s - BOOT_S) / STEP_S), k, question.context.turns)
         time_s, per_s = STEP_S * PER_S * np.arange(paths.shape[1]), STEP_S * PER_S
         made_good = np.array(
             [
@@ -102,11 +102,13 @@ class Clairvoyant(PredictivePlanner):
         shape = *speed_m_s.shape, 4
         classes, share, turn_share = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
         for at, speed in np.ndenumerate(speed_m_s):
-            classes[at], share[at], turn_share[at] = classes_about(looker.context.motions, 0.0, speed, 0.0, 0.0)
+            classes[at], share[at], turn_share[at] = classes_about(question.context.motions, 0.0, speed, 0.0, 0.0)
         facing = np.stack([np.sin(facing_rad), np.cos(facing_rad), np.zeros_like(facing_rad)], axis=2)
         course = np.stack([np.sin(course_rad), np.cos(course_rad), course_rad], axis=2)
         known = np.concatenate([place[:, :-1], velocity], axis=2)
-        return Futures(np.full(len(paths), 1.0 / len(paths)), 1.0, known, facing, course, classes, share, turn_share)
+        return Scenarios(
+            np.full(len(paths), 1.0 / len(paths)), 1.0, known, facing, course, classes, share, turn_share
+        )
 
 
 def flown(study: StudySettings, known_s: float) -> Iterator[tuple[str, RunResult]]:

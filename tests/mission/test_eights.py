@@ -136,12 +136,12 @@ def test_a_young_plan_is_given_up_where_it_leads_beyond_the_pan_limits(table, le
     plan = Plan(Circle(-350.0, 100.0 - leg_m, RADIUS_M, clockwise=True), path, -2.0)
     state = AircraftState(0.0, -300.0, 100.0, math.pi, AIRSPEED_M_S, 0.0)
     target = TargetEstimate(0.0, 0.0, 0.0, 0.0, 2.0, np.diag([1.0, 1.0, 0.04, 0.04]), TrackQuality.GOOD, 0.0)
-    looker = planner.lookers[0]
-    scene = scene_at(state, target, plan, Wind(), 0.5, looker)
-    futures, judged_by = foresee(scene, looker)
-    anywhere = judged_by._replace(terms=judged_by.terms._replace(blind=0.0))
-    assert commitment(scene, futures, anywhere) == looker.prices.commit > 0.0
-    assert commitment(scene, futures, judged_by) == (0.0 if given_up else looker.prices.commit)
+    question = planner.questions[0]
+    scene = scene_at(state, target, plan, Wind(), 0.5, question)
+    futures, answered_by = foresee(scene, question)
+    anywhere = answered_by._replace(terms=answered_by.terms._replace(blind=0.0))
+    assert commitment(scene, futures, anywhere) == question.prices.commit > 0.0
+    assert commitment(scene, futures, answered_by) == (0.0 if given_up else question.prices.commit)
 
 
 def flown(planner, corners, speed_m_s):

@@ -16,7 +16,7 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.route.progress import way_of
 from sidelong.mission.route.progress_kernel import update_progress
-from sidelong.mission.viewpoint.viewpoint_kernel import Known
+from sidelong.mission.viewpoint.viewpoint_kernel import TargetState
 
 AIRCRAFT = Aircraft(22.0, 80.0, math.radians(60.0), math.radians(30.0))
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 9.0)
@@ -59,7 +59,7 @@ class _Following:
         self.route, self.progress = route, progress
 
     def see(self, time_s: float) -> None:
-        target = Known(time_s, 0.0, 4.0 * time_s, 0.0, 4.0, np.diag([4.0, 4.0, 0.1, 0.1]))
+        target = TargetState(time_s, 0.0, 4.0 * time_s, 0.0, 4.0, np.diag([4.0, 4.0, 0.1, 0.1]))
         update_progress(way_of(self.route), target, self.progress)
 
 

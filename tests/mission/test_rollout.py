@@ -14,10 +14,10 @@ from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
-from sidelong.mission.predictive.foresight import no_route
-from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
+from sidelong.mission.predictive.foresight import no_route_values
+from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
 from sidelong.mission.predictive.planner import table_configuration
-from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
+from sidelong.mission.predictive.rollout_kernel import Air, Pose, Scenarios, lines_costs, single_line, times_s
 from sidelong.mission.predictive.scene_kernel import FlownPlan, Turns, Watcher, first_of, in_frame, scene_of, winding
 from sidelong.mission.predictive.second_kernel import (
     LEVELS,
@@ -25,34 +25,34 @@ from sidelong.mission.predictive.second_kernel import (
     SECOND_LENGTHS,
     SECONDS,
     STAY_BRANCHES,
-    Fan,
+    PlacedMoves,
     Second,
     deep_cost,
-    foretold_of,
     lay,
-    lay_out_seconds,
+    lay_out_second_moves,
     moving_ahead,
-    no_seconds,
-    room_for,
+    new_second_moves,
+    scenario_rows,
     speeds_over_ground,
     staying_ahead,
     stretch,
+    workspace_for,
 )
 from sidelong.mission.predictive.value_table import completed
 from sidelong.mission.viewpoint.side_policy import watching_from
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     Estimates,
-    Known,
-    Wish,
+    SideRule,
+    TargetState,
     fresh_memory,
     remember_place,
 )
 from tests.mission import plain_rollout
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
-CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
+CALM, RULE = Wind(), SideRule(False, 50.0, math.nan)
 STRAIGHT, TURNING = Turns(np.zeros(1), 10.0, False), Turns(np.radians([0.0, -3.0, 3.0]), 10.0, False)
-SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0, False)
+SHALLOW = kernel.LookaheadDepth(0, 15.0, np.zeros(1), 0.0, False)
 
 
 def watching(rule, memory):
@@ -62,7 +62,7 @@ def watching(rule, memory):
 
 def prompt(*known):
     """What is known of a target that the payload reports at once."""
-    return Estimates(Known(*known), Known(*known))
+    return Estimates(TargetState(*known), TargetState(*known))
 
 
 def a_table(aircraft, requirement, wind_m_s=0.0):
@@ -96,7 +96,7 @@ class Look:
     def _scene(self, target, present):
         s, wind = self.state, (self.wind.east_m_s, self.wind.north_m_s)
         here = s.time_s, LinePoint(s.east_m, s.north_m, s.course_rad, s.curvature_per_m), s.ground_speed_m_s
-        watcher = Watcher(self.craft, WISH, 5.0, fresh_memory(self.side))
+        watcher = Watcher(self.craft, RULE, 5.0, fresh_memory(self.side))
         return scene_of(*here, target, FlownPlan(*line_of(present), 0.0), wind, 0.4, watcher)
 
     def compiled(self, futures=None, kept=None):
@@ -104,12 +104,19 @@ class Look:
         stay = kernel.look_ahead(
             self.scene,
             futures or going_straight(self.scene, motions),
-            kernel.Looker(
+            kernel.Question(
                 kernel.PlannerContext(
-                    Watcher(self.craft, WISH, 5.0, fresh_memory(self.side)),
-                    *(c.cost.terms, motions, STRAIGHT, kept or nothing_kept(), no_seconds(), no_route()),
+                    Watcher(self.craft, RULE, 5.0, fresh_memory(self.side)),
+                    *(
+                        c.cost.terms,
+                        motions,
+                        STRAIGHT,
+                        kept or new_line_cache(),
+                        new_second_moves(),
+                        no_route_values(),
+                    ),
                 ),
-                *(self.table.arrays, kernel.Prices(0.5, 1.0), SHALLOW),
+                *(self.table.arrays, kernel.SwitchingCosts(0.5, 1.0), SHALLOW),
             ),
             NOTHING_HIDDEN,
             costs,
@@ -171,7 +178,7 @@ def test_the_compiled_look_ahead_costs_what_the_plain_one_does(
 
 
 def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
-    table, kept = a_table(paper_aircraft, paper_requirement), nothing_kept()
+    table, kept = a_table(paper_aircraft, paper_requirement), new_line_cache()
     look = Look(paper_aircraft, table)
     first, again = look.compiled(kept=kept), look.compiled(kept=kept)
     np.testing.assert_array_equal(first[0], again[0])
@@ -180,8 +187,8 @@ def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
 
 def going_straight(scene, motions):
     """One future of a steady velocity, its first sample alone: it goes on indefinitely."""
-    every = winding(scene, motions, watching(WISH, fresh_memory(1.0)), STRAIGHT)
-    return Futures(*every[:2], *(np.ascontiguousarray(a[:, :1]) for a in every[2:]))
+    every = winding(scene, motions, watching(RULE, fresh_memory(1.0)), STRAIGHT)
+    return Scenarios(*every[:2], *(np.ascontiguousarray(a[:, :1]) for a in every[2:]))
 
 
 def with_future(one, samples, weight=1.0):
@@ -190,7 +197,7 @@ def with_future(one, samples, weight=1.0):
     place = np.repeat(one.place[0], samples, axis=0)
     place[:, :2] += k * one.step_s * place[:, 2:]
     rest = (np.repeat(a, samples, axis=1) for a in one[3:])
-    return Futures(np.array([weight]), one.step_s, place[None], *rest)
+    return Scenarios(np.array([weight]), one.step_s, place[None], *rest)
 
 
 def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_requirement):
@@ -203,14 +210,14 @@ def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_r
     assert sampled[1] == pytest.approx(stay, rel=1e-9)
     # Turned as a whole - target, watch course and the table's course - a scene costs what it did.
     sin_t, cos_t = math.sin(0.7), math.cos(0.7)
-    both = Futures(np.array([0.25, 0.75]), 1.0, *(np.concatenate((a, a)) for a in straight[2:]))
+    both = Scenarios(np.array([0.25, 0.75]), 1.0, *(np.concatenate((a, a)) for a in straight[2:]))
     both.place[1, 0, 2:] = 4.0, -1.0
-    other = Futures(np.ones(1), 1.0, *(a[1:] for a in both[2:]))
+    other = Scenarios(np.ones(1), 1.0, *(a[1:] for a in both[2:]))
     np.testing.assert_allclose(look.compiled(both)[0], 0.25 * costs + 0.75 * look.compiled(other)[0], rtol=1e-9)
     x, y = np.linspace(-300.0, -200.0, 30), np.linspace(-50.0, 50.0, 30)
     heading, time_s = np.linspace(0.0, 1.0, 30), np.arange(30.0)
     terms, doubt = table.configuration.cost.terms, look.scene.doubt
-    turned = Futures(*straight[:2], *(a.copy() for a in straight[2:]))
+    turned = Scenarios(*straight[:2], *(a.copy() for a in straight[2:]))
     vx, vy = straight.place[0, 0, 2:]
     turned.place[0, 0, 2:] = vx * cos_t + vy * sin_t, vy * cos_t - vx * sin_t
     turned.facing[0, 0, :2], turned.course[0, 0] = (sin_t, cos_t), (sin_t, cos_t, 0.7)
@@ -241,7 +248,7 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
     """A target that drove north turned east: what is watched turns after it, the table is asked as it drives."""
     motions = a_table(paper_aircraft, paper_requirement).motions
     for side in (1.0, -1.0):
-        memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+        memory, wish = fresh_memory(side), SideRule(False, 50.0, math.nan, 20.0)
         present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
         for time_s in range(61):
             velocity = (0.0, 4.0) if time_s < 60 else (4.0, 0.0)
@@ -271,7 +278,7 @@ def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share
         course = 0.15 * time_s
         speed = float(ground_speeds_m_s(np.array([course]), 10.0 * share, wind)[0])
         here = LinePoint(*present.circle.position_at_course(course), course, 1.0 / 60.0)
-        flown, watcher = FlownPlan(*line_of(present), 0.0), Watcher(craft, WISH, 5.0, memory)
+        flown, watcher = FlownPlan(*line_of(present), 0.0), Watcher(craft, RULE, 5.0, memory)
         scene = scene_of(float(time_s), here, speed, target, flown, (wind.east_m_s, wind.north_m_s), 0.0, watcher)
         found.append(scene.air.airspeed_m_s)
     assert found[0] == 10.0
@@ -283,7 +290,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     look = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement))
     memory, turns = fresh_memory(1.0), TURNING
     memory.standing = False
-    futures = winding(look.scene, look.table.motions, watching(WISH, memory), turns)
+    futures = winding(look.scene, look.table.motions, watching(RULE, memory), turns)
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
     course = np.unwrap(np.arctan2(futures.place[:, :, 2], futures.place[:, :, 3]), axis=1)
     np.testing.assert_allclose(np.degrees(course[:, -1] - course[:, 0]), [0.0, -30.0, 30.0], atol=2.0)
@@ -297,10 +304,10 @@ def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, pa
     for standing, stands, stays in ((1.0, True, True), (1.0, False, False), (0.0, True, False)):
         memory.standing = standing
         turns = TURNING._replace(stands=stands)
-        place = winding(look.scene, look.table.motions, watching(WISH, memory), turns).place
+        place = winding(look.scene, look.table.motions, watching(RULE, memory), turns).place
         assert np.all(place == 0.0) == stays
     # A sector does not depend on whether the target stands: the memory holds its first value.
-    sector = WISH._replace(fixed_course_rad=0.3)
+    sector = RULE._replace(fixed_course_rad=0.3)
     assert np.any(winding(look.scene, look.table.motions, watching(sector, fresh_memory(1.0)), turns).place != 0.0)
 
 
@@ -308,7 +315,7 @@ def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft,
     """It goes 200 m to and fro at 4 m/s; 48 m before it turns for the fourth time it is expected to."""
     motions, turns = a_table(paper_aircraft, paper_requirement).motions, TURNING
     for side in (1.0, -1.0):
-        memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+        memory, wish = fresh_memory(side), SideRule(False, 50.0, math.nan, 20.0)
         present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
         for time_s in range(189):
             turned, past_m = divmod(4.0 * time_s, 200.0)
@@ -336,20 +343,20 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     table = a_table(paper_aircraft, paper_requirement)
     look = Look(paper_aircraft, table, side=side, under_way=under_way)
     scene = look.scene
-    memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+    memory, wish = fresh_memory(side), SideRule(False, 50.0, math.nan, 20.0)
     for time_s in range(30):
-        remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory, math.inf)
+        remember_place(TargetState(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory, math.inf)
     memory.standing = False
     futures = winding(scene, table.motions, watching(wish, memory), TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
     ahead, end = staying_ahead(scene, under_way)
     moved = moving_ahead(scene, look.craft, 20)
     assert (end > 0) is under_way
-    ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms
-    lay_out_seconds(seconds, scene.radius_m, scene.turn_radius_m, ramp, 10.0)
-    predicted = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
+    ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), new_second_moves(), table.configuration.cost.terms
+    lay_out_second_moves(seconds, scene.radius_m, scene.turn_radius_m, ramp, 10.0)
+    predicted = scenario_rows(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
-        second = Second(predicted, terms, table.arrays, seconds, 3.0, 5.0, 15.0, room_for(futures, scene.air))
+        second = Second(predicted, terms, table.arrays, seconds, 3.0, 5.0, 15.0, workspace_for(futures, scene.air))
         found = deep_cost(line, ends, branches, scene, second, np.inf)
         assert deep_cost(line, ends, branches, scene, second, found + 0.1) == found
         assert found - 5.0 <= deep_cost(line, ends, branches, scene, second, found - 5.0) <= found
@@ -362,13 +369,13 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
 
 def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, paper_requirement):
     """What is laid out for still air is stretched along itself: a second's way is that of the ground speed there."""
-    seconds = no_seconds()
-    lay_out_seconds(seconds, 60.0, 40.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
+    seconds = new_second_moves()
+    lay_out_second_moves(seconds, 60.0, 40.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
     calm, windy = np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
     start, flown = Pose(5.0, -7.0, math.pi / 2), np.empty((64, SECONDS))
     stretch(seconds, 4, start.heading_rad, speeds_over_ground(Air(10.0, 2.0, 0.0)), 12, flown)
     for way, places in ((flown[:0], calm), (flown, windy)):
-        fan = Fan(start, 1.0, 0.0, 4, way, places, np.zeros(SECONDS, np.bool_), np.full(SECONDS, 12))
+        fan = PlacedMoves(start, 1.0, 0.0, 4, way, places, np.zeros(SECONDS, np.bool_), np.full(SECONDS, 12))
         for j in range(SECONDS):
             lay(seconds, fan, j, 12)
     np.testing.assert_allclose(np.hypot(*(calm[:2, 0, 1] - (5.0, -7.0))), 10.0, atol=0.1)

@@ -10,7 +10,7 @@ import pytest
 from sidelong.mission.route.progress import RouteProgress, describe, progress_of, way_of
 from sidelong.mission.route.progress_kernel import forecast, fresh_progress, update_progress
 from sidelong.mission.route.route import Direction, Route, route_of
-from sidelong.mission.viewpoint.viewpoint_kernel import Known
+from sidelong.mission.viewpoint.viewpoint_kernel import TargetState
 
 _COVARIANCE = np.diag([4.0, 4.0, 0.09, 0.09])
 
@@ -22,7 +22,7 @@ def _follow(
     rng, memory, found = np.random.default_rng(seed), fresh_progress(route.east_m.size), []
     for k, state in enumerate(path):
         east, north, ve, vn = np.array(state) + rng.normal(0.0, [2.0, 2.0, sigma_m_s, sigma_m_s])
-        update_progress(way_of(route), Known(float(k), east, north, ve, vn, _COVARIANCE), memory)
+        update_progress(way_of(route), TargetState(float(k), east, north, ve, vn, _COVARIANCE), memory)
         progress = progress_of(route, memory)
         assert progress is not None
         found.append(progress)
@@ -62,7 +62,7 @@ def test_corner_of_a_displaced_route_is_expected_where_the_target_turns() -> Non
     k = 235  # 300 + 400 + 240 m: the last turn is 60 m ahead
     for at, state in enumerate(path[: k + 1]):
         known = np.array(state) + rng.normal(0.0, [1.0, 1.0, 0.2, 0.2])
-        update_progress(way_of(route), Known(float(at), *known, _COVARIANCE), memory)
+        update_progress(way_of(route), TargetState(float(at), *known, _COVARIANCE), memory)
     forecast(way_of(route), memory.state, float(k), ahead)
     predicted = ahead[-1] - ahead[0]
     assert predicted == pytest.approx(np.array(path[k + 30][:2]) - np.array(path[k][:2]), abs=6.0)
@@ -80,7 +80,7 @@ def test_target_that_speeds_up_is_not_predicted_to_slow_down() -> None:
     north_m = np.cumsum(speed_m_s)
     memory, ahead = fresh_progress(route.east_m.size), np.empty((7, 2))
     for k, (north, speed) in enumerate(zip(north_m, speed_m_s, strict=True)):
-        update_progress(way_of(route), Known(float(k), 0.0, north, 0.0, speed, _COVARIANCE), memory)
+        update_progress(way_of(route), TargetState(float(k), 0.0, north, 0.0, speed, _COVARIANCE), memory)
     forecast(way_of(route), memory.state, float(len(speed_m_s) - 1), ahead)
     assert ahead[6, 1] - ahead[0, 1] > 6.0 * 10.5
 
