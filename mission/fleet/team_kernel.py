@@ -543,7 +543,8 @@ def team_decide(
 
     others, first_s: see :func:`cover_of`.
     """
-    foreseen, answered_by = foresee(scene, question)
+    foreseen, table, prices, depth = foresee(scene, question)
+    answered_by = Question(question.context, table, prices, depth)
     every = foreseen
     if len(question.context.route.way.points) > 0:  # without the layers of time
         every = winding(

@@ -442,8 +442,8 @@ def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Ques
 
 
 @compiled
-def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
-    """Return what the target may do, and the question to answer with it.
+def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, SwitchingCosts, LookaheadDepth]:
+    """Return what the target may do, and the table, prices and depth to answer the question with.
 
     Processes the target's estimate: call it once for each, in order of time.
     """
@@ -458,13 +458,13 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
         question.table,
     )
     if len(s.way.points) == 0:
-        return every, question
+        return every, table, question.prices, question.depth
     update_progress(s.way, scene.target, s.progress)
     f, on_route = along_route(scene, question, every)
     part, state = s.progress.state.part, s.state
     if not on_route:
         state.computed_s = -np.inf
-        return f, question
+        return f, table, question.prices, question.depth
     p = question.prices
     prices = SwitchingCosts(_PRICE_SHARE * p.leave, _PRICE_SHARE * p.change, p.commit, p.commit_s, p.threat_s)
     turn_rad, count = -scene.mirror * scene.course_rad, len(table.values)
@@ -493,7 +493,7 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
     depth = LookaheadDepth(
         question.depth.beam, question.depth.horizon_s, s.least, question.depth.min_after_turn, every_future
     )
-    return f, Question(question.context, timed, prices, depth)
+    return f, timed, prices, depth
 
 
 @compiled
@@ -502,7 +502,8 @@ def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float,
 
     Processes the target's estimate, as :func:`foresee` does.
     """
-    futures, answered_by = foresee(scene, question)
+    futures, table, prices, depth = foresee(scene, question)
+    answered_by = Question(question.context, table, prices, depth)
     min_gain, costs = commitment(scene, futures, answered_by), np.empty(choices(question))
     return look_two_moves_ahead(scene, futures, answered_by, sight, min_gain, costs), min_gain, costs
 

@@ -215,8 +215,8 @@ class PredictivePlanner:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, (question, table) in enumerate(zip(self.questions, self.tables, strict=True)):
-            route = self._route_values(table.arrays, table.configuration)
-            self.questions[k] = question._replace(context=question.context._replace(route=route))
+            values = self._route_values(table.arrays, table.configuration)
+            self.questions[k] = question._replace(context=question.context._replace(route=values))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
