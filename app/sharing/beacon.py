@@ -50,9 +50,8 @@ _UNREAD_MAX = 10  # datagrams without a position before this is announced
 class BeaconReport:
     """One beacon's message.
 
-    Attributes:
-        names: system id, uid and call sign, or address; the configured name may match any of them.
-        sigma_m: position error, 1 sigma, m; 0 where the message has none.
+    names: system id, uid and call sign, or address; the configured name may match any of them. sigma_m: position
+    error, 1 sigma; 0 where the message has none.
     """
 
     message: str
@@ -64,11 +63,7 @@ class BeaconReport:
 
 
 def decode(data: bytes, now: datetime, sender: str = "") -> list[BeaconReport]:
-    """Return the positions in a datagram; an empty list if it is damaged or of another kind.
-
-    Raises:
-        InputError: takproto, which reads TAK protobuf, is not installed.
-    """
+    """Return the positions in a datagram, none if it is damaged. Raises InputError if takproto is missing."""
     if data.startswith(_TAK_PROTOBUF):
         return list(_tak_protobuf(data, now))
     data = data.removeprefix(_TAK_XML).lstrip()
@@ -156,17 +151,10 @@ def _join(own: socket.socket, group: str) -> None:
 
 
 class BeaconInput(asyncio.DatagramProtocol):
-    """Forwards the readings of one beacon, and reports each reason for a rejection once.
+    """Forwards the readings of one beacon by ``put``, and reports each reason for a rejection once.
 
-    Args:
-        plane: The local plane of the mission.
-        name: The configured beacon; None: the only one received.
-        sigma_m: Position error, 1 sigma, m, of a beacon that does not send its own.
-        now_s: Returns the time of the vehicle's clock, s.
-        put: Called with each reading.
-        announce: Called with each message for the operator.
-        now: Returns the time of day in UTC.
-        clock_s: Returns a time that no clock setting changes, s.
+    name: the configured beacon, None for the only one received. sigma_m: position error, 1 sigma, of a beacon that
+    does not send its own. Times: now_s of the vehicle's clock, now in UTC, clock_s of a clock that is never set.
     """
 
     def __init__(
@@ -192,11 +180,7 @@ class BeaconInput(asyncio.DatagramProtocol):
         self._transport: asyncio.BaseTransport | None = None
 
     async def listen(self, address: NetworkAddress) -> None:
-        """Begin to listen; a multicast group is joined on each network interface.
-
-        Raises:
-            InputError: The address is not free, not here, or a group that cannot be joined.
-        """
+        """Begin to listen. Raises InputError for an address that is not free or here, or a group not joined."""
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         own.setblocking(False)
         try:
@@ -211,9 +195,8 @@ class BeaconInput(asyncio.DatagramProtocol):
         except OSError as error:
             own.close()
             reason = error.strerror or "it is not known"
-            raise InputError(
-                f"sharing.beacon: {address.host}:{address.port} cannot be listened to ({reason})."
-            ) from error
+            where = f"{address.host}:{address.port}"
+            raise InputError(f"sharing.beacon: {where} cannot be listened to ({reason}).") from error
 
     def stop(self) -> None:
         if self._transport is not None:

@@ -243,7 +243,7 @@ class Raster:
 
 
 def _length(path: Path) -> int:
-    """Return the length of a file, or of the one that is packed in it, bytes."""
+    """Return the length of a file, or of the file packed in it, bytes."""
     with path.open("rb") as file:
         end = file.seek(0, 2)
         if path.suffix != ".gz" or end < 4:

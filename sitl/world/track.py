@@ -91,13 +91,10 @@ class TrackMotion:
 
 
 def read_track(path: Path) -> RecordedTrack:
-    """Read a track: see :mod:`sidelong.sitl.world.track_file`. FILE#NAME selects one of several.
+    """Read a track; FILE#NAME selects one of several. Its times are judged by the speeds that they imply.
 
-    Points come in the order of time, relative to the first; spikes of the receiver are left out. Times are judged by
-    the speeds that they imply: see :func:`_judged`.
-
-    Raises:
-        TrackError: The file cannot be read or holds fewer than two usable points.
+    Points come in the order of time, relative to the first; spikes of the receiver are left out. Raises TrackError
+    if the file cannot be read or holds fewer than two usable points.
     """
     file, name = file_and_name(path)
     lines, geodetic = read_lines(file)

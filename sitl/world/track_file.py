@@ -163,15 +163,9 @@ def read_lines(path: Path) -> tuple[list[Line], bool]:
 
 
 def chosen(file: Path, found: Sequence[tuple[Line, float]], name: str) -> tuple[int, str]:
-    """Return the index of the line to use, and a note on the others.
+    """Return the index of the line to use, and a note on the others. Raises TrackError if none has this name.
 
-    Args:
-        file: The file, for the error.
-        found: Lines, each with its length in metres.
-        name: Name of the line, or its number in the file; empty: the target's, else the longest.
-
-    Raises:
-        TrackError: No line has this name.
+    Each is given with its length in m. The name may be its number; empty: the target's line, else the longest.
     """
     names = [line.name for line, _ in found]
     wanted = name or _TARGET
@@ -242,18 +236,17 @@ def _seconds(stamp: object) -> float:
     if isinstance(stamp, int | float):
         return float(stamp)
     text = str(stamp or "").strip()
-    if len(text) > _CELL_MAX:
-        raise ValueError(f"{text!r:.40} is neither seconds nor a time of ISO 8601")
-    parts = _COMPACT.fullmatch(text)
-    if parts is None:
+    readable = len(text) <= _CELL_MAX
+    parts = _COMPACT.fullmatch(text) if readable else None
+    if parts is None and readable:
         with suppress(ValueError):
             return float(text)
         with suppress(ValueError):
             time = datetime.fromisoformat(text)
             return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
         parts = _CLOCK.fullmatch(text)
-    if parts is None and _NO_TIME.fullmatch(text):
-        return math.nan
+        if parts is None and _NO_TIME.fullmatch(text):
+            return math.nan
     if parts is None:
         raise ValueError(f"{text!r:.40} is neither seconds nor a time of ISO 8601")
     year, month, day, hour, minute = (int(part or 0) for part in parts.groups()[:5])
@@ -444,10 +437,7 @@ def _read_json(text: str, lines: _Lines) -> None:
 
 def _geometries(document: Any, properties: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     match document:
-        case {"type": "FeatureCollection", "features": [*parts]} | {
-            "type": "GeometryCollection",
-            "geometries": [*parts],
-        }:
+        case {"type": "FeatureCollection", "features": [*parts]} | {"geometries": [*parts]}:
             for part in parts:
                 yield from _geometries(part, properties)
         case {"type": "Feature"}:
@@ -601,7 +591,7 @@ def _column(names: list[str], alike: Sequence[str]) -> int | None:
 
 
 def _stamp(time: str, date: str) -> float:
-    """Return a time; date: the cell of a separate column, if there is one."""
+    """Return a time; date: the cell of a separate column, which a whole time of its own does not need."""
     if date:
         with suppress(ValueError):
             return _seconds(f"{date} {time}")

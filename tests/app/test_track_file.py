@@ -108,6 +108,7 @@ def test_units_and_forms_of_time_are_recognised(tmp_path: Path, header: str, sta
         ),
         ("time,lat,lon", "2025-05-04T09:{m:02d}:{s:02d}Z,{lat:.6f}°N,E8 33.000"),
         ("INDEX,TIME,LATITUDE N/S,LONGITUDE E/W", '{k}\0\0,09:{m:02d}:{s:02d},{lat:.6f}N,"8°33\'00""E"'),
+        ("date,time,lat,lon", "2025-05-04,2025-05-04T09:{m:02d}:{s:02d}Z,{lat:.6f},8.55"),
         ("latitude;longitude;date;heure", "{lat:.6f};8.55;04/05/2025;09:{m:02d}:{s:02d}"),
         ("No;Latitude;Longitude;Date;Time", "{k};{comma};8,55;2025/05/04;09:{m:02d}:{s:02d}"),
         ("Latitude\tLongitude\tTime", "{lat:.6f}\t8.55\t2025-05-04T09:{m:02d}:{s:02d}+02:00"),
