@@ -594,7 +594,9 @@ def _stamp(time: str, date: str) -> float:
     """Return a time; date: the cell of a separate column, which a whole time of its own does not need."""
     if date:
         with suppress(ValueError):
-            return _seconds(f"{date} {time}")
+            joined = _seconds(f"{date} {time}")
+            if math.isfinite(joined):
+                return joined
     return _seconds(time)
 
 
