@@ -9,8 +9,8 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping, Sequence
 from importlib.metadata import version
 
-from sidelong.app.analysis.score import Moment
-from sidelong.app.analysis.summary import FleetSummary, FlownAircraft, MissionTrack, Summary, summarise_fleet
+from sidelong.app.analysis.score import Asked
+from sidelong.app.analysis.summary import MissionTrack
 from sidelong.app.fleet.assembly import coordinator_of
 from sidelong.app.fleet.coordination import Coordination, Participant
 from sidelong.app.fleet.fleet_file import FleetFile
@@ -236,21 +236,14 @@ class FleetFlight:
         """Take that an aircraft's flight is over."""
         self._coordination.lost(one.name, one.outcome)
 
-    def summary(
-        self, flown: Sequence[tuple[FlyingAircraft, Summary, Sequence[Moment]]], ended: str, by_truth: bool
-    ) -> FleetSummary:
-        """Return the summary of all. ended: the outcome of all, '' where each has its own."""
-        parts = [
-            FlownAircraft(
-                one.name, summary, moments, self._coordinator.offset_s(one.name) or 0.0, self._tracks[one.name]
-            )
-            for one, summary, moments in flown
-        ]
-        outcomes = {one.outcome for one, _, _ in flown}
-        outcome = ended or next((one for one in ("completed", "interrupted") if one in outcomes), "; ".join(outcomes))
+    def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]:
+        """Return mission time less an aircraft's own, s, and where it was."""
+        return self._coordinator.offset_s(one.name) or 0.0, self._tracks[one.name]
+
+    def asked(self) -> dict[str, Asked]:
+        """Return the requirements of each target, in mission time."""
         changes = self._coordination.changes
-        asked = {name: [(-math.inf, first), *changes[name]] for name, first in self._fleet.asked.items()}
-        return summarise_fleet(parts, asked, outcome, "truth" if by_truth else "estimate")
+        return {name: [(-math.inf, first), *changes[name]] for name, first in self._fleet.asked.items()}
 
 
 def simulated_targets(fleet: FleetFile) -> tuple[list[TargetSettings], list[int]]:

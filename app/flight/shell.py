@@ -33,10 +33,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-from sidelong.app.analysis.score import Moment
-from sidelong.app.analysis.summary import FleetSummary, Summary
+from sidelong.app.analysis.score import Asked
+from sidelong.app.analysis.summary import FleetSummary, FlownAircraft, MissionTrack, Summary, summarise_fleet
 from sidelong.app.analysis.truth import truth_if_whole
 from sidelong.app.assembly import Prepared
 from sidelong.app.autopilots.autopilot import Autopilot
@@ -197,7 +197,7 @@ class FlyingAircraft:
         prepare: Returns what the control step is made of; it may compute for seconds.
         name: Its name; '' where it is the only one.
         reserve: Whether it waits on the ground until the fleet needs it.
-        session: Its connection; one that is given stays, and ``recording`` has its frames then.
+        session: Its connection; a given one stays open, and ``recording`` has its frames then.
         wanted: Set once it has to be in the air.
         outcome: How its flight ended; '' until then.
         error: What its flight failed with.
@@ -300,10 +300,11 @@ class Coordinator(Protocol):
     def lost(self, one: FlyingAircraft) -> None:
         """Take that an aircraft's flight is over."""
 
-    def summary(
-        self, flown: Sequence[tuple[FlyingAircraft, Summary, Sequence[Moment]]], ended: str, by_truth: bool
-    ) -> FleetSummary:
-        """Return the summary of all. ended: the outcome of all, '' where each has its own."""
+    def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]:
+        """Return mission time less an aircraft's own, s, and where it was."""
+
+    def asked(self) -> dict[str, Asked]:
+        """Return the requirements of each target, in mission time."""
 
 
 async def fly(
@@ -541,9 +542,14 @@ class Shell:
         for one, summary in zip(self._aircraft, summaries, strict=True):
             with contextlib.suppress(OSError):  # the fleet's holds the same
                 one.folder.write_summary(summary.as_json())
-        moments = [one.flight.moments(truth) for one, truth in zip(self._aircraft, truths, strict=True)]
-        flown = list(zip(self._aircraft, summaries, moments, strict=True))
-        return self._coordinator.summary(flown, ended, by_truth=None not in truths)
+        flown = [
+            FlownAircraft(one.name, summary, one.flight.moments(truth), *self._coordinator.flown(one))
+            for one, summary, truth in zip(self._aircraft, summaries, truths, strict=True)
+        ]
+        outcomes = {one.outcome for one in self._aircraft}
+        outcome = ended or next((one for one in ("completed", "interrupted") if one in outcomes), "; ".join(outcomes))
+        source: Literal["truth", "estimate"] = "estimate" if None in truths else "truth"
+        return summarise_fleet(flown, self._coordinator.asked(), outcome, source)
 
     def _reason(self, described: str) -> Exception | None:
         """Return the error to report. Raises what happened before an aircraft was armed."""

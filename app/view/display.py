@@ -118,7 +118,7 @@ class ViewDisplay(ShownAircraft):
     Whatever the page's process does, every call returns at once and raises nothing: the page gets what fits.
 
     Attributes:
-        requests: Takes what is asked of a whole fleet; needed before a button is pressed.
+        requests: Receives the requests to a whole fleet; needed before a button is pressed.
 
     Args:
         displays: Another display of each aircraft, by its name; '' where there is one aircraft only.

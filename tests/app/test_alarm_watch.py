@@ -8,7 +8,7 @@ import pytest
 
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
-from sidelong.app.flight.alarm_watch import AlarmWatch
+from sidelong.app.flight.flight import AlarmWatch
 from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.events import AlarmReported, BatteryReported, ControlAcquired, End
 

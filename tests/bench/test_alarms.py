@@ -14,7 +14,7 @@ import numpy as np
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
-from sidelong.app.flight.alarm_watch import AlarmWatch
+from sidelong.app.flight.flight import AlarmWatch
 from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.target import RandomTarget, TargetTruth
