@@ -252,6 +252,18 @@ def test_a_vehicle_that_signs_is_noticed_on_a_link_without_a_key():
     assert troubles == ["the vehicle signs its messages: without link.signing_key_file it may reject ours"]
 
 
+def test_a_link_is_of_mavlink_1_until_a_frame_of_mavlink_2_arrives():
+    wire, vehicle, found = Wire(), mavlink.MAVLink(None, 1, 1), []
+    heartbeat = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
+    with contextlib.closing(RawLinks([("link", wire)], OURS, None)) as links:
+        links.start(lambda _data: None)
+        found.append(links.reports()[0].only_mavlink_1)
+        for is_v1 in (True, True, False, True):
+            wire.bring(bytes(heartbeat.pack(vehicle, force_mavlink1=is_v1)))
+            found.append(links.reports()[0].only_mavlink_1)
+    assert found == [False, True, True, False, False]
+
+
 def test_a_listening_link_speaks_to_those_who_have_the_key(linked):
     flight = linked()
     flight.run(5.0)
