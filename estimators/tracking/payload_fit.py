@@ -144,6 +144,7 @@ _DRIFT_EVERY_S = 20.0, 10.0  # while nothing drifts, and while something seems t
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
 _SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
+_GROWN_SHARE = 0.5  # of a drifting error has to grow within the window: else it is constant, and corrected
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
@@ -996,9 +997,14 @@ class PayloadFit:
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
-        looks_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
+        span_s = float(readings.ranges[-1, 0] - readings.ranges[0, 0])
+        yaw_grows, range_grows = (
+            bool(self._drift) or abs(one.shared[k + 2]) * span_s > _GROWN_SHARE * abs(one.shared[k])
+            for one, k in ((by_yaw, 2), (by_range, 3))
+        )
+        looks_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M and range_grows
         is_range = looks_long and pitch_rad / (range_m * pitch_of_range_rad_m) > _SINKS_MIN
-        is_yaw = yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD
+        is_yaw = yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
         opposite = looks_long and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
         is_pitch = abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range
         for what, is_it, gain, numbers in (
