@@ -49,7 +49,7 @@ class WatchedCourse:
         if first is not None and self._presumed_rad is None:
             away_rad = math.atan2(first.east_m - target.east_m, first.north_m - target.north_m)
             self._presumed_rad = away_rad - self._normal_turn_rad
-        held_rad, made_good_rad = self._hold.update(target), float(self._policy.memory.made_good_rad)
+        held_rad, made_good_rad = self._hold.update(target), float(self._policy.memory[0].made_good_rad)
         if not math.isnan(made_good_rad):
             self.course_rad = made_good_rad
         else:

@@ -117,7 +117,7 @@ class TeamPlanner:
             self._advice = news
             held = 1.0 if news.side is Side.LEFT else -1.0
             self._wanted = -held if news.role is Role.OPPOSITE else held
-            self._alone.questions[0].context.watcher.memory.side = held  # of all questions
+            self._alone.questions[0].context.watcher.memory[0].side = held  # of all questions
             if news.course_rad is not None:
                 self.presume(news.course_rad)
 
@@ -127,7 +127,7 @@ class TeamPlanner:
         Args:
             course_rad: Course of the target, rad.
         """
-        self._alone.questions[0].context.watcher.memory.presumed_course_rad = course_rad  # of all questions
+        self._alone.questions[0].context.watcher.memory[0].presumed_course_rad = course_rad  # of all questions
 
     def follow(self, route: Route | None, progress: Progress) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
@@ -151,12 +151,12 @@ class TeamPlanner:
             latency_s: Time until a new plan can depart, s.
         """
         question, team = self._for(wind)
-        held, found = question.context.watcher.memory.side, []
+        held, found = question.context.watcher.memory[0].side, []
         for side in (team.wanted, -team.wanted):
-            question.context.watcher.memory.side = side
+            question.context.watcher.memory[0].side = side
             scene = scene_at(aircraft, target, present, wind, latency_s, question)
             found.append(kernel.role_value(scene, question))
-        question.context.watcher.memory.side = held
+        question.context.watcher.memory[0].side = held
         return RoleCosts(*found)
 
     def decide(

@@ -382,7 +382,7 @@ def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Sce
 
     The route replaces the future along the target's path history.
     """
-    way, progress = question.context.route.way, question.context.route.progress.state
+    way, progress = question.context.route.way, question.context.route.progress.state[0]
     if len(way.points) == 0 or not progress.on_route or not progress.of_use:
         return every, False
     chance, turns, k = _TRUST * progress.chance, len(question.context.turns.rate_rad_s), every.place.shape[1]
@@ -399,7 +399,7 @@ def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Sce
     for i in range(k):
         place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
         place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-    moving = not question.context.watcher.memory.standing
+    moving = not question.context.watcher.memory[0].standing
     return watched(
         scene,
         question.context.motions,
@@ -416,21 +416,21 @@ def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Ques
     s, motions, table = question.context.route, question.context.motions, question.table
     wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
     wind_rad = math.atan2(scene.air.wind_x_m_s, scene.air.wind_y_m_s) - turn_rad if wind_m_s > 0.0 else 0.0
-    changed_rad = wind_rad - s.state.wind_rad
+    changed_rad = wind_rad - s.state[0].wind_rad
     changed_rad -= 2.0 * math.pi * round(changed_rad / (2.0 * math.pi))
     # The frame of a sector is fixed: its angle in the plane does not change.
     if motions.wind_speed_m_s > 0.0 and abs(changed_rad) > _OTHER_WIND_RAD:
-        s.state.known[:] = 0
-        s.state.wind_rad = wind_rad
+        s.state[0].known[:] = 0
+        s.state[0].wind_rad = wind_rad
     classes, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     for k in range(f.place.shape[1]):
         course = course_index(f, _ROUTE, k, turn_rad)
-        if s.state.known[course] > 0:
+        if s.state[0].known[course] > 0:
             continue
-        s.state.known[course] = 1
+        s.state[0].known[course] = 1
         course_rad = course * 2.0 * math.pi / HEADINGS
         table_rad = course_rad if motions.follows_course else f.course[_ROUTE, k, 2] - turn_rad
-        to_rad, from_rad = course_rad - table_rad, s.state.wind_rad - table_rad
+        to_rad, from_rad = course_rad - table_rad, s.state[0].wind_rad - table_rad
         fastest = motions.target_speed_max_m_s
         vx, vy = fastest * math.sin(to_rad), fastest * math.cos(to_rad)
         wx, wy = motions.wind_speed_m_s * math.sin(from_rad), motions.wind_speed_m_s * math.cos(from_rad)
@@ -461,7 +461,7 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, Switchi
         return every, table, question.prices, question.depth
     update_progress(s.way, scene.target, s.progress)
     f, on_route = along_route(scene, question, every)
-    part, state = s.progress.state.part, s.state
+    part, state = s.progress.state[0].part, s.state[0]
     if not on_route:
         state.computed_s = -np.inf
         return f, table, question.prices, question.depth

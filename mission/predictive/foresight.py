@@ -56,5 +56,5 @@ def route_values(route: Route, own: Table, c: TableConfiguration, progress: Prog
         resample(own.after_turn, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, after_turn[one])
     least = values.min(axis=(1, 2, 3)).astype(np.float64)
     state = new_record(LAYERS)
-    state.computed_s = -np.inf
+    state[0].computed_s = -np.inf
     return RouteValues(way_of(route), progress, values, after_turn, cell_m, least, state)

@@ -14,12 +14,12 @@ target, and with it the frame of a decision, turns.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import Record, compiled, inlined, record_type
+from sidelong.estimators.compiled import compiled, inlined, record_type
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import crab_rad
 from sidelong.mission.predictive.cost_kernel import (
@@ -57,7 +57,7 @@ class RouteValues(NamedTuple):
     """A route and the layers of the value table along it; without points, no route.
 
     values: classes of the value table on the program's grid, then the layers. after_turn: the same classes, then one
-    for each of HEADINGS courses. least (classes + layers,): of ``values``. state: a record of ``LAYERS``.
+    for each of HEADINGS courses. least (classes + layers,): of ``values``. state: one record of ``LAYERS``, (1,).
     """
 
     way: RouteArrays
@@ -66,7 +66,7 @@ class RouteValues(NamedTuple):
     after_turn: Float32
     cell_m: float
     least: FloatArray
-    state: Record
+    state: Any
 
 
 @compiled

@@ -6,7 +6,7 @@ The target goes straight on, begins to turn, or repeats a part of its path histo
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -116,13 +116,13 @@ class Watcher(NamedTuple):
         craft: the aircraft.
         rule: from where to watch.
         target_speed_max_m_s: greatest speed of the target.
-        memory: a record of ``MEMORY``, which changes.
+        memory: one record of ``MEMORY``, which changes, (1,).
     """
 
     craft: Craft
     rule: SideRule
     target_speed_max_m_s: float
-    memory: Record
+    memory: Any
 
 
 @compiled
@@ -149,7 +149,8 @@ def scene_of(
         watcher: the aircraft and how it watches; its memory is updated.
     """
     line, circle, age_s = present
-    craft, rule, target_speed_max_m_s, memory = watcher
+    craft, rule, target_speed_max_m_s, memories = watcher
+    memory = memories[0]
     wind_east_m_s, wind_north_m_s = wind_m_s
     blows_m_s = math.hypot(wind_east_m_s, wind_north_m_s)
     air_east_m_s = speed_m_s * math.sin(aircraft.course_rad) - wind_east_m_s
@@ -292,7 +293,7 @@ def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> S
     the path. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
     asked in the frame of the velocity, in which it was computed, or of the fixed course.
     """
-    memory = watcher.memory
+    memory = watcher.memory[0]
     k = min(PREDICTED_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     moving = not memory.standing and speed_m_s > _SLOW_M_S
@@ -377,7 +378,7 @@ def _watch(
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     # Where it was one horizon before each of the first steps.
     for i in range(len(past)):
-        east_m, north_m = place_at(watcher.memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
+        east_m, north_m = place_at(watcher.memory[0], scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
         past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
     # No sine is taken where a way or a velocity has it: this is done for hundreds of places in each decision.
     position2, velocity2 = doubt.position_m * doubt.position_m, doubt.velocity_m_s * doubt.velocity_m_s

@@ -108,7 +108,7 @@ def follower_of(given: RouteGiven) -> RouteFollower | None:
 
 def progress_of(route: Route, progress: Progress) -> RouteProgress:
     """Return what the filter knows: off route before the first update."""
-    state = progress.state
+    state = progress.state[0]
     on_route = bool(state.on_route)
     along_m = speed_m_s = to_end_s = math.nan
     if on_route:

@@ -9,7 +9,7 @@ rows, and where the route doubles back, a target that turns is not mistaken for 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,11 +84,11 @@ class Progress(NamedTuple):
     """The filter's state, which changes.
 
     Attributes:
-        state: a record of ``PROGRESS``.
+        state: one record of ``PROGRESS``, (1,).
         chances: probability of each point, (2, n); the second row in reverse order, for the backward direction.
     """
 
-    state: Record
+    state: Any
     chances: FloatArray
 
 
@@ -115,7 +115,7 @@ def fresh_progress(points: int) -> Progress:
 
 def reset(progress: Progress) -> None:
     """Forget all updates."""
-    state = progress.state
+    state = progress.state[0]
     state.last_s = state.along_m = state.usual_m_s = math.nan
     state.speed_m_s = state.direction = state.chance = state.present_m_s = 0.0
     state.off_chance, state.on_route, state.part, state.of_use = 1.0, False, 0, True
@@ -219,7 +219,7 @@ def _share(per_s: float, dt_s: float) -> float:
 @compiled
 def update_progress(way: RouteArrays, target: TargetState, progress: Progress) -> None:
     """Process an estimate of the target, in order of time."""
-    state = progress.state
+    state = progress.state[0]
     dt_s = target.time_s - state.last_s
     if dt_s < 0.05:
         return

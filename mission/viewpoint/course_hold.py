@@ -44,7 +44,7 @@ class CourseHold:
     """The course to watch from: the target's while it moves; None until it has moved."""
 
     def __init__(self) -> None:
-        self._memory = kernel.fresh_memory(1.0)
+        self._memory = kernel.fresh_memory(1.0)[0]
 
     def update(self, target: TargetEstimate) -> float | None:
         """Process an estimate.
@@ -75,7 +75,7 @@ class TargetCourse:
     def __init__(self) -> None:
         self.made_good_rad: float | None = None
         self.present_rad: float | None = None
-        self._memory = kernel.fresh_memory(1.0)
+        self._memory = kernel.fresh_memory(1.0)[0]
 
     def update(self, target: TargetEstimate, horizon_s: float) -> None:
         """Process an estimate.
@@ -117,4 +117,4 @@ def courses_made_good_rad(
     time_s, place_m, velocity_m_s, horizon_s = (
         np.ascontiguousarray(values, np.float64) for values in (time_s, place_m, velocity_m_s, horizon_s)
     )
-    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s, kernel.fresh_memory(1.0))
+    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s, kernel.fresh_memory(1.0)[0])

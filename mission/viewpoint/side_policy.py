@@ -49,7 +49,7 @@ class SidePolicy:
             north_m: Aircraft's north, m.
             target: Estimate of the target.
         """
-        view = kernel.viewpoint(east_m, north_m, estimates_of(target), self.wish, self.memory)
+        view = kernel.viewpoint(east_m, north_m, estimates_of(target), self.wish, self.memory[0])
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
 
 

@@ -9,7 +9,7 @@ cases in the same direction (the present course: 63 %), and in 85 % (71 %) in th
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -321,16 +321,17 @@ class WatchCourse(NamedTuple):
     course_sigma_rad: float
 
 
-def fresh_memory(side: float) -> Record:
-    """Return a record of ``MEMORY`` before the first estimate of the target.
+def fresh_memory(side: float) -> Any:
+    """Return an array of one record of ``MEMORY`` before the first estimate of the target.
 
     Args:
         side: Side to watch from: 1 left, -1 right.
     """
-    memory = new_record(MEMORY)
+    memories = new_record(MEMORY)
+    memory = memories[0]
     memory.standing, memory.side, memory.airspeed_share = True, side, 1.0
     memory.course_rad = memory.presumed_course_rad = memory.made_good_rad = memory.airspeed_s = math.nan
-    return memory
+    return memories
 
 
 @compiled

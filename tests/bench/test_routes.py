@@ -188,7 +188,7 @@ class _Noted(PredictivePlanner):
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
         decision = super().decide(aircraft, target, present, wind, latency_s)
-        self.noted.append((aircraft.time_s - BOOT_S, bool(self._memory.state.on_route)))
+        self.noted.append((aircraft.time_s - BOOT_S, bool(self._memory.state[0].on_route)))
         return decision
 
 

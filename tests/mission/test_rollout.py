@@ -289,7 +289,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     """Three futures of equal weight: straight on, and turns to either side that fade."""
     look = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement))
     memory, turns = fresh_memory(1.0), TURNING
-    memory.standing = False
+    memory[0].standing = False
     futures = winding(look.scene, look.table.motions, watching(RULE, memory), turns)
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
     course = np.unwrap(np.arctan2(futures.place[:, :, 2], futures.place[:, :, 3]), axis=1)
@@ -302,7 +302,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
 def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, paper_requirement):
     look, memory = Look(paper_aircraft, a_table(paper_aircraft, paper_requirement)), fresh_memory(1.0)
     for standing, stands, stays in ((1.0, True, True), (1.0, False, False), (0.0, True, False)):
-        memory.standing = standing
+        memory[0].standing = standing
         turns = TURNING._replace(stands=stands)
         place = winding(look.scene, look.table.motions, watching(RULE, memory), turns).place
         assert np.all(place == 0.0) == stays
@@ -345,8 +345,10 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     scene = look.scene
     memory, wish = fresh_memory(side), SideRule(False, 50.0, math.nan, 20.0)
     for time_s in range(30):
-        remember_place(TargetState(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory, math.inf)
-    memory.standing = False
+        remember_place(
+            TargetState(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory[0], math.inf
+        )
+    memory[0].standing = False
     futures = winding(scene, table.motions, watching(wish, memory), TURNING)
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
     ahead, end = staying_ahead(scene, under_way)

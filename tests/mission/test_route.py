@@ -63,7 +63,7 @@ def test_corner_of_a_displaced_route_is_expected_where_the_target_turns() -> Non
     for at, state in enumerate(path[: k + 1]):
         known = np.array(state) + rng.normal(0.0, [1.0, 1.0, 0.2, 0.2])
         update_progress(way_of(route), TargetState(float(at), *known, _COVARIANCE), memory)
-    forecast(way_of(route), memory.state, float(k), ahead)
+    forecast(way_of(route), memory.state[0], float(k), ahead)
     predicted = ahead[-1] - ahead[0]
     assert predicted == pytest.approx(np.array(path[k + 30][:2]) - np.array(path[k][:2]), abs=6.0)
 
@@ -81,7 +81,7 @@ def test_target_that_speeds_up_is_not_predicted_to_slow_down() -> None:
     memory, ahead = fresh_progress(route.east_m.size), np.empty((7, 2))
     for k, (north, speed) in enumerate(zip(north_m, speed_m_s, strict=True)):
         update_progress(way_of(route), TargetState(float(k), 0.0, north, 0.0, speed, _COVARIANCE), memory)
-    forecast(way_of(route), memory.state, float(len(speed_m_s) - 1), ahead)
+    forecast(way_of(route), memory.state[0], float(len(speed_m_s) - 1), ahead)
     assert ahead[6, 1] - ahead[0, 1] > 6.0 * 10.5
 
 

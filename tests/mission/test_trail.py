@@ -34,7 +34,7 @@ def walked(corners: np.ndarray, seed: int = 0) -> np.ndarray:
 
 
 def remembered(places: np.ndarray) -> np.record:
-    trail = new_record(PATH_HISTORY)
+    trail = new_record(PATH_HISTORY)[0]
     for east_m, north_m in places:
         remember(trail, east_m, north_m)
     return trail
@@ -97,7 +97,7 @@ def test_a_part_is_held_on_to_in_a_bend_that_is_another_one_now_and_left_by_one_
     corner = round(np.hypot(*np.diff(corners[:10], axis=0).T).sum() / SPEED_M_S)  # the end of the fifth row
     beyond = places[corner] + np.outer(np.arange(1, 31) * SPEED_M_S, (0.0, 1.0 if corners[9, 1] > 0.0 else -1.0))
     for then, ahead in ((places[corner + 1 :], -1), (beyond, 0)):
-        trail = new_record(PATH_HISTORY)
+        trail = new_record(PATH_HISTORY)[0]
         for east_m, north_m in np.concatenate([places[: corner + 1], then[:10]]):
             remember(trail, east_m, north_m)
             part = repeated_part(trail, east_m, north_m, SPEED_M_S)
