@@ -152,7 +152,9 @@ class _Solver:
                 np.append(_NODES, 1.0),
                 _NODE_WEIGHTS,
             ),
-            kernel.Surroundings(targets, winds, configuration.airspeed_m_s, HEADING_STEP_RAD, rate_per_s, mean_leg_s),
+            kernel.FlightConditions(
+                targets, winds, configuration.airspeed_m_s, HEADING_STEP_RAD, rate_per_s, mean_leg_s
+            ),
             kernel.CostGrid(self._cost_grids(), cell_m, _COST_PER_CELL, self._pad),
             self._transitions,
         )

@@ -49,7 +49,7 @@ class MoveSamples(NamedTuple):
     node_weights: FloatArray
 
 
-class Surroundings(NamedTuple):
+class FlightConditions(NamedTuple):
     """What the moves are flown in.
 
     Attributes:
@@ -105,7 +105,7 @@ class Transitions(NamedTuple):
 
 
 @compiled
-def lay_out(flown: MoveSamples, s: Surroundings, cost: CostGrid, found: Transitions) -> None:
+def lay_out(flown: MoveSamples, s: FlightConditions, cost: CostGrid, found: Transitions) -> None:
     """Fill in where each move leads, what counts there, and its discounted running cost with its price."""
     to_x, to_y, to_heading, weight, own = found
     first, price, line, nodes, node_weights = flown
