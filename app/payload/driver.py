@@ -7,7 +7,7 @@ Angles follow MAVLink: roll right wing down, pitch up and yaw to the right are p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -144,3 +144,20 @@ class PayloadDriver(Protocol):
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadKind:
+    """A protocol.
+
+    Attributes:
+        name: the value of ``payload.kind``.
+        about: what it covers, in a few words.
+        url: where its devices are found as delivered.
+        make: returns a driver for one connection.
+    """
+
+    name: str
+    about: str
+    url: str
+    make: Callable[[DriverSettings], PayloadDriver]

@@ -5,8 +5,7 @@ Other distributions add theirs by the entry point group ``sidelong.payloads``, e
 
 from __future__ import annotations
 
-from sidelong.app.payload.driver import DriverSettings, PayloadDriver
-from sidelong.app.payload.payload_kind import PayloadKind
+from sidelong.app.payload.driver import DriverSettings, PayloadDriver, PayloadKind
 from sidelong.app.payload.siyi import SiyiDriver
 from sidelong.app.payload.topotek import TopotekDriver
 from sidelong.app.payload.viewpro import ViewproDriver

@@ -10,16 +10,14 @@ from pathlib import Path
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import Message
-from sidelong.app.records.ardupilot_entries import ArdupilotMessages
 from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
-from sidelong.app.records.dataflash import dataflash_contents, read_dataflash
+from sidelong.app.records.dataflash import ArdupilotMessages, dataflash_contents, read_dataflash
 from sidelong.app.records.entry import Entry, Translator
 from sidelong.app.records.log_context import ContextBuilder, LogContext
 from sidelong.app.records.mapped_file import Progress, unseen
-from sidelong.app.records.px4_entries import Px4Messages
 from sidelong.app.records.tlog import is_mavlink_1, is_tlog, read_tlog, tlog_contents
 from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
-from sidelong.app.records.ulog import read_ulog, ulog_contents
+from sidelong.app.records.ulog import Px4Messages, read_ulog, ulog_contents
 
 _NAMED_AT_MOST = 20
 _COMPRESSED = (b"\x1f\x8b", b"PK\x03\x04", b"BZh", b"\xfd7zXZ")  # the first bytes of gzip, zip, bzip2, xz

@@ -22,6 +22,17 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from sidelong.estimators.rotations import (
+    Quaternion,
+    Vector,
+    from_roll_pitch_yaw,
+    multiply,
+    normalized,
+    rotate,
+    sight_direction,
+)
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -166,3 +177,80 @@ class SightingOutcome:
     accepted: bool
     nis: float
     reason: str = ""
+
+
+_CORRELATION_S = 30.0
+_MIN_STEP_S = 0.01
+
+
+class BeaconErrors:
+    """Returns the sigma with which each fix can be treated as an independent measurement.
+
+    Fixes within the correlation time of the error count together as one: averaging them does not improve them. For
+    errors that fade as exp(-t / tau), variances are multiplied by 2 tau / step, the growth of their mean's variance.
+    """
+
+    def __init__(self) -> None:
+        self._last_s = -math.inf
+
+    def sigma_m(self, time_s: float, sigma_m: float) -> float:
+        """Return the standard deviation to use for a fix.
+
+        Args:
+            time_s: Time of the fix, vehicle's clock, s.
+            sigma_m: Standard deviation that the beacon reports or that is configured, m.
+        """
+        step_s = max(abs(time_s - self._last_s), _MIN_STEP_S)
+        self._last_s = max(self._last_s, time_s)
+        return sigma_m * math.sqrt(max(2.0 * _CORRELATION_S / step_s, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class LineOfSight:
+    """bearing_rad is a compass angle, depression_rad positive below the horizon."""
+
+    bearing_rad: float
+    depression_rad: float
+
+
+def ned_from_body(attitude: AttitudeReading) -> Quaternion:
+    """Return the aircraft's attitude as a rotation from body (forward, right, down) to north-east-down."""
+    return from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
+
+
+def line_of_sight(
+    gimbal: GimbalReading, attitude: AttitudeReading | None, parent_from_mount: Quaternion
+) -> LineOfSight:
+    """Return the direction in which the gimbal points.
+
+    Straight down the bearing is 0: a line of sight within a degree of it has no usable bearing.
+
+    Args:
+        gimbal: The gimbal's orientation and its frame.
+        attitude: Attitude of the aircraft; None is accepted for an earth-frame gimbal only.
+        parent_from_mount: Rotation from the gimbal's mount to its parent frame.
+    """
+    direction = sight_direction(normalized(gimbal.quaternion_wxyz))
+    if gimbal.frame != "earth":
+        if attitude is None:
+            raise ValueError(f"a {gimbal.frame}-frame gimbal points nowhere without the aircraft's attitude")
+        aircraft = (
+            from_roll_pitch_yaw(0.0, 0.0, attitude.yaw_rad) if gimbal.frame == "vehicle" else ned_from_body(attitude)
+        )
+        direction = rotate(multiply(aircraft, parent_from_mount), direction)
+    north, east, down = direction
+    return LineOfSight(math.atan2(east, north), math.atan2(down, math.hypot(north, east)))
+
+
+def lever_arm_plane_m(lever_arm_body_m: Vector, attitude: AttitudeReading) -> Vector:
+    """Return the gimbal's position relative to the aircraft's position.
+
+    Args:
+        lever_arm_body_m: The same in body axes (forward, right, down), m.
+        attitude: Attitude of the aircraft.
+
+    Returns:
+        (east, north, up), m.
+    """
+    north, east, down = rotate(ned_from_body(attitude), lever_arm_body_m)
+    return east, north, -down

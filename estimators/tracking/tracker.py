@@ -16,8 +16,6 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import Quaternion, from_roll_pitch_yaw, interpolated, multiply
-from sidelong.estimators.sensing.beacon import BeaconErrors
-from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
@@ -30,7 +28,15 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
-from sidelong.estimators.sensing.sighting import AnySighting, Fix, Sighting, SightingOutcome
+from sidelong.estimators.sensing.sighting import (
+    AnySighting,
+    BeaconErrors,
+    Fix,
+    Sighting,
+    SightingOutcome,
+    lever_arm_plane_m,
+    line_of_sight,
+)
 from sidelong.estimators.settings import SourceChoice, TrackerSettings
 from sidelong.estimators.tracking.payload_fit import PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank

@@ -90,9 +90,8 @@ from sidelong.mission.core.plan import (
     settled_m,
 )
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
-from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
-from sidelong.mission.geometry.retreat import LEAVE_S, Reach, retreats
+from sidelong.mission.geometry.retreat import LEAVE_S, Reach, escapes, retreats
 from sidelong.mission.health.health import Health
 from sidelong.mission.viewpoint.course_hold import TargetCourse
 

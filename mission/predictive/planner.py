@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sidelong.estimators.compiled import new_record
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
@@ -40,18 +41,109 @@ from sidelong.mission.predictive.decision_kernel import (
     SwitchingCosts,
     weigh,
 )
-from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
-from sidelong.mission.predictive.foresight import no_route_values, route_values
-from sidelong.mission.predictive.foresight_kernel import RouteValues
+from sidelong.mission.predictive.foresight_kernel import (
+    CELLS,
+    HEADINGS,
+    HORIZON_S,
+    LAYERS,
+    SIZE,
+    RouteValues,
+    layer_s,
+    resample,
+)
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
 from sidelong.mission.predictive.scene_kernel import FlownPlan, Scene, Turns, Watcher, scene_of
 from sidelong.mission.predictive.second_kernel import new_second_moves
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
-from sidelong.mission.route.progress_kernel import Progress, fresh_progress
+from sidelong.mission.route.progress import way_of
+from sidelong.mission.route.progress_kernel import Progress, RouteArrays, fresh_progress
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.course_hold import estimates_of
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.side_policy import SidePolicy
+
+_OFF_SIDE_MIN_S = 2.0  # shorter visits to the other side are not worth a word
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """Places to the right of the watch course, ranges, and times since departure along a line: arrays (k,)."""
+
+    x_m: FloatArray
+    range_m: FloatArray
+    time_s: FloatArray
+
+
+def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s: float) -> str | None:
+    """Return the first breach of the requirement on the line of ``seen``; None when there is none.
+
+    Args:
+        seen: What is met along the flown line.
+        side: Required side.
+        requirement: Required band and side.
+        lead_s: Time from now to the outlook's start, s.
+    """
+    x_m, range_m, time_s = seen.x_m, seen.range_m, seen.time_s
+    out = np.flatnonzero((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m))
+    off = np.flatnonzero(x_m > 0.0) if requirement.sector is None else np.empty(0, np.intp)
+    if off.size and float(time_s[off[-1]] - time_s[off[0]]) < _OFF_SIDE_MIN_S:
+        off = off[:0]
+    if out.size and (not off.size or out[0] <= off[0]):
+        first = out[0]
+        extreme_m = range_m.max() if range_m[first] > requirement.range_max_m else range_m.min()
+        when_s = float(time_s[np.flatnonzero(range_m == extreme_m)[0]]) + lead_s
+        return f"in {when_s:.0f} s the target would be {extreme_m:.0f} m away"
+    if off.size:
+        when_s = float(time_s[off[0]]) + lead_s
+        if when_s < 1.0:
+            return f"the aircraft is on the target's {side.opposite}"
+        return f"in {when_s:.0f} s the aircraft would be on the target's {side.opposite}"
+    return None
+
+
+def describe_range(seen: Outlook) -> str:
+    """Return the ranges met along the line of ``seen``.
+
+    Args:
+        seen: What is met along the flown line.
+    """
+    nearest_m, farthest_m = seen.range_m.min(), seen.range_m.max()
+    return f"the target stays {nearest_m:.0f} to {farthest_m:.0f} m away for {seen.time_s[-1]:.0f} s"
+
+
+_NOTHING = np.zeros((1, 1, 1, 1), np.float32)
+
+
+def no_route_values() -> RouteValues:
+    """Return what a planner without a route looks ahead with."""
+    way = RouteArrays(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
+    return RouteValues(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), new_record(LAYERS))
+
+
+def route_values(route: Route, own: Table, c: TableConfiguration, progress: Progress) -> RouteValues:
+    """Return room for the layers along a route, and the table's classes on their grid.
+
+    Args:
+        route: The target's route.
+        own: Value table of the planner.
+        c: Its configuration, or that of a table for another wind.
+        progress: State of the progress filter, which tables for several winds share.
+    """
+    classes = len(own.values)
+    layers = math.ceil(HORIZON_S / layer_s(c.airspeed_m_s, c.radius_m)) + 1
+    cell_m = c.half_width_m / CELLS
+    values = np.zeros((classes + layers, HEADINGS, SIZE, SIZE), np.float32)
+    after_turn = np.zeros((classes + HEADINGS, HEADINGS, SIZE, SIZE), np.float32)
+    share = np.array([[[1.0, 0.0, 0.0, 0.0]]])
+    for one in range(classes):
+        mixed = np.array([[[one, 0, 0, 0]]])
+        resample(own.values, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, values[one])
+        resample(own.after_turn, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, after_turn[one])
+    least = values.min(axis=(1, 2, 3)).astype(np.float64)
+    state = new_record(LAYERS)
+    state[0].computed_s = -np.inf
+    return RouteValues(way_of(route), progress, values, after_turn, cell_m, least, state)
+
 
 # This many moves are tried against fences and other aircraft, the cheapest first.
 _MAX_TRIES = 30

@@ -8,8 +8,8 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.link.merger import LinkMerger, time_of
 from sidelong.app.link.quality import LinkQuality, Measured
+from sidelong.app.link.raw_links import LinkMerger, time_of
 from tests.messages import Sender
 
 

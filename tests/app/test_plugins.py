@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = """
 from sidelong.app.autopilots.arduplane import ArduPlane
-from sidelong.app.payload.payload_kind import PayloadKind
+from sidelong.app.payload.driver import PayloadKind
 from sidelong.app.payload.siyi import SiyiDriver
 from sidelong.app.planners.planner_kind import Paper
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.estimators.sensing.beacon import BeaconErrors
 from sidelong.estimators.sensing.readings import PositionReading, RangeReading, Source, TargetFixReading
+from sidelong.estimators.sensing.sighting import BeaconErrors
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 
 BEACON, CAMERA = Source("FOLLOW_TARGET", 0), Source("CAMERA_TRACKING_GEO_STATUS", 100)

@@ -3,8 +3,8 @@ import math
 import pytest
 
 from sidelong.estimators.rotations import from_roll_pitch_yaw
-from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, Source
+from sidelong.estimators.sensing.sighting import lever_arm_plane_m, line_of_sight
 
 DEG = math.pi / 180
 GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)

@@ -15,8 +15,8 @@ from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.link.frames import FrameSplitter
-from sidelong.app.link.merger import LinkMerger
 from sidelong.app.link.quality import LinkQuality
+from sidelong.app.link.raw_links import LinkMerger
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.mission.control.controller import StandoffController, StandoffSettings

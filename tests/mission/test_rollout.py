@@ -14,9 +14,8 @@ from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
-from sidelong.mission.predictive.foresight import no_route_values
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
-from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.planner import no_route_values, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air, Pose, Scenarios, lines_costs, single_line, times_s
 from sidelong.mission.predictive.scene_kernel import FlownPlan, Turns, Watcher, first_of, in_frame, scene_of, winding
 from sidelong.mission.predictive.second_kernel import (

@@ -8,8 +8,8 @@ import pytest
 from sidelong.app.flight.outputs import PayloadPointer
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.rotations import from_roll_pitch_yaw
-from sidelong.estimators.sensing.line_of_sight import line_of_sight
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, Source
+from sidelong.estimators.sensing.sighting import line_of_sight
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.present import Phase

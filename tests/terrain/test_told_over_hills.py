@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sidelong.app.analysis.summary import SummaryCollector
-from sidelong.app.report.path_map import _contours
+from sidelong.app.report.figures import _contours
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.requirement import Requirement, Side
 
