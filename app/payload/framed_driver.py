@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Hashable, Mapping, Sequence
 
-from sidelong.app.link.frames import Framer
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,

@@ -15,7 +15,7 @@ import struct
 from binascii import crc_hqx
 from collections.abc import Sequence
 
-from sidelong.app.link.frames import Framer
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,

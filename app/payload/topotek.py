@@ -12,7 +12,7 @@ import math
 import struct
 from collections.abc import Sequence
 
-from sidelong.app.link.frames import Framer
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
     AnglesMeasured,
     DriverSettings,

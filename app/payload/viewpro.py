@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from functools import reduce
 from operator import xor
 
-from sidelong.app.link.frames import Framer
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,

@@ -14,7 +14,7 @@ from dataclasses import astuple, dataclass
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.payload import Payload
-from sidelong.app.simulation.target import Target
+from sidelong.app.simulation.target import STEP_S, Target
 from sidelong.app.simulation.wire import Decoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
@@ -29,8 +29,6 @@ from sidelong.sitl.protocol.transfer import Item
 from sidelong.sitl.px4.vehicle import Px4Mode, SimulatedPx4
 from sidelong.sitl.world import airframe
 
-STEP_S = 0.1
-"""Of the guidance and of the airframe."""
 _ADDRESS = "loop"
 _SYSTEM, _AUTOPILOT = 1, 1
 _NAVIGATION_GOOD = 831  # all flags of a healthy EKF

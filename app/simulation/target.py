@@ -10,6 +10,9 @@ import numpy as np
 
 from sidelong.mission.core.path import FloatArray
 
+STEP_S = 0.1
+"""Of the guidance and of the airframe."""
+
 # The heading change at each new leg, and its chance.
 _TURNS_DEG = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
 _CHANCES = (0.12, 0.15, 0.15, 0.10, 0.15, 0.15, 0.12, 0.06)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.analysis.score import Judgement, Samples, judge, score, within_pan_limits
-from sidelong.app.simulation.kinematic import STEP_S
+from sidelong.app.simulation.target import STEP_S
 from sidelong.app.study.settings import StudySettings
 from sidelong.mission.core.path import FloatArray
 

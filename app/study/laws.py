@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.simulation.kinematic import STEP_S, Body, put_in_flight
+from sidelong.app.simulation.kinematic import Body, put_in_flight
 from sidelong.app.simulation.payload import Payload
+from sidelong.app.simulation.target import STEP_S
 from sidelong.app.study.controller import ExternalController
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on

@@ -230,7 +230,7 @@ def test_a_text_for_ground_stations_is_cut_and_a_lost_link_stops_nothing():
         sent.append((name, fields["text"], fields["severity"]))
         raise LinkError("the link is closed")
 
-    vehicle = Vehicle(SimpleNamespace(system_id=1, send=send))
+    vehicle = Vehicle(SimpleNamespace(system_id=1, own_id=OURS, send=send))
     asyncio.run(vehicle.send_text("0123456789" * 6, mavlink.MAV_SEVERITY_NOTICE))
     assert sent == [("STATUSTEXT", "0123456789" * 5, mavlink.MAV_SEVERITY_NOTICE)]
 

@@ -61,10 +61,10 @@ def test_every_format_gives_the_same_points(tmp_path: Path, name: str) -> None:
         ),
         ("a.geojson", '{"type": "LineString", "coordinates": [null]}', "None is not a position in degrees"),
         ("a.geojson", '{"type": "LineString", "coordinates": ["85", "47"]}', "'85' is not a position in degrees"),
-        ("a.geojson", '{"type": "Polygon", "coordinates": []}', "contains 0 points"),
+        ("a.geojson", '{"type": "Polygon", "coordinates": []}', "contains no points"),
         ("a.kml", "<LineString><coordinates>8.5 47</coordinates></LineString>", r"\['8.5'\] is not a position"),
         ("a.cot", '<event><link point="47,x"/></event>', r"\['x', '47'\] is not a position in degrees"),
-        ("a.kml", "<kml/>", "contains 0 points"),
+        ("a.kml", "<kml/>", "contains no points"),
         ("a.csv", "x,y\n1,2", "names neither"),
         ("a.csv", "lat,lon\n47,8\n123.4,8", "point 2, 123.4, 8, is out of range"),
         ("a.csv", "east_m,north_m\n1,2", "contains 1 points"),
@@ -90,10 +90,16 @@ def test_longest_line_is_used_and_further_lines_are_counted(tmp_path: Path, name
 
 
 def test_recorded_tracks_of_kml_are_joined(tmp_path: Path) -> None:
-    track = "<Track><coord>8.5 {0} 0</coord><coord>8.6 {0} 0</coord></Track>"
-    (tmp_path / "a.kml").write_text(f"<kml><MultiTrack>{track.format(47)}{track.format(48)}</MultiTrack></kml>")
+    whens = "".join(f"<when>2026-05-01T10:{minute:02}:00Z</when>" for minute in range(4))
+    place = "<coord>8.5 {} 0</coord>"
+    parts = [
+        f"<Track>{''.join(whens.split('</when>')[k] + '</when>' for k in part)}"
+        f"{''.join(place.format(47 + 1e-4 * k) for k in part)}</Track>"
+        for part in ((0, 1), (2, 3))
+    ]
+    (tmp_path / "a.kml").write_text(f"<kml><MultiTrack>{''.join(parts)}</MultiTrack></kml>")
     points = read_route(tmp_path / "a.kml")
-    assert (points.first.tolist(), points.note) == ([47.0, 47.0, 48.0, 48.0], "")
+    assert (points.first.tolist(), points.note) == ([47.0, 47.0001, 47.0002, 47.0003], "")
 
 
 def test_lines_of_geojson_are_joined(tmp_path: Path) -> None:

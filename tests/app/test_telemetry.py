@@ -40,7 +40,7 @@ def test_the_first_fix_is_the_origin_and_north_is_north():
 
 
 def test_who_begins_to_listen_between_two_positions_knows_the_place_at_once():
-    vehicle, decoder = Vehicle(SimpleNamespace(system_id=1)), Telemetry(1)
+    vehicle, decoder = Vehicle(SimpleNamespace(system_id=1, own_id=(245, 190))), Telemetry(1)
     vehicle.take(position())
     vehicle.listen(decoder.event, "GLOBAL_POSITION_INT")
     assert decoder.plane is not None

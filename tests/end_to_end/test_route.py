@@ -63,7 +63,7 @@ def test_an_unreadable_route_ends_the_launch_before_anything_flies(tmp_path):
     route.write_text("not a route")
     done = sidelong("launch", "--route", route)
     assert done.returncode == 2
-    assert "route.gpx: is not a readable route" in " ".join(done.stderr.split())
+    assert "route.gpx: is not a readable track or route" in " ".join(done.stderr.split())
 
 
 def test_the_mission_of_another_vehicle_on_the_link_is_asked_for(free_port, tmp_path):

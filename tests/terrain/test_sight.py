@@ -13,7 +13,7 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
-from sidelong.mission.predictive.rollout_kernel import Pose, View, add_sight, hidden_rate, single_line
+from sidelong.mission.predictive.rollout_kernel import Pose, WatchFrame, add_sight, hidden_rate, single_line
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.terrain.sight import SightField
 
@@ -40,7 +40,7 @@ def test_the_cost_of_a_place_is_what_the_line_of_sight_reports(
     for east_m, north_m in 15.0 * rng.integers(-600, 600, (25, 2)):
         height_m = ground.height_m(east_m, north_m) + 60.0
         sight = field.sight(east_m, north_m, 0.0, 0.0, height_m)
-        view = View(course_rad, mirror, 0.0, 0.0)
+        view = WatchFrame(course_rad, mirror, 0.0, 0.0)
         for _ in range(30):
             azimuth_rad, range_m = rng.uniform(-math.pi, math.pi), rng.uniform(150.0, 600.0)
             off = range_m * math.sin(azimuth_rad), range_m * math.cos(azimuth_rad)
@@ -60,7 +60,7 @@ def test_what_will_be_hidden_counts_where_the_target_will_be() -> None:
     """The target walks north, behind the wall: a place in the west sees it now and will not in 30 s."""
     field = SightField(walled(), 700.0)
     sight = field.sight(0.0, -300.0, 0.0, 10.0, HEIGHT_M)
-    view = View(0.0, 1.0, 0.0, 10.0)
+    view = WatchFrame(0.0, 1.0, 0.0, 10.0)
     assert hidden_rate(sight, view, -300.0, 0.0, 0.0) == 0.0
     assert hidden_rate(sight, view, -300.0, 400.0, 40.0) == sight.weight
 
@@ -69,7 +69,7 @@ def test_over_unknown_ground_nothing_is_hidden() -> None:
     field = SightField(walled(), 700.0)
     assert field.sight(5000.0, 0.0, 0.0, 0.0, HEIGHT_M) is NOTHING_HIDDEN
     line = np.zeros(3), np.array([0.0, 10.0, 20.0]), np.zeros(3), np.arange(3.0)
-    view = View(0.0, 1.0, 0.0, 0.0)
+    view = WatchFrame(0.0, 1.0, 0.0, 0.0)
     lines, costs = single_line(*line, 0.01), np.zeros(1)
     add_sight(lines, Pose(0.0, 0.0, 0.0), NOTHING_HIDDEN, view, 50.0, 30.0, 0.01, costs)
     assert costs[0] == 0.0

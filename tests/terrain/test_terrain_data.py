@@ -57,7 +57,7 @@ def test_only_what_is_asked_for_and_known_is_reported(hills_folder: Path) -> Non
 
 def test_a_vehicle_that_asks_is_answered(hills_folder: Path) -> None:
     class Link:
-        system_id = 1
+        system_id, own_id = 1, (245, 190)
 
         def __init__(self) -> None:
             self.sent: list[bytes] = []
@@ -119,7 +119,7 @@ def test_the_autopilots_own_data_are_compared_before_the_flight(
     hills_folder: Path, off_m: float, spacing: int, ready: list[bool]
 ) -> None:
     class Silent:
-        system_id = 1
+        system_id, only_mavlink_1 = 1, False
 
     reported_m = ElevationData(hills_folder).height_above_sea_m(*HOME_DEG) + off_m
     lat, lon = (round(1e7 * degrees) for degrees in HOME_DEG)
