@@ -133,4 +133,4 @@ DevicePort = _UdpPort | _TcpPort
 
 def device_port(kind: str, wired: Wired, address: Address) -> DevicePort:
     """Return an open port for a device of this kind."""
-    return _TcpPort(wired, address) if kind in OVER_TCP else _UdpPort(wired, address)
+    return _TcpPort(wired, address) if kind.partition("@")[0] in OVER_TCP else _UdpPort(wired, address)

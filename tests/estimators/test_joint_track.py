@@ -46,7 +46,7 @@ def watched(
 ) -> tuple[JointTrack, list[float]]:
     """Fly; shifts: of a payload, (from when, by how much) it sees another thing. Return each second's error."""
     rng = np.random.default_rng(3)
-    track = track or JointTrack({name: TrackerSettings() for name in names})
+    track = track or JointTrack({name: TrackerSettings(range_bias_sigma_m=0.5) for name in names})
     errors = []
     for k in range(round(until_s * 5)):
         time_s = k / 5

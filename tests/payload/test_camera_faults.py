@@ -35,7 +35,6 @@ class CameraFlight(FaultedFlight):
         ground, payload = self._ground, FaultyPayload(self._camera, rng)
         if ground is not None:
             self.controller.tracker.stand_on(ground)
-            self.controller.health.payload.stand_on(ground.height_m)
             measure = payload.measure
 
             def over_hills(time_s, boot_ms, east_m, north_m, up_m, **how):

@@ -49,14 +49,14 @@ class Device(FaultyPayload):
 
     def measure(self, time_s, boot_ms, east_m, north_m, up_m, **how):
         gimbal, *laser = super().measure(time_s, boot_ms, east_m, north_m, up_m, **how)
-        loop, aircraft = self._loop, self._loop.simulated.aircraft
+        loop, craft = self._loop, self._loop.simulated.craft
         w, x, y, z = gimbal.fields["q"]
         forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
         seen = DeviceView(
             laser[0].fields["current_distance"] / 100.0 if laser else None,
-            math.remainder(math.atan2(right, forward) - loop.simulated.heading_rad, math.tau),
+            math.remainder(math.atan2(right, forward) - craft.heading_rad, math.tau),
             math.asin(-down),
-            _LEAN * aircraft.body.bank_rad,
+            _LEAN * craft.roll_rad,
         )
         before_s, before = self._before or (time_s - STEP_S, seen)
         self._before = time_s, seen
