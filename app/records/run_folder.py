@@ -81,7 +81,7 @@ class _Folder:
     def create(cls, parent: Path, now: datetime) -> Self:
         """Make a new folder in ``parent`` (made if missing), named by the time in UTC and never one that exists.
 
-        Only its owner can read it: it tells where people are. Raises InputError when it cannot be made.
+        Only its owner can read it: it shows where people are. Raises InputError when it cannot be made.
         """
         stamp = now.astimezone(UTC).strftime(_STAMP)
         with _making(parent):

@@ -23,8 +23,6 @@ FINE_STEP_M = 2.0
 # Gauss-Legendre on [0, 1]: three nodes make steps of 2 m exact to 1e-12 m, two make steps of 10 m exact to 1 mm.
 _NODE_3 = math.sqrt(0.15)
 _NODE_2 = 0.5 / math.sqrt(3.0)
-# Following a line: curvature for each metre across track and each radian of course error, critically damped.
-_BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
 
 # Planned lines roll from one turn into the opposite one in this time, with at least and at most these shares of the
 # aircraft's roll rate: the rest is left to the autopilot for gusts and corrections.
@@ -350,16 +348,6 @@ def line_at(
             found[0, k] = circle.east_m - circle.radius_m * math.cos(course_rad)
             found[1, k] = circle.north_m + circle.radius_m * math.sin(course_rad)
             found[2, k] = course_rad
-
-
-@compiled
-def following_per_m(line: FloatArray, circle: Circling, east_m: float, north_m: float, course_rad: float) -> float:
-    """Return the curvature that brings an aircraft back to its line and along it."""
-    point = point_at(line, circle, nearest_arc_m(line, circle, east_m, north_m, course_rad), east_m, north_m)
-    off_rad = remainder(point.course_rad - course_rad)
-    sin_c, cos_c = math.sin(point.course_rad), math.cos(point.course_rad)
-    cross_track_m = (east_m - point.east_m) * cos_c - (north_m - point.north_m) * sin_c
-    return point.curvature_per_m + _COURSE_GAIN_1_M * off_rad - _BESIDE_GAIN_1_M2 * cross_track_m
 
 
 @compiled

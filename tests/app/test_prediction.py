@@ -165,4 +165,4 @@ def test_a_doubtful_verdict_is_said_and_not_refused(tmp_path, monkeypatch):
     assert "close to the limit: the time in band is near the 90 %" in ended.output
     notes = []
     flying.warn_of_prediction(config, notes.append)
-    assert not notes  # four flights cannot tell
+    assert not notes  # four flights give no verdict
