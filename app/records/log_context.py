@@ -23,6 +23,8 @@ _TYPES = {"Plane": 1, "Copter": 2, "Tracker": 5, "Blimp": 7, "Rover": 10, "Sub":
 _FIRMWARE = re.compile(rf"(?:(?:Ardu|APM:|Antenna)?({'|'.join(_TYPES)}) V?\d|PX4 v\d)[\w. ()-]*")
 _STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 
+_TIME_MAX_S = 2.0**32  # the year 2106: a later time of boot is that of a damaged clock
+
 
 @dataclass(frozen=True, slots=True)
 class LogContext:
@@ -130,7 +132,8 @@ class ContextBuilder:
 
     def context(self) -> LogContext:
         """Return the context by the messages so far."""
-        booted = datetime.fromtimestamp(median(self._boots_s), UTC) if self._boots_s else None
+        boot_s = median(self._boots_s) if self._boots_s else -1.0
+        booted = datetime.fromtimestamp(boot_s, UTC) if 0.0 <= boot_s < _TIME_MAX_S else None
         home_m = self._reckoned_m if self._home_m is None else self._home_m
         restarts, others = max(self._restarts.values(), default=0), tuple(sorted(self._others))
         own = self._kind, self._firmware, self._system_id
