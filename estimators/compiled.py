@@ -103,11 +103,7 @@ FOLDER = _chosen_folder()
 
 @contextlib.contextmanager
 def _hidden(package: str) -> Iterator[None]:
-    """Let imports of a package fail, unless it is loaded already.
-
-    Args:
-        package: Name of the package.
-    """
+    """Let imports of a package fail, unless it is loaded already."""
     if package in sys.modules:
         yield
         return
@@ -142,9 +138,6 @@ def compiled(function: F) -> F:
 
     Divisions by zero give infinities, as numpy's do. Operations keep their order (no fast-math), so that results are
     the same to the last bit in every process on machines of one kind.
-
-    Args:
-        function: The function.
     """
     return cast(F, _dispatcher(function))
 
@@ -153,9 +146,6 @@ def inlined(function: F) -> F:
     """Compile as :func:`compiled` does, and put the function's code into its callers.
 
     For a short function in an inner loop that takes arrays: passing them costs more than the function itself.
-
-    Args:
-        function: The function.
     """
     return cast(F, _dispatcher(function, forceinline=True))
 
@@ -183,11 +173,7 @@ def new_record(of: np.dtype[Any]) -> Any:
 
 
 def is_cached(function: Callable[..., Any]) -> bool:
-    """Return whether an earlier start has compiled a function and cached its machine code.
-
-    Args:
-        function: The function.
-    """
+    """Return whether an earlier start has compiled a function and cached its machine code."""
     dispatcher = cast(Any, function)
     index = f"*.{dispatcher.py_func.__name__}-*.nbi"
     return any(Path(dispatcher.stats.cache_path).glob(index))

@@ -40,10 +40,6 @@ class LocalPlane:
     def east_north_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
         """Return a geodetic position in the plane.
 
-        Args:
-            latitude_deg: Geodetic latitude (WGS 84), degrees.
-            longitude_deg: Longitude, degrees.
-
         Returns:
             (east, north) from the origin, m.
         """
@@ -60,10 +56,6 @@ class LocalPlane:
 
     def latitude_longitude_deg(self, east_m: float, north_m: float) -> tuple[float, float]:
         """Return the geodetic position of a point of the plane.
-
-        Args:
-            east_m: East of the origin, m.
-            north_m: North of the origin, m.
 
         Returns:
             (latitude, longitude) (WGS 84), degrees; for a point beyond the horizon, that of the horizon.

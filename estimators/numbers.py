@@ -35,8 +35,6 @@ def require_type(instance: object, name: str, *kinds: type) -> None:
     """Check that a dataclass field holds one of ``kinds``.
 
     Args:
-        instance: The instance of a dataclass.
-        name: Name of the field.
         kinds: Accepted types.
 
     Raises:

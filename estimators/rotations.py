@@ -15,12 +15,7 @@ Vector = tuple[float, float, float]
 
 
 def multiply(a_from_b: Quaternion, b_from_c: Quaternion) -> Quaternion:
-    """Return a_from_c.
-
-    Args:
-        a_from_b: Rotation from frame b to frame a.
-        b_from_c: Rotation from frame c to frame b.
-    """
+    """Return a_from_c."""
     aw, ax, ay, az = a_from_b
     bw, bx, by, bz = b_from_c
     return (
@@ -32,13 +27,7 @@ def multiply(a_from_b: Quaternion, b_from_c: Quaternion) -> Quaternion:
 
 
 def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """Return parent_from_child for a child turned by yaw, then pitch, then roll (aerospace order).
-
-    Args:
-        roll_rad: Rotation about the forward axis, rad.
-        pitch_rad: Rotation about the right axis, rad.
-        yaw_rad: Rotation about the down axis, rad.
-    """
+    """Return parent_from_child for a child turned by yaw, then pitch, then roll (aerospace order)."""
     cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
     cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
     cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
@@ -55,7 +44,6 @@ def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
 
     Args:
         a_from_b: Rotation from frame b to frame a, of unit length.
-        vector_b: The vector in frame b.
     """
     w, x, y, z = a_from_b
     vx, vy, vz = vector_b
@@ -101,9 +89,6 @@ def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quat
 
 def sight_direction(quaternion: Quaternion) -> Vector:
     """Return the direction of a line of sight: its forward axis in the parent frame.
-
-    Args:
-        quaternion: Rotation from the sight's frame to the parent frame.
 
     Returns:
         Unit vector in the parent frame.

@@ -44,12 +44,7 @@ class Ground:
         return self.heights_m, self.west_m, self.south_m, self.step_east_m, self.step_north_m
 
     def height_m(self, east_m: float, north_m: float) -> float:
-        """Return the height at a place, NaN where it is not known.
-
-        Args:
-            east_m: East in the local plane, m.
-            north_m: North in the local plane, m.
-        """
+        """Return the height at a place, NaN where it is not known."""
         return height_and_slope(self.grid, east_m, north_m)[0]
 
     def heights_at_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> FloatArray:
@@ -71,12 +66,7 @@ class Ground:
         """Return the horizontal distance at which a ray first meets the ground.
 
         Args:
-            east_m: East of the ray's origin, m.
-            north_m: North of the ray's origin, m.
-            height_m: Height of the ray's origin, m.
-            bearing_rad: Bearing of the ray, clockwise from north, rad.
             depression_rad: Angle below the horizon, rad.
-            max_m: Greatest distance, m.
 
         Returns:
             Distance, m; None if the ray does not meet the ground or crosses a void, whose height is unknown.
@@ -100,11 +90,7 @@ class Ground:
         """Return the heights from which a point is visible. Voids hide nothing.
 
         Args:
-            east_m: East of the point, m.
-            north_m: North of the point, m.
-            height_m: Height of the point, m.
             azimuths: Number of azimuths; the first is north, the others follow clockwise.
-            rings: Number of distances.
             ring_m: Difference of two distances, and the first distance, m.
 
         Returns:

@@ -33,9 +33,6 @@ class Circle:
     def position_at_course(self, course_rad: float) -> tuple[float, float]:
         """Return the point of the circle at which it is flown on a course.
 
-        Args:
-            course_rad: Course, clockwise from north, rad.
-
         Returns:
             (east, north) in the local plane, m.
         """
@@ -49,10 +46,6 @@ class Circle:
     def course_at(self, east_m: float, north_m: float) -> float:
         """Return the course flown at the point of the circle nearest to a position.
 
-        Args:
-            east_m: East in the local plane, m.
-            north_m: North in the local plane, m.
-
         Returns:
             Course, clockwise from north, rad.
         """
@@ -61,15 +54,7 @@ class Circle:
 
     @staticmethod
     def tangent_to(east_m: float, north_m: float, course_rad: float, radius_m: float, clockwise: bool) -> Circle:
-        """Return the circle that touches a ray at its origin.
-
-        Args:
-            east_m: East of the ray's origin, m.
-            north_m: North of the ray's origin, m.
-            course_rad: Direction of the ray, clockwise from north, rad.
-            radius_m: Radius of the circle, m.
-            clockwise: Whether the circle is flown clockwise.
-        """
+        """Return the circle that touches a ray at its origin."""
         signed_radius_m = radius_m if clockwise else -radius_m
         return Circle(
             east_m + signed_radius_m * math.cos(course_rad),

@@ -49,11 +49,7 @@ class HeightProfile:
         convert_to_floats(self, "from_m", "to_m", "slope")
 
     def at_m(self, arc_m: float) -> float:
-        """Return the height at a point of the plan, m.
-
-        Args:
-            arc_m: Arc length from the start of the plan, m.
-        """
+        """Return the height at a point of the plan, m."""
         change_m = self.slope * arc_m
         if self.to_m >= self.from_m:
             return min(self.from_m + change_m, self.to_m)
@@ -100,7 +96,6 @@ def settled_m(height_m: float, plan: Plan | None) -> float:
 
     Args:
         height_m: Present height above home, m.
-        plan: The plan.
     """
     if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
         return height_m
@@ -129,10 +124,6 @@ class Planner(Protocol):
         """Decide at ``aircraft.time_s`` while ``present`` is flown.
 
         Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
             latency_s: Time that a new plan takes to reach the autopilot, s: it departs no earlier than
                 ``aircraft.time_s + latency_s``.
 
@@ -183,7 +174,6 @@ class Heights(Protocol):
         """Return a plan with its heights.
 
         Args:
-            plan: The plan.
             flown_m: Present height above home, m; None before the first circle.
             target_m: Target's position (east, north), m.
 
@@ -208,20 +198,11 @@ class ClimbRates:
     descent_m_s: float = 2.0
 
     def slope(self, *, climbs: bool) -> float:
-        """Return the usable change of height per metre flown.
-
-        Args:
-            climbs: Whether the aircraft climbs; else it descends.
-        """
+        """Return the usable change of height per metre flown."""
         return _RATE_RESERVE * (self.climb_m_s if climbs else self.descent_m_s) / self.airspeed_m_s
 
     def profile(self, from_m: float, to_m: float) -> HeightProfile:
-        """Return the heights on the way from one height to another.
-
-        Args:
-            from_m: Height at the start, m.
-            to_m: Height at the end, m.
-        """
+        """Return the heights on the way from one height to another."""
         return HeightProfile(from_m, to_m, self.slope(climbs=to_m >= from_m))
 
 

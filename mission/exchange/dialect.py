@@ -84,12 +84,7 @@ class AutopilotDialect(Protocol):
         """Return the command to fly home."""
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
-        """Return the command to fly a circle without a mission.
-
-        Args:
-            order: The circle on the globe.
-            take_over: Whether to change from another flight mode.
-        """
+        """Return the command to fly a circle without a mission."""
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
         """Return the circle that the autopilot reports in ``circle_mode``.

@@ -191,12 +191,6 @@ SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: float) -> int:
     """Return the first item that is ahead on a path.
 
-    Args:
-        layout: The items on board.
-        path: The path.
-        plane: The local plane of the mission.
-        flown_m: Distance flown along the path, m.
-
     Returns:
         Number of the item, at most that of the circle.
     """
@@ -214,11 +208,8 @@ def flown_after(
     """Return the item that will be flown after ``duration_s``: a waypoint may be passed until then.
 
     Args:
-        layout: The items on board.
         seq: Number of the item flown now; None if unknown.
         aircraft: State of the aircraft; None if unknown: no waypoint is passed.
-        plane: The local plane of the mission.
-        duration_s: How far to look ahead, s.
     """
     index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
     if aircraft is None or index == layout.end - 1:
@@ -232,10 +223,6 @@ def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: 
     """Return whether ``seq`` is flown although the aircraft cannot have passed the waypoint before it.
 
     Args:
-        layout: The line that is flown.
-        seq: Item that is flown now.
-        aircraft: Where the aircraft is.
-        plane: Local plane.
         flown_m: How far it may have flown since it passed that waypoint.
     """
     if seq - 1 not in layout or seq not in layout:
@@ -289,7 +276,6 @@ class MissionUpload:
 
         Args:
             items: The items to upload. Items that are never reached are added at the end (PX4 wants a landing).
-            bound_s: Time limit, s.
             marked: Returns the number of the item to fly once the mission is accepted.
         """
         items, self._result = (*items, *self._tail), None
@@ -433,7 +419,6 @@ class MissionItemBackend:
         """Upload the first mission.
 
         Args:
-            plan: The plan.
             lead_in: Items before the plan, such as a take-off.
 
         Raises:

@@ -96,9 +96,7 @@ class MissionOwnership:
         """Register a mission that was written, or may have been.
 
         Args:
-            items: The items on board afterwards.
             mission_id: Id that the autopilot reported; 0 if unknown.
-            accepted: Whether the autopilot confirmed it.
         """
         self._call_off()
         self._flown = -1  # a list that is taken whole begins at the item that was marked
@@ -126,7 +124,6 @@ class MissionOwnership:
         """Take a MISSION_CURRENT.
 
         Args:
-            report: What the autopilot reports.
             present: The line that is flown. An item before one that was flown already is another station's choice.
             left: The line before, while late reports of it may come.
         """
@@ -197,7 +194,6 @@ class MissionOwnership:
         """Process an item that was read from the vehicle.
 
         Args:
-            report: The report of the autopilot.
             layout: The mission that should be on board.
         """
         if not self._begun or report.seq not in layout:

@@ -56,22 +56,13 @@ class Outbox:
     _began: tuple[float, float] | None = None
 
     def begin(self, time_s: float, link_s: float) -> None:
-        """Begin a step of the exchange.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            link_s: Present time on the link's clock, s.
-        """
+        """Begin a step of the exchange."""
         self.time_s, self.link_s = time_s, link_s
         if math.isfinite(time_s) and (self._began is None or time_s < self._began[0]):
             self._began = (time_s, link_s)
 
     def vehicle_s(self, link_s: float) -> float:
-        """Convert a duration of the link's clock to one of the vehicle's clock, which runs faster in a simulation.
-
-        Args:
-            link_s: Duration on the link's clock, s.
-        """
+        """Convert a duration of the link's clock to one of the vehicle's clock, which runs faster in a simulation."""
         if self._began is None or self.link_s - self._began[1] < _RATE_KNOWN_S:
             return link_s
         return link_s * (self.time_s - self._began[0]) / (self.link_s - self._began[1])

@@ -30,9 +30,6 @@ class Suspicion:
     def is_confirmed_by(self, link_s: float) -> bool:
         """Process a report that does not fit.
 
-        Args:
-            link_s: Present time on the link's clock, s.
-
         Returns:
             Whether it proves that another operator is in command.
         """
@@ -67,9 +64,7 @@ class MissionIdentity:
         """Register a mission that is on board, or may be.
 
         Args:
-            total: Number of its items.
             mission_id: Its id; 0 while unknown.
-            accepted: Whether the autopilot confirmed it.
         """
         self.writing = self.expected = None
         if not accepted:
@@ -85,7 +80,6 @@ class MissionIdentity:
         """Return whether only the items themselves show who wrote the reported mission.
 
         Args:
-            total: Reported number of items.
             mission_id: Reported id; 0 if the autopilot reports none.
         """
         unknown = mission_id != 0 and (total, mission_id) not in self.ours
@@ -95,7 +89,6 @@ class MissionIdentity:
         """Return whether a report is about a mission of sidelong; learn its id if one is expected.
 
         Args:
-            total: Reported number of items.
             mission_id: Reported id; 0 if the autopilot reports none.
         """
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):

@@ -105,7 +105,6 @@ class Takeover:
         """Process the aircraft's position.
 
         Args:
-            aircraft: State of the aircraft.
             height_m: Height above home, m.
         """
         self._aircraft, self._height_m = aircraft, height_m

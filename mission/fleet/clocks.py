@@ -43,8 +43,6 @@ class VehicleTime:
         """Take a report by a scalar Kalman filter, or keep it aside as a step.
 
         Args:
-            time_s: Time on the vehicle's clock, s.
-            mission_time_s: Mission time at that moment, s.
             sigma_s: One standard deviation of it, s.
             discard: Whether to discard earlier reports because the source has changed.
         """
@@ -90,32 +88,17 @@ class VehicleTime:
 
 
 def shifted_state(state: AircraftState, by_s: float) -> AircraftState:
-    """Return the state on another clock.
-
-    Args:
-        state: State of the aircraft.
-        by_s: Offset added to all times, s.
-    """
+    """Return the state on another clock."""
     return replace(state, time_s=state.time_s + by_s)
 
 
 def shifted_plan(plan: Plan | None, by_s: float) -> Plan | None:
-    """Return the plan on another clock.
-
-    Args:
-        plan: The plan; None if there is none.
-        by_s: Offset added to all times, s.
-    """
+    """Return the plan on another clock."""
     return plan if plan is None else replace(plan, departure_s=plan.departure_s + by_s)
 
 
 def shifted_estimate(estimate: TargetEstimate | None, by_s: float) -> TargetEstimate | None:
-    """Return the estimate on another clock.
-
-    Args:
-        estimate: Estimate of the target; None if there is none.
-        by_s: Offset added to all times, s.
-    """
+    """Return the estimate on another clock."""
     if estimate is None:
         return None
     return replace(

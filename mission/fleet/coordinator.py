@@ -117,13 +117,7 @@ class Proximity:
     def watch(
         self, now_s: float, fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]
     ) -> dict[str, str]:
-        """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to.
-
-        Args:
-            now_s: Mission time, s.
-            fleet: All aircraft of the fleet.
-            foreign: Aircraft that do not belong to the fleet.
-        """
+        """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to."""
         flying = [one for one in _all_of(fleet, foreign) if one.height_m >= _AIRBORNE_M]
         flying.sort(key=lambda one: (one.vehicle is None, -one.height_m, one.name))
         for upper, lower in combinations(flying, 2):
@@ -211,12 +205,6 @@ def advice_to(
     """Return an aircraft's advice.
 
     Args:
-        vehicle: The aircraft.
-        now_s: Mission time, s.
-        wanted: Required side of the target.
-        estimate: Estimate of the target; None if there is none.
-        fleet: All aircraft of the fleet.
-        foreign: Aircraft that do not belong to the fleet.
         course_rad: Course of the target whose sides count, rad; None if unknown.
         separation: Which other aircraft is too near, in words.
     """
@@ -250,13 +238,7 @@ def advice_to(
 
 
 def announced_plans(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
-    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known.
-
-    Args:
-        listener: The aircraft that is informed.
-        other: The aircraft whose plans are reported.
-        now_s: Mission time, s.
-    """
+    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known."""
     if listener.report is None or other.report is None or other.plans is None:
         return None
     announced, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
@@ -280,7 +262,6 @@ def spread_over(
     Each target has a position on its required side, then one opposite, and so on in turn.
 
     Args:
-        targets: Names of the targets.
         costs: Costs of each aircraft (rows) at each target (columns), finite.
         at: The present target of each aircraft; any other name if it has none.
         change_s: Price of each change of target, in seconds off the required side.

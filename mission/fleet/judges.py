@@ -42,7 +42,6 @@ class WatchedCourse:
         """Take an estimate, in the order of time. first: the aircraft that began to watch first, None before.
 
         Args:
-            target: Estimate of the target.
             first: State of the first aircraft that watched; None before.
         """
         self._policy.viewpoint(target.east_m, target.north_m, target)
@@ -78,7 +77,6 @@ class RoleJudges:
         """Expect a target on a route from now on.
 
         Args:
-            target: Name of the target.
             given: The route; not used if its points are no route.
         """
         follower = follower_of(given)

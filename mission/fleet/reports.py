@@ -39,9 +39,6 @@ class FleetReporter:
         """Return the fleet's events of one step: ``event`` went in, ``outputs`` came out.
 
         Args:
-            controller: Control step of the aircraft.
-            event: The event.
-            outputs: Outputs of the step.
             mission_time_s: Mission time, s; the vehicle's own clock may stand still.
         """
         found: list[FleetEvent] = []

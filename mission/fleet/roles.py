@@ -78,13 +78,7 @@ class RoleAssignment:
     def assign(
         self, time_s: float, candidates: Mapping[str, Candidate], *, course_known: bool = True
     ) -> dict[str, Role]:
-        """Return every aircraft's role at ``time_s``; candidates: by name, those that take part only.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            candidates: Aircraft that take part, by name.
-            course_known: Whether the target's course is known.
-        """
+        """Return every aircraft's role at ``time_s``; candidates: by name, those that take part only."""
         if not candidates:
             self.holder = None
             return {}
@@ -149,9 +143,6 @@ def is_on_station(
     """Return whether an aircraft is on the required side of a target and in the band.
 
     Args:
-        aircraft: State of the aircraft.
-        target: Estimate of the target.
-        requirement: Required band and side.
         course_rad: Course of the target whose sides count, rad; None before it has one: any place is on either side.
     """
     east_m, north_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m

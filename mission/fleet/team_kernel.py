@@ -158,14 +158,7 @@ def wanted_value(
     """Return what an aircraft alone would pay on the wanted side, from a place relative to the target on.
 
     Args:
-        scene: The scene of the decision.
-        f: Scenarios of the target.
-        question: What is judged by.
         s: 1 where the departure's frame is the wanted one, -1 where it is mirrored.
-        one: The future.
-        p: Its sample.
-        off: Position relative to the target, and heading.
-        scratch: Arrays to work in.
     """
     off_x, off_y, heading_rad = off
     classes, share = scratch.classes, scratch.share

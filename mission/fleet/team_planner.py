@@ -122,11 +122,7 @@ class TeamPlanner:
                 self.presume(news.course_rad)
 
     def presume(self, course_rad: float) -> None:
-        """Take the target's course as the fleet knows it: it counts until this one has seen the target move.
-
-        Args:
-            course_rad: Course of the target, rad.
-        """
+        """Take the target's course as the fleet knows it: it counts until this one has seen the target move."""
         self._alone.questions[0].context.watcher.memory[0].presumed_course_rad = course_rad  # of all questions
 
     def follow(self, route: Route | None, progress: Progress) -> None:
@@ -141,15 +137,7 @@ class TeamPlanner:
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """Return what this aircraft would pay alone in each role, from its next departure on.
-
-        Args:
-            aircraft: State of the aircraft.
-            target: Estimate of the target.
-            present: The plan that is flown.
-            wind: Estimate of the wind.
-            latency_s: Time until a new plan can depart, s.
-        """
+        """Return what this aircraft would pay alone in each role, from its next departure on."""
         question, team = self._for(wind)
         held, found = question.context.watcher.memory[0].side, []
         for side in (team.wanted, -team.wanted):

@@ -84,13 +84,7 @@ def _circle_next_to(
 
 
 def least_range_m(path: Path, target: TargetEstimate, airspeed_m_s: float) -> float:
-    """Return the least distance between an aircraft on a path and a target that keeps its velocity, m.
-
-    Args:
-        path: The path.
-        target: Estimate of the target when the path begins.
-        airspeed_m_s: Airspeed of the aircraft, m/s.
-    """
+    """Return the least distance between an aircraft on a path and a target that keeps its velocity, m."""
     time_s = path.arc_m / airspeed_m_s
     range_m = np.hypot(
         path.east_m - target.east_m - target.velocity_east_m_s * time_s,
@@ -105,8 +99,6 @@ def turn_straight_turn(aircraft: AircraftState, circle: Circle, first_radius_m: 
     None where the two circles overlap so far that they have no common tangent of this kind.
 
     Args:
-        aircraft: State of the aircraft.
-        circle: The circle.
         first_radius_m: Radius of the first turn, m; positive to the right.
     """
     radius_m = abs(first_radius_m)

@@ -40,13 +40,7 @@ def nearest_arc_m(plan: Plan, aircraft: AircraftState) -> float:
 
 
 def point_at(plan: Plan, arc_m: float, aircraft: AircraftState) -> LinePoint:
-    """Return the plan's point at an arc counted as :func:`nearest_arc_m` counts it for that aircraft.
-
-    Args:
-        plan: The plan.
-        arc_m: Arc length along the plan, m.
-        aircraft: State of the aircraft.
-    """
+    """Return the plan's point at an arc counted as :func:`nearest_arc_m` counts it for that aircraft."""
     return line_kernel.point_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m)
 
 
@@ -56,14 +50,7 @@ def off_track(
     cross_track_m: float = OFF_TRACK_M,
     course_error_rad: float = OFF_TRACK_RAD,
 ) -> bool:
-    """Return whether an aircraft is too far from the nearest point of its plan to be following it.
-
-    Args:
-        aircraft: State of the aircraft.
-        point: Nearest point of the plan.
-        cross_track_m: Greatest cross-track distance, m.
-        course_error_rad: Greatest course error, rad.
-    """
+    """Return whether an aircraft is too far from the nearest point of its plan to be following it."""
     off_m = math.hypot(aircraft.east_m - point.east_m, aircraft.north_m - point.north_m)
     off_rad = math.remainder(aircraft.course_rad - point.course_rad, 2.0 * math.pi)
     return off_m > cross_track_m or abs(off_rad) > course_error_rad

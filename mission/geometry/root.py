@@ -11,12 +11,6 @@ from collections.abc import Callable
 def root(function: Callable[[float], float], low: float, high: float, tolerance: float = 2e-12) -> float:
     """Return where ``function`` is zero between ``low`` and ``high`` (Brent's method).
 
-    Args:
-        function: The function.
-        low: Lower end.
-        high: Upper end.
-        tolerance: Tolerance of the result.
-
     Raises:
         ValueError: It has the same sign at both ends.
     """

@@ -59,12 +59,8 @@ class Separation:
         """Return in words which aircraft a plan comes too near to, or None. height_m: the own one now.
 
         Args:
-            plan: The plan.
             present: The plan that is flown; None before the takeover.
             aircraft: State of the aircraft; None if unknown.
-            height_m: Height of the own aircraft now, m.
-            wind: Estimate of the wind.
-            airspeed_m_s: Airspeed, m/s.
         """
         if not self._others or aircraft is None or height_m is None:
             return None
@@ -93,7 +89,6 @@ class Separation:
         The higher aircraft gives way: an aircraft has sunk out of its layer or climbed into the own one.
 
         Args:
-            present: The plan that is flown.
             height_m: The own height above home, m.
         """
         for name, other in self._others.items():
@@ -149,17 +144,7 @@ def flown_places(
     step_s: float,
     count: int,
 ) -> FloatArray:
-    """Return (east, north, course) (3, count) every step_s from a state on: along its plans, at an airspeed.
-
-    Args:
-        state: State of the aircraft.
-        present: The plan that is flown.
-        coming: The next plan; None if there is none.
-        wind: Estimate of the wind.
-        airspeed_m_s: Airspeed, m/s.
-        step_s: Time between positions, s.
-        count: Number of positions.
-    """
+    """Return (east, north, course) (3, count) every step_s from a state on: along its plans, at an airspeed."""
     found = np.empty((3, count))
     kernel.flown_places(
         (state.time_s, state.east_m, state.north_m, state.course_rad),

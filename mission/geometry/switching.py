@@ -8,24 +8,12 @@ from sidelong.mission.core.requirement import Requirement
 
 
 def departure_course_rad(move_bearing_rad: float, psi_c_rad: float, clockwise: bool) -> float:
-    """Return the switching heading: the course at A, where a move in that direction leaves the circle (9-11).
-
-    Args:
-        move_bearing_rad: Direction of the move, rad.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
-        clockwise: Sense of flight, as seen from above.
-    """
+    """Return the switching heading: the course at A, where a move in that direction leaves the circle (9-11)."""
     return move_bearing_rad - psi_c_rad if clockwise else move_bearing_rad + psi_c_rad
 
 
 def turn_to_go_rad(course_rad: float, wanted_course_rad: float, clockwise: bool) -> float:
-    """Return the turn, in [0, 2 pi), that remains on the circle until it is flown on ``wanted_course_rad``.
-
-    Args:
-        course_rad: Present course, rad.
-        wanted_course_rad: Course to reach, rad.
-        clockwise: Sense of flight, as seen from above.
-    """
+    """Return the turn, in [0, 2 pi), that remains on the circle until it is flown on ``wanted_course_rad``."""
     turn_rad = wanted_course_rad - course_rad if clockwise else course_rad - wanted_course_rad
     return turn_rad % (2.0 * math.pi)
 
@@ -42,7 +30,6 @@ def range_after_lap_m(
         aircraft_m: East and north of the aircraft, m.
         target_m: East and north of the target, m.
         target_velocity_m_s: East and north velocity of the target, m/s.
-        lap_s: Duration of a lap, s.
     """
     return math.hypot(
         target_m[0] + target_velocity_m_s[0] * lap_s - aircraft_m[0],
@@ -51,10 +38,5 @@ def range_after_lap_m(
 
 
 def must_move(range_after_lap_m: float, requirement: Requirement) -> bool:
-    """Return whether another lap would end outside [Dmin, C Dmax] (16).
-
-    Args:
-        range_after_lap_m: Predicted range after one lap, m.
-        requirement: Required band and side.
-    """
+    """Return whether another lap would end outside [Dmin, C Dmax] (16)."""
     return not requirement.range_min_m <= range_after_lap_m <= requirement.threshold * requirement.range_max_m

@@ -45,33 +45,17 @@ class TransitionError(ValueError):
 
 
 def transition_length_m(radius_m: float, psi_c_rad: float) -> float:
-    """Return x_tr, the length of AB along x, by the paper's series, within 0.1 % of the exact one.
-
-    Args:
-        radius_m: Radius of the circle, m.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
-    """
+    """Return x_tr, the length of AB along x, by the paper's series, within 0.1 % of the exact one."""
     return radius_m * psi_c_rad * (_SETTLING - psi_c_rad**2 / 4.0 + psi_c_rad**4 / 96.0)
 
 
 def min_move_m(radius_m: float, psi_c_rad: float) -> float:
-    """Return the shortest distance between centres for which ABCD exists (42).
-
-    Args:
-        radius_m: Radius of the circle, m.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
-    """
+    """Return the shortest distance between centres for which ABCD exists (42)."""
     return 2.0 * transition_length_m(radius_m, psi_c_rad) - 2.0 * radius_m * math.sin(psi_c_rad)
 
 
 def abcd(present: Circle, new: Circle, psi_c_rad: float = math.pi / 2, step_m: float = 2.0) -> Path:
     """Return the transition from A on ``present`` to D on ``new``, sampled at most ``step_m`` apart.
-
-    Args:
-        present: The circle that is flown.
-        new: The circle to fly next.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
-        step_m: Greatest distance between samples, m.
 
     Raises:
         TransitionError: The circles differ in radius or direction, psi_c is not in (0, pi/2], or the move is shorter

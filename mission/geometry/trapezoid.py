@@ -33,8 +33,6 @@ def turn_radius_m(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float
     """Return the tightest radius of a transition: turn_share of the circle's, with 30 degrees of bank at most.
 
     Args:
-        aircraft: Limits of the aircraft.
-        ground_speed_m_s: Ground speed, m/s.
         turn_share: Tightest turn, in radii of the aircraft's circle.
     """
     craft = line_kernel.craft_of(aircraft, turn_share)
@@ -47,8 +45,6 @@ def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float, turn_share: fl
     tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
 
     Args:
-        aircraft: Limits of the aircraft.
-        ground_speed_m_s: Ground speed, m/s.
         turn_share: Tightest turn, in radii of the aircraft's circle.
     """
     return line_kernel.sharpness_per_m2(ground_speed_m_s, line_kernel.craft_of(aircraft, turn_share))
@@ -72,9 +68,6 @@ class Trapezoids:
 
         Args:
             start_per_m: Curvature at the start, 1/m; positive to the right.
-            hold_per_m: Curvature between the ramps, 1/m.
-            hold_length_m: Length between the ramps, m.
-            final_per_m: Curvature at the end, 1/m.
             ramp: Change of curvature per metre, 1/m^2.
         """
         each = np.broadcast(np.asarray(hold_per_m), np.asarray(hold_length_m), np.asarray(final_per_m))
@@ -94,7 +87,6 @@ class Trapezoids:
 
         Args:
             arc_m: Ascending arcs (n, k), m.
-            course_rad: Course at the start, rad.
         """
         found = np.empty((3, *arc_m.shape))
         line_kernel.displaced_m(self.shapes, np.ascontiguousarray(arc_m), course_rad, found)
@@ -104,12 +96,6 @@ class Trapezoids:
         """Return trapezoid ``index`` from that place, densely sampled, with samples at every corner of curvature.
 
         It ends where the circle begins; a trapezoid of no length gets one fine step of its circle.
-
-        Args:
-            index: Number of the trapezoid.
-            east_m: East of the start, m.
-            north_m: North of the start, m.
-            course_rad: Course at the start, rad.
         """
         a, b, c, d, e, f = self.shapes[index].tolist()
         return Path(*line_kernel.laid_out((a, b, c, d, e, f), east_m, north_m, course_rad))

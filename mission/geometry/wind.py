@@ -28,8 +28,6 @@ def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -
 
     Args:
         course_rad: Courses over the ground, rad, any shape.
-        airspeed_m_s: Airspeed, m/s.
-        wind: Estimate of the wind.
 
     Raises:
         WindError: A course cannot be held, or only by drifting backwards along it.
@@ -44,11 +42,6 @@ def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -
 
 def ground_speed_m_s(course_rad: float, airspeed_m_s: float, wind: Wind) -> float:
     """Return the ground speed on one course.
-
-    Args:
-        course_rad: Course over the ground, rad.
-        airspeed_m_s: Airspeed, m/s.
-        wind: Estimate of the wind.
 
     Raises:
         WindError: The course cannot be held, or only by drifting backwards along it.
@@ -85,19 +78,11 @@ class LapClock:
         self.lap_s = float(self._times_s[-1])
 
     def time_s(self, turn_rad: float) -> float:
-        """Return the time at a turn counted from north, any number of laps.
-
-        Args:
-            turn_rad: Turn counted from north, rad.
-        """
+        """Return the time at a turn counted from north, any number of laps."""
         laps, within_rad = divmod(turn_rad, 2.0 * math.pi)
         return laps * self.lap_s + float(np.interp(within_rad, self._turns_rad, self._times_s))
 
     def turn_rad(self, time_s: float) -> float:
-        """Return the turn from north at a time: the inverse of :meth:`time_s`.
-
-        Args:
-            time_s: Time since north was passed, s.
-        """
+        """Return the turn from north at a time: the inverse of :meth:`time_s`."""
         laps, within_s = divmod(time_s, self.lap_s)
         return laps * 2.0 * math.pi + float(np.interp(within_s, self._times_s, self._turns_rad))

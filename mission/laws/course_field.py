@@ -143,9 +143,6 @@ def phased(
     """Return the curvature, 1/m, and the airspeed, m/s, that each aircraft is to fly.
 
     Args:
-        aircraft: State of each.
-        target: Estimate of the target.
-        clockwise: Sense of flight.
         airspeed_m_s: The middle one; it is changed by a fifth at most.
         constant_speed: The circular formation in place of the phased field.
     """
@@ -165,11 +162,6 @@ def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise:
     """Return by how much each is behind its place between those before and after it, rad; they keep their order.
 
     Alone, no aircraft is behind.
-
-    Args:
-        aircraft: States of the aircraft.
-        target: Estimate of the target.
-        clockwise: Sense of flight, as seen from above.
     """
     n, sense = len(aircraft), 1.0 if clockwise else -1.0
     phase_rad = [sense * math.atan2(one.east_m - target.east_m, one.north_m - target.north_m) for one in aircraft]

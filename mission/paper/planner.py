@@ -54,23 +54,14 @@ class DepartureState:
     latency_s: float
 
     def target_after(self, wait_s: float) -> Vector:
-        """Return (east, north) of the target after ``wait_s`` at its present velocity, m.
-
-        Args:
-            wait_s: Time from now, s.
-        """
+        """Return (east, north) of the target after ``wait_s`` at its present velocity, m."""
         return (
             self.target_m[0] + self.velocity_m_s[0] * wait_s,
             self.target_m[1] + self.velocity_m_s[1] * wait_s,
         )
 
     def min_range_m(self, path: Path, wait_s: float) -> float:
-        """Return the least range while ``path`` is flown from ``wait_s`` on.
-
-        Args:
-            path: The path.
-            wait_s: Time from now to the departure, s.
-        """
+        """Return the least range while ``path`` is flown from ``wait_s`` on."""
         time_s = wait_s + path_times_s(path, self.airspeed_m_s, self.wind)
         east_m = path.east_m - self.target_m[0] - self.velocity_m_s[0] * time_s
         north_m = path.north_m - self.target_m[1] - self.velocity_m_s[1] * time_s
@@ -101,9 +92,7 @@ def next_move(situation: DepartureState, place: Callable[[Vector], Circle], lead
     which converges as the target is much slower than the aircraft.
 
     Args:
-        situation: Aircraft, target, circle and wind.
         place: Returns the circle for a position of the target.
-        lead_rad: Turn before the bearing of the move at which the aircraft leaves, rad.
     """
     circle, clock = situation.circle, situation.clock
     sense = 1.0 if circle.clockwise else -1.0
@@ -130,15 +119,7 @@ def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
 def circle_next_to(
     target_east_m: float, target_north_m: float, course_rad: float, aircraft: Aircraft, requirement: Requirement
 ) -> Circle:
-    """Return the circle on the required side of a target that moves on ``course_rad`` (20-21).
-
-    Args:
-        target_east_m: East of the target, m.
-        target_north_m: North of the target, m.
-        course_rad: Course of the target, rad.
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-    """
+    """Return the circle on the required side of a target that moves on ``course_rad`` (20-21)."""
     outward_rad, distance_m = course_rad + requirement.side.normal_turn_rad, stand_off_m(aircraft, requirement)
     return Circle(
         target_east_m + distance_m * math.sin(outward_rad),
@@ -149,13 +130,7 @@ def circle_next_to(
 
 
 def shifted(circle: Circle, east_m: float, north_m: float) -> Circle:
-    """Return the circle after the regular step O2 = O1 + e (17).
-
-    Args:
-        circle: The circle.
-        east_m: Displacement to the east, m.
-        north_m: Displacement to the north, m.
-    """
+    """Return the circle after the regular step O2 = O1 + e (17)."""
     return Circle(circle.east_m + east_m, circle.north_m + north_m, circle.radius_m, circle.clockwise)
 
 
@@ -168,12 +143,7 @@ class RelativePosition:
 
     @staticmethod
     def of(east_m: float, north_m: float) -> RelativePosition:
-        """Return the polar form of target minus aircraft; the bearing of a target right below is 0.
-
-        Args:
-            east_m: East of the target from the aircraft, m.
-            north_m: North of the target from the aircraft, m.
-        """
+        """Return the polar form of target minus aircraft; the bearing of a target right below is 0."""
         return RelativePosition(math.hypot(east_m, north_m), math.atan2(east_m, north_m))
 
     @property
@@ -191,21 +161,12 @@ class RelativePosition:
 
         This is the exact integral of l' = -v cos(theta - psi), theta' = (v / l) sin(theta - psi) (1-4) over any
         course and speed, wind included, so it does not drift with the step.
-
-        Args:
-            east_m: Distance flown to the east, m.
-            north_m: Distance flown to the north, m.
         """
         return RelativePosition.of(self.east_m - east_m, self.north_m - north_m)
 
 
 def displacement_m(measured: RelativePosition, reference: RelativePosition) -> tuple[float, float]:
-    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8).
-
-    Args:
-        measured: Measured relative position.
-        reference: Relative position of a stationary target.
-    """
+    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8)."""
     return measured.east_m - reference.east_m, measured.north_m - reference.north_m
 
 
@@ -213,12 +174,6 @@ def stretched_lap(
     present: Circle, new: Circle, half_width_rad: float = math.radians(60.0), step_m: float = 2.0
 ) -> Path:
     """Return the stretched part of the lap, from ``half_width_rad`` before the move's bearing to as much after it.
-
-    Args:
-        present: The circle that is flown.
-        new: The circle to fly next.
-        half_width_rad: Half of the stretched turn W, rad.
-        step_m: Greatest distance between samples, m.
 
     Raises:
         TransitionError: The circles differ in radius or direction, or W is not in (0, pi).

@@ -34,11 +34,6 @@ def infeasible(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = 
     Returns:
         The changes that would help, none if it is feasible. Each cures its own cause alone; where two causes are
         named, one change of each is needed.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     return (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
 
@@ -110,11 +105,6 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
 
     The range at A is taken from A itself, D + R cos psi_c across the target's line; the paper's psi_c = pi/2 makes
     the second term zero. A threshold below D counts as D: the circle would have to move at once.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     lap_travel_m = requirement.target_speed_max_m_s * aircraft.lap_s
     ahead_m = aircraft.radius_m * math.sin(psi_c_rad)  # A lags the centre by this much
@@ -194,11 +184,6 @@ def max_range_m(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float =
     """Return the greatest range around the longest move d_max: in the lap before it and on the way.
 
     A move too short for ABCD counts as the shortest that exists.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     speed_m_s, target_m_s, radius_m = aircraft.airspeed_m_s, requirement.target_speed_max_m_s, aircraft.radius_m
     move_m = max(scope(aircraft, requirement, psi_c_rad).longest_move_m, min_move_m(radius_m, psi_c_rad))
@@ -219,13 +204,7 @@ def max_range_m(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float =
 def threshold_bounds(
     aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2
 ) -> ThresholdBounds | None:
-    """Return which thresholds C work for this aircraft, and the best; None where none does.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
-    """
+    """Return which thresholds C work for this aircraft, and the best; None where none does."""
     if not fits_band(aircraft, requirement) or requirement.target_speed_max_m_s >= aircraft.airspeed_m_s:
         return None
 
@@ -257,12 +236,6 @@ def optimise(
 
     Faster means shorter laps, until the bank limit widens the circle: the best speed is where the circle takes all
     of the bank, sqrt(R g tan bank), or the end of the range. None where no speed has a threshold.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        airspeed_range_m_s: Least and greatest airspeed, m/s.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
     """
     best: Optimum | None = None
     limit_m_s = math.sqrt(aircraft.radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
@@ -280,13 +253,7 @@ def optimise(
 
 
 def fastest_target_m_s(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> float:
-    """Return the top speed of a straight target up to which a threshold exists, by bisection; 0 if none does.
-
-    Args:
-        aircraft: Limits of the aircraft.
-        requirement: Required band and side.
-        psi_c_rad: Turn of each transition end, psi_c, rad.
-    """
+    """Return the top speed of a straight target up to which a threshold exists, by bisection; 0 if none does."""
     low_m_s, high_m_s = 0.0, aircraft.airspeed_m_s
     while high_m_s - low_m_s > 1e-3:
         middle_m_s = (low_m_s + high_m_s) / 2.0

@@ -64,11 +64,7 @@ class WatchCost:
         """Return the cost of a required band, with the planner's margins: wider in wind, and near a fast target.
 
         Args:
-            range_min_m: Least range of the band, m.
-            range_max_m: Greatest range of the band, m.
             half_width_rad: Half of the sector, rad; pi/2 for a side.
-            wind_speed_m_s: Wind speed, m/s.
-            target_speed_max_m_s: Greatest speed of the target, m/s.
             pan_limit_rad: Greatest pan of the gimbal, rad off the nose; pi: all around.
             radius_m: Radius of the circles, m; needed with a pan limit.
         """
@@ -87,12 +83,6 @@ class WatchCost:
 
         It is the chance of being off the side, 0..1, and the walls at the edges of the band. widened_m moves both
         edges inwards, never beyond a half of the band's width; the sides' border is blurred over +-side_blur_m (> 0).
-
-        Args:
-            x_m: Right of the target in the watch frame, m.
-            y_m: Ahead of the target in the watch frame, m.
-            widened_m: Distance by which both edges move inwards, m.
-            side_blur_m: Half width of the blurred border between the sides, m.
         """
         every = np.broadcast_arrays(x_m, y_m, widened_m, side_blur_m)
         rate = np.empty(every[0].shape)

@@ -102,8 +102,6 @@ def resample(
         classes: Which classes are mixed (f, k, 4).
         share: What each counts (f, k, 4).
         one: Row of ``classes`` and ``share``.
-        k: Sample in that row.
-        cell_m: Cell of the result.
         turn_rad: Course of the table's frame in the frame of the result.
         found: Result (HEADINGS, SIZE, SIZE).
     """
@@ -242,14 +240,8 @@ def fill_layers(
     """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on.
 
     Args:
-        f: Scenarios of the target in the frame of the decision.
-        one: The future to follow.
         turn_rad: Angle of the (mirrored) plane's north in that frame.
-        scene: The scene of the decision.
-        terms: Running cost.
         table: Value table: the cost to go at the end, and the hazard of turns.
-        leave: Cost of leaving the circle.
-        change: Cost of another change.
         s: Route; its layers are filled in.
     """
     d, air, radius_m, cell_m, classes = scene.doubt, scene.air, scene.radius_m, s.cell_m, len(table.values)

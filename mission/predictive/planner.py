@@ -78,9 +78,6 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
     """Return the first breach of the requirement on the line of ``seen``; None when there is none.
 
     Args:
-        seen: What is met along the flown line.
-        side: Required side.
-        requirement: Required band and side.
         lead_s: Time from now to the outlook's start, s.
     """
     x_m, range_m, time_s = seen.x_m, seen.range_m, seen.time_s
@@ -102,11 +99,7 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
 
 
 def describe_range(seen: Outlook) -> str:
-    """Return the ranges met along the line of ``seen``.
-
-    Args:
-        seen: What is met along the flown line.
-    """
+    """Return the ranges met along the line of ``seen``."""
     nearest_m, farthest_m = seen.range_m.min(), seen.range_m.max()
     return f"the target stays {nearest_m:.0f} to {farthest_m:.0f} m away for {seen.time_s[-1]:.0f} s"
 
@@ -124,9 +117,6 @@ def route_values(route: Route, own: Table, c: TableConfiguration, progress: Prog
     """Return room for the layers along a route, and the table's classes on their grid.
 
     Args:
-        route: The target's route.
-        own: Value table of the planner.
-        c: Its configuration, or that of a table for another wind.
         progress: State of the progress filter, which tables for several winds share.
     """
     classes = len(own.values)
@@ -372,16 +362,7 @@ class PredictivePlanner:
 def scene_at(
     aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float, question: Question
 ) -> Scene:
-    """Return what is to be decided about.
-
-    Args:
-        aircraft: State of the aircraft.
-        target: Estimate of the target.
-        present: The plan that is flown.
-        wind: Estimate of the wind.
-        latency_s: Time until a new plan can depart, s.
-        question: Constants and memory of the planner.
-    """
+    """Return what is to be decided about."""
     return scene_of(
         aircraft.time_s,
         LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m),
@@ -402,10 +383,6 @@ def cheapest_allowed(
     Where there is none, the move is the cheapest of all, without a plan; last why the cheapest below the bar failed.
 
     Args:
-        scene: The scene of the decision.
-        question: Constants and memory of the planner.
-        costs: Cost of each move.
-        bar: Cost that a move must stay below.
         check: Returns a plan as it can be flown, or why it is rejected.
     """
     order, broken = np.argsort(costs, kind="stable"), None

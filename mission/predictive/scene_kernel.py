@@ -139,11 +139,6 @@ def scene_of(
     """Return what is to be decided about.
 
     Args:
-        time_s: now.
-        aircraft: where it is.
-        speed_m_s: its speed over the ground.
-        estimates: of the target.
-        present: the plan that is flown.
         wind_m_s: wind (east, north).
         latency_s: time until another plan can depart.
         watcher: the aircraft and how it watches; its memory is updated.

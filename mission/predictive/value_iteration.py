@@ -54,7 +54,6 @@ def compute(configuration: TableConfiguration, progress: Progress = lambda _shar
     """Return the table.
 
     Args:
-        configuration: Configuration of the table.
         progress: Called with the share 0..1 of the work that is done.
     """
     half_m, cells = configuration.half_width_m, configuration.cells

@@ -142,10 +142,6 @@ class ValueTable:
 def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:
     """Return the table of stored values.
 
-    Args:
-        configuration: Configuration of the table.
-        values: Stored values.
-
     Raises:
         ValueError: The values are not of this configuration.
     """
@@ -159,7 +155,6 @@ def expected_after_turn(configuration: TableConfiguration, values: Float32) -> F
     """Return the expectation of V over the target's next leg, for each class: same shape as ``values``.
 
     Args:
-        configuration: Configuration of the table.
         values: Values, one array for each class of motion.
     """
     habits = configuration.habits

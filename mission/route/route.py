@@ -65,11 +65,7 @@ class Route:
         return np.stack([np.interp(at_m, arc_m, row) for row in rows], axis=1)
 
     def outline_m(self, points_max: int) -> FloatArray:
-        """Return points (n, 2) of the route for a drawing, n <= points_max; the first one is repeated for a lap.
-
-        Args:
-            points_max: Greatest number of points.
-        """
+        """Return points (n, 2) of the route for a drawing, n <= points_max; the first one is repeated for a lap."""
         drawn = self.points_m(np.linspace(0.0, self.length_m, min(points_max, self.east_m.size + 1)))
         return np.concatenate([drawn[:-1], drawn[:1]]) if self.lap else drawn
 
@@ -89,9 +85,6 @@ def route_of(
         east_m: East of the way points (n,).
         north_m: North of the way points (n,).
         lap: Whether the last way point connects to the first one.
-        tolerance_m: See :class:`Route`.
-        speed_m_s: See :class:`Route`.
-        direction: See :class:`Route`.
 
     Returns:
         The route.
@@ -121,7 +114,6 @@ def event_of(route: Route, time_s: float) -> RouteGiven:
     """Return a route as the event that :func:`route_from` reads.
 
     Args:
-        route: The route.
         time_s: Time of the event, vehicle's clock, s.
     """
     way = tuple(route.east_m.tolist()), tuple(route.north_m.tolist())

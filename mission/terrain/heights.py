@@ -132,8 +132,6 @@ class FlightHeights:
         """Return how far a height is above the ground around a position, m.
 
         Args:
-            east_m: East in the local plane, m.
-            north_m: North in the local plane, m.
             height_m: Height above home, m.
         """
         return height_m - highest_at(self._highest, self._grid, east_m, north_m)

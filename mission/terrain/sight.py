@@ -44,10 +44,6 @@ class SightField:
         sight: the planner then looks as deep as over a plain.
 
         Args:
-            east_m: Target's east, m.
-            north_m: Target's north, m.
-            velocity_east_m_s: Target's velocity to the east, m/s.
-            velocity_north_m_s: Target's velocity to the north, m/s.
             height_m: Height of the aircraft above home, m.
         """
         if math.isnan(self._ground.height_m(east_m, north_m)):

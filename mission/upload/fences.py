@@ -59,7 +59,6 @@ class Fences:
         autopilot's path to it is unknown.
 
         Args:
-            plan: The plan.
             height_m: Height above home of a plan without heights, m.
 
         Returns:

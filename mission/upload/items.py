@@ -61,10 +61,6 @@ def lay_out(
     """Return the fewest waypoints (east, north) found that lead along a transition to a circle within a tolerance.
 
     Args:
-        transition: The transition.
-        circle: The circle.
-        tracking: How the autopilot flies along waypoints.
-        tolerance_m: Greatest deviation from the transition, m.
         wanted_m: Deviation to be kept where waypoints can be found for it, m.
 
     Raises:
@@ -103,11 +99,7 @@ def first_to_fly(
     It may depart next to the start of the transition, and pass the first waypoint too far off to reach it.
 
     Args:
-        transition: The transition.
-        circle: The circle.
-        tracking: How the autopilot flies along waypoints.
         waypoints: The waypoints (east, north) of the transition, m.
-        aircraft: State of the aircraft.
         tolerance_m: Greatest deviation from the transition, m, from its start.
 
     Returns:
@@ -261,8 +253,6 @@ def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> MissionIt
     """Return an unlimited loiter; param3 is the radius, negative counter-clockwise.
 
     Args:
-        circle: The circle.
-        plane: The local plane of the mission.
         height_m: Height above home, m.
     """
     signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
@@ -278,10 +268,7 @@ def plan_items(
     param2 of a waypoint is its acceptance radius.
 
     Args:
-        plan: The plan.
-        plane: The local plane of the mission.
         height_m: Height above home of a plan without heights, m.
-        tolerance_m: Greatest deviation of the flown path from the transition, m.
         tracking: How the autopilot flies along waypoints; None: ArduPlane's defaults at 15 m/s.
 
     Raises:

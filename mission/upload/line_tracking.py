@@ -75,10 +75,7 @@ class LineTracking:
         """Return the path that the autopilot flies through waypoints to a circle.
 
         Args:
-            start: Place, course and curvature at the start.
             waypoints: Waypoints (east, north), m, (k, 2).
-            circle: The circle at the end.
-            duration_s: Duration of the prediction, s.
 
         Returns:
             Rows of (time s, east m, north m), (n, 3).

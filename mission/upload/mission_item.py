@@ -43,23 +43,13 @@ class MissionItem:
 
 
 def e7(latitude_longitude_deg: tuple[float, float]) -> tuple[int, int]:
-    """Return a position as fields x and y of MISSION_ITEM_INT.
-
-    Args:
-        latitude_longitude_deg: Latitude and longitude, degrees.
-    """
+    """Return a position as fields x and y of MISSION_ITEM_INT."""
     latitude_deg, longitude_deg = latitude_longitude_deg
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
 
 
 def at_place(x: int, y: int, item: MissionItem) -> bool:
-    """Return whether an item's position is in units of 1e-7 degrees.
-
-    Args:
-        x: Field x of MISSION_ITEM_INT.
-        y: Field y of MISSION_ITEM_INT.
-        item: The item they belong to.
-    """
+    """Return whether an item's position is in units of 1e-7 degrees."""
     return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
 
 

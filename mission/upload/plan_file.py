@@ -33,10 +33,7 @@ def plan_file(
     Args:
         items: Mission items without a home item: the file has a field of its own for it, and whatever loads it for
             ArduPilot puts home at 0.
-        plane: The local plane of the mission.
         home_altitude_m: Altitude of home above mean sea level, m.
-        airspeed_m_s: Airspeed, m/s.
-        mav_autopilot: MAV_AUTOPILOT of the vehicle.
         keep_in: Outlines of inclusion fences, (east, north) m.
         keep_out: Outlines of exclusion fences, (east, north) m.
     """

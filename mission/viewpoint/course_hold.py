@@ -49,9 +49,6 @@ class CourseHold:
     def update(self, target: TargetEstimate) -> float | None:
         """Process an estimate.
 
-        Args:
-            target: Estimate of the target, in order of time.
-
         Returns:
             Course to watch from, rad; None until the target has moved.
         """
@@ -78,12 +75,7 @@ class TargetCourse:
         self._memory = kernel.fresh_memory(1.0)[0]
 
     def update(self, target: TargetEstimate, horizon_s: float) -> None:
-        """Process an estimate.
-
-        Args:
-            target: Estimate of the target, in order of time.
-            horizon_s: Time over which the course is made good, s.
-        """
+        """Process an estimate."""
         if math.hypot(target.velocity_east_m_s, target.velocity_north_m_s) >= STANDING_M_S:
             self.present_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
         estimates = estimates_of(target)

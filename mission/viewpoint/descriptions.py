@@ -11,11 +11,7 @@ _SAME_PLACE_M = 3.0
 
 
 def compass_word(bearing_rad: float) -> str:
-    """Return the nearest of the eight compass directions in words.
-
-    Args:
-        bearing_rad: Bearing, clockwise from north, rad.
-    """
+    """Return the nearest of the eight compass directions in words."""
     return _WINDS[round(bearing_rad / (math.pi / 4)) % 8]
 
 
@@ -25,12 +21,7 @@ def describe_new_circle(old: Circle, new: Circle) -> str:
 
 
 def describe_move(east_m: float, north_m: float) -> str:
-    """Return a shift in words: ``212 m east``.
-
-    Args:
-        east_m: Shift to the east, m.
-        north_m: Shift to the north, m.
-    """
+    """Return a shift in words: ``212 m east``."""
     if math.hypot(east_m, north_m) < _SAME_PLACE_M:
         return "on to the same circle"
     return f"{math.hypot(east_m, north_m):.0f} m {compass_word(math.atan2(east_m, north_m))}"

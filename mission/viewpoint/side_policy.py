@@ -43,11 +43,6 @@ class SidePolicy:
         """Return from where an aircraft watches.
 
         Until the target has moved, its course is assumed to put the aircraft's first position exactly on the side.
-
-        Args:
-            east_m: Aircraft's east, m.
-            north_m: Aircraft's north, m.
-            target: Estimate of the target.
         """
         view = kernel.viewpoint(east_m, north_m, estimates_of(target), self.wish, self.memory[0])
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
