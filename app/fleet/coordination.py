@@ -18,6 +18,7 @@ from sidelong.app.flight.loop import Stepped
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.records.journal import JournalWriter
+from sidelong.mission.control.alarms import Charge
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.core.events import Event, RouteGiven
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
@@ -219,7 +220,7 @@ class Participant:
         self.name, self.controller, self.put_event, self.now_s = name, controller, put_event, now_s
         self.home_above_m = home_above_m
         self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s, to_mission_s)
-        self.battery_percent: int | None = None
+        self.charge = Charge()
         self.received_s = -math.inf  # last, by this computer's clock
 
 
@@ -340,10 +341,14 @@ class Coordination:
         self._note(latest[2], text)
 
     def _battery(self, participant: Participant, percent: int) -> None:
-        if percent < 0 or percent == participant.battery_percent or not math.isfinite(participant.now_s()):
+        now_s = participant.now_s()
+        if percent < 0 or not math.isfinite(now_s):
             return
-        participant.battery_percent = percent
-        self.put(BatteryReported(participant.name, participant.now_s(), percent / 100.0))
+        before = participant.charge.percent
+        participant.charge.take(now_s, percent)
+        charge = round(participant.charge.percent or 0.0)
+        if before is None or charge != round(before):
+            self.put(BatteryReported(participant.name, now_s, charge / 100.0))
 
     def lost(self, name: str, reason: str) -> None:
         """Take an aircraft out whose flight has ended."""

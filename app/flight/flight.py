@@ -45,7 +45,7 @@ from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.control.alarms import Alarms, Endurance, battery_is_low, time_to_s
+from sidelong.mission.control.alarms import Alarms, Endurance, battery_is_low, describe_battery, time_to_s
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.events import (
@@ -547,7 +547,7 @@ class _Observed:
 
 _LOOK_EVERY_S = 0.5
 _STATUS_EVERY_S = 0.2  # of the wall clock: a fast simulation looks more often
-_BATTERY_EVERY_S, _LOW_BATTERY_EVERY_S = 10.0, 1.0  # the controller needs more than one report to fly home
+_BATTERY_EVERY_S, _LOW_BATTERY_EVERY_S = 10.0, 1.0  # the controller flies home by a report that lasts
 _TEXT_EVERY_S = 5.0
 
 
@@ -587,6 +587,7 @@ class AlarmWatch:
         self._looked_s = self._reported_s = self._sent_s = -math.inf
         self.left_s: float | None = None
         self.home_s: float | None = None
+        self._low = False
 
     def acknowledge(self, wish: AlarmReported) -> None:
         """Take an operator's acknowledgement."""
@@ -620,6 +621,8 @@ class AlarmWatch:
             home_m=self._home_m,
             silent_s=self._clock_s() - self._received_at_s,
             alarms=self._alarms.active,
+            reserve_percent=self._config.planner.battery_reserve_percent,
+            battery_doubt=self._endurance.charge.doubt,
         )
 
     def _look(self, present: Present) -> None:
@@ -641,13 +644,16 @@ class AlarmWatch:
     def _watch_battery(self, present: Present) -> None:
         if self._known.battery_percent is None or present.aircraft is None:
             return
-        self._endurance.take(present.time_s, self._known.battery_percent)
+        self._endurance.take(present.time_s, self._known.battery_percent, self._known.battery_v)
         self.left_s = self._endurance.left_s(present.time_s)
         airspeed_m_s = self._config.aircraft.airspeed_m_s
         self.home_s = time_to_s(present.aircraft, self._home_m, airspeed_m_s, present.wind)
         if self.left_s is None:
             return
-        every_s = _LOW_BATTERY_EVERY_S if battery_is_low(self.left_s, self.home_s) else _BATTERY_EVERY_S
+        was_low, self._low = self._low, battery_is_low(self.left_s, self.home_s)
+        every_s = 0.0 if self._low != was_low else _LOW_BATTERY_EVERY_S if self._low else _BATTERY_EVERY_S
         if present.time_s >= self._reported_s + every_s:
-            self._reported_s = present.time_s
-            self._put(BatteryReported(present.time_s, self._known.battery_percent, self.left_s, self.home_s))
+            self._reported_s, status = present.time_s, self.status
+            text, rejected = describe_battery(status) if self._low else "", bool(status.battery_doubt)
+            percent = self._known.battery_percent
+            self._put(BatteryReported(present.time_s, percent, self.left_s, self.home_s, text, rejected))

@@ -87,9 +87,10 @@ _UNKNOWN_SATELLITES, _UNKNOWN_MV = 255, 65535
 def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -> VehicleStatus:
     """Return the status by the autopilot's latest messages and the links' present measures."""
     power, fix = latest.get("SYS_STATUS"), latest.get("GPS_RAW_INT")
-    percent = mv = gps = good = None
+    percent = mv = amps = gps = good = None
     if power is not None:
         percent, mv = int(power.fields["battery_remaining"]), int(power.fields["voltage_battery"])
+        amps = int(power.fields["current_battery"]) * 1e-2
     battery = latest.get("BATTERY_STATUS")
     if (percent is None or percent < 0) and battery is not None:
         percent = int(battery.fields["battery_remaining"])
@@ -107,4 +108,5 @@ def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -
         good,
         None if used is None or used.loss is None else round(100.0 * (1.0 - used.loss)),
         None if used is None else used.round_trip_s,
+        battery_a=amps if amps is not None and amps > 0.0 else None,
     )

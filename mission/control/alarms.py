@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sidelong.mission.control.present import Alarm, Phase, Present
+from sidelong.mission.control.present import Alarm, Phase, Present, VehicleStatus
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
@@ -21,45 +21,101 @@ _WINDOW_S = 900.0
 _LEAST_STEPS = 3
 _ROUNDING = 0.5  # when N percent are first reported, the charge is N + 0.5 or, if it is cut off, N + 1
 _LEAST_GROUND_SPEED_M_S = 1.0
+_FASTEST_PERCENT_PER_S = 100.0 / 240.0  # the smallest aircraft with a laser and a gimbal fly for longer
+_STEP_PERCENT = 3.0  # so much a charge that is estimated from the voltage changes at once
+_CONFIRMED_SHARE = 0.9  # of the highest voltage: that of a lithium cell at less than half of its charge
+
+
+class Charge:
+    """The battery's charge as far as it is plausible: no aircraft uses it up in less than four minutes.
+
+    A report that falls faster is followed at that pace, or at once when the voltage has fallen by a tenth as well. It
+    stays in doubt while a voltage contradicts it and it does not go on falling as a battery in use does.
+
+    Attributes:
+        percent: The plausible charge, 0 to 100.
+        doubt: Why the reported charge is not acted on, in words; '' if it is.
+    """
+
+    def __init__(self) -> None:
+        self.percent: float | None = None
+        self.doubt = ""
+        self._least = math.inf  # the charge if it was used up at the fastest pace
+        self._time_s = self._most_v = 0.0
+        self._good = self._doubted = (0.0, 0.0)  # time and charge of the last accepted report, and of the lowest one
+
+    def take(self, time_s: float, percent: float, volts: float | None = None) -> None:
+        """Process the reported charge.
+
+        Args:
+            time_s: Vehicle's clock, s; not earlier than the previous one.
+            percent: Remaining charge, 0 to 100.
+            volts: The battery's voltage, V; None if it is not reported.
+        """
+        self._most_v = max(self._most_v, volts or 0.0)
+        confirmed = self.percent is None or (volts is not None and volts <= _CONFIRMED_SHARE * self._most_v)
+        fallen = _FASTEST_PERCENT_PER_S * (time_s - self._time_s)
+        self._least = percent if confirmed else max(percent, self._least - fallen)
+        self._time_s = time_s
+        credible = percent >= self._least - _STEP_PERCENT
+        self.percent = percent if credible else self._least
+        if credible and (
+            not self.doubt or confirmed or volts is None or abs(percent - self._doubted[1]) >= _STEP_PERCENT
+        ):
+            self._good, self.doubt = (time_s, percent), ""
+        elif not credible and (not self.doubt or percent < self._doubted[1]):
+            (good_s, good), self._doubted = self._good, (time_s, percent)
+            self.doubt = f"the reported charge fell from {good:.0f} to {percent:.0f} % within "
+            self.doubt += f"{max(time_s - good_s, 1.0):.0f} s, faster than any aircraft uses it"
+            self.doubt += "" if volts is None else f", and the battery still has {volts:.1f} V"
 
 
 class Endurance:
     """Estimates the consumption from the charge that the autopilot reports in whole percent.
 
     The moments at which the charge falls by a percent are exact where the charge itself is not: a line through those
-    of the last 15 minutes is the consumption.
+    of the last 15 minutes is the consumption. A charge that has not fallen for longer than the line predicts is a
+    point of it, too.
 
     Args:
         reserve_percent: Charge that is to be left.
+
+    Attributes:
+        charge: The charge as far as it is plausible.
     """
 
     def __init__(self, reserve_percent: float) -> None:
         self._reserve_percent = reserve_percent
+        self.charge = Charge()
         self._steps: deque[tuple[float, float]] = deque()  # time and charge of each fall
-        self._last: tuple[float, float] | None = None
+        self._lowest = math.nan
 
-    def take(self, time_s: float, percent: float) -> None:
-        """Process the reported charge.
-
-        Args:
-            time_s: Vehicle's clock, s; not earlier than the previous one.
-            percent: Remaining charge, 0 to 100.
-        """
-        last = None if self._last is None else self._last[1]
-        self._last = time_s, percent
-        if last is not None and percent > last:  # another battery, or a correction
+    def take(self, time_s: float, percent: float, volts: float | None = None) -> None:
+        """Process the reported charge, as :meth:`Charge.take`."""
+        self.charge.take(time_s, percent, volts)
+        charge = self.charge.percent
+        assert charge is not None
+        if not charge < self._lowest + _STEP_PERCENT:  # the first, another battery, or a correction
             self._steps.clear()
-        elif last is not None and percent < last:
-            self._steps.append((time_s, percent + _ROUNDING))
+            self._lowest = charge
+        elif charge <= self._lowest - 1.0:
+            self._steps.append((time_s, charge + _ROUNDING))
+            self._lowest = charge
         while len(self._steps) > _LEAST_STEPS and self._steps[0][0] < time_s - _WINDOW_S:
             self._steps.popleft()
 
-    @property
-    def percent_per_s(self) -> float | None:
-        """The consumption; None until the charge has fallen often enough."""
-        if len(self._steps) < _LEAST_STEPS:
+    def percent_per_s(self, time_s: float) -> float | None:
+        """Return the consumption at a time; None until the charge has fallen often enough."""
+        rate = self._slope(self._steps)
+        if rate is None or self._lowest - _ROUNDING <= self._steps[-1][1] - rate * (time_s - self._steps[-1][0]):
+            return rate
+        return self._slope([*self._steps, (time_s, self._lowest - _ROUNDING)])
+
+    @staticmethod
+    def _slope(steps: Sequence[tuple[float, float]]) -> float | None:
+        if len(steps) < _LEAST_STEPS:
             return None
-        time_s, percent = np.array(self._steps).T
+        time_s, percent = np.array(steps).T
         since_s = time_s - time_s.mean()
         spread_s2 = float((since_s**2).sum())
         if spread_s2 == 0.0:  # all reported at one time, as by a clock that stands still
@@ -76,11 +132,12 @@ class Endurance:
         Returns:
             Time, s; None while the consumption is unknown.
         """
-        rate = self.percent_per_s
+        rate = self.percent_per_s(time_s)
         if rate is None:
             return None
         fallen_s, percent = self._steps[-1]
-        return (percent - self._reserve_percent) / rate - (time_s - fallen_s)
+        percent = max(percent - rate * (time_s - fallen_s), self._lowest - _ROUNDING)
+        return (percent - self._reserve_percent) / rate
 
 
 def time_to_s(aircraft: AircraftState, place_m: tuple[float, float], airspeed_m_s: float, wind: Wind) -> float:
@@ -253,12 +310,26 @@ def _battery(_alarms: Alarms, now: Present) -> str:
     status = now.vehicle
     if not now.phase.in_control or status is None or status.battery_percent is None:
         return ""
-    charge, left_s, home_s = f"the battery is at {status.battery_percent:.0f} %", status.endurance_s, status.home_s
-    if left_s is None or home_s is None:
-        return charge if status.battery_percent < _RESERVE_PERCENT_WARNED else ""
-    if not battery_is_low(left_s, home_s):
-        return ""
-    return f"{charge}: {max(left_s, 0.0) / 60.0:.0f} min left, and home is {home_s / 60.0:.1f} min away"
+    if status.endurance_s is None or status.home_s is None:
+        low = status.battery_percent < _RESERVE_PERCENT_WARNED and not status.battery_doubt
+        return f"the battery is at {status.battery_percent:.0f} %" if low else ""
+    return describe_battery(status) if battery_is_low(status.endurance_s, status.home_s) else ""
+
+
+def _charge(_alarms: Alarms, now: Present) -> str:
+    return now.vehicle.battery_doubt if now.phase.in_control and now.vehicle is not None else ""
+
+
+def describe_battery(status: VehicleStatus) -> str:
+    """Return all that is known of a battery that is ending, in words; its endurance is known."""
+    percent, reserve, home_s = status.battery_percent or 0, status.reserve_percent, status.home_s or 0.0
+    text = f"the battery is ending: {percent} % left"
+    if reserve is not None:
+        above = percent - reserve
+        text += f", {abs(above):.0f} % {'above' if above >= 0.0 else 'below'} the reserve of {reserve:.0f} %"
+    text += f"; about {max(status.endurance_s or 0.0, 0.0):.0f} s"
+    text += f" at {status.battery_a:.0f} A" if status.battery_a else ""
+    return f"{text}; home is {home_s:.0f} s away"
 
 
 LOW_BATTERY = 1.2
@@ -292,6 +363,7 @@ _RULES = (
     _Rule("separation", _separation, "change the height of one of the two, or take over", clear_s=0.0),
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
+    _Rule("charge", _charge, "check the battery's sensor, and watch its voltage", after_s=2.0),
     _Rule("target", _target, "point the camera at the target, or press Hold to keep circling here"),
     *(_Rule(watched.value, _input(watched), advice, clear_s=0.0) for watched, advice in _INPUTS.items()),
     _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),

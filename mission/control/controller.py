@@ -105,7 +105,7 @@ _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
 _SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
-_LOW_BATTERY_REPORTS = 2  # in a row
+_LOW_BATTERY_S = 10.0  # without a report in between that is not low
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ class StandoffController:
         self._over = ""  # why the mission was yielded or has ended
         self.resuming = False  # being taken over again after a yield
         self._acquired_s = -math.inf
-        self._low_battery_reports = 0
+        self._low_battery_s = math.inf  # since when each report is of a low battery
         self._unseen = UnseenTarget(tracker)
 
     def step(self, event: Event) -> tuple[StepOutput, ...]:
@@ -538,12 +538,12 @@ class StandoffController:
         return (self.health.link_changed(event, event.time_s),)
 
     def _battery_reported(self, event: BatteryReported) -> tuple[StepOutput, ...]:
-        low = battery_is_low(event.left_s, event.home_s)
-        self._low_battery_reports = self._low_battery_reports + 1 if low else 0
+        low = battery_is_low(event.left_s, event.home_s) and not event.rejected
+        self._low_battery_s = min(self._low_battery_s, event.time_s) if low else math.inf
         wanted = self.phase.in_control and self.settings.at_low_battery == "return"
-        if not wanted or self._low_battery_reports < _LOW_BATTERY_REPORTS:
+        if not wanted or event.time_s - self._low_battery_s < _LOW_BATTERY_S:
             return ()
-        reason = f"the battery is at {event.percent:.0f} %, home is {event.home_s:.0f} s away"
+        reason = event.text or f"the battery is at {event.percent:.0f} %, home is {event.home_s:.0f} s away"
         self._end(Phase.ENDED, reason)
         return (End(event.time_s, "return", reason),)
 

@@ -65,6 +65,9 @@ class VehicleStatus:
         home_m: Home in the local plane, east and north.
         silent_s: For how long the aircraft has not been received, by this computer's clock.
         alarms: Those that are raised.
+        battery_a: Current drawn from the battery, A.
+        reserve_percent: Charge that is to be left in it.
+        battery_doubt: Why its reported charge is not acted on, in words; '' if it is.
     """
 
     battery_percent: int | None = None
@@ -78,6 +81,9 @@ class VehicleStatus:
     home_m: tuple[float, float] | None = None
     silent_s: float = 0.0
     alarms: tuple[Alarm, ...] = ()
+    battery_a: float | None = None
+    reserve_percent: float | None = None
+    battery_doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True)

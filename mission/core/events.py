@@ -200,12 +200,17 @@ class AlarmReported:
 
 @dataclass(frozen=True, slots=True)
 class BatteryReported:
-    """The battery's charge, the flight time until its reserve by the observed consumption, and the time to home."""
+    """The battery's charge, the flight time until its reserve by the observed consumption, and the time to home.
+
+    text: all that is known of it, in words. rejected: whether the charge is not to be acted on.
+    """
 
     time_s: float
     percent: float
     left_s: float
     home_s: float
+    text: str = ""
+    rejected: bool = False
 
 
 Event = (

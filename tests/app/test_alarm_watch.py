@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -142,8 +143,8 @@ def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
     config = Config.model_validate({"planner": {"name": "paper", "at_low_battery": action}})
     controller = controller_of(config)
     controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
-    announced = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(3)]
-    assert announced[0] == ()  # one report is not enough
+    announced = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(11)]
+    assert announced[:10] == [()] * 10  # reports of less than ten seconds are not enough
     ended = [one for step in announced for one in step if isinstance(one, End)]
     assert [one.action for one in ended] == (["return"] if ends else [])
     assert controller.phase is (Phase.ENDED if ends else Phase.WATCHING)
@@ -152,9 +153,46 @@ def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
 def test_a_battery_with_enough_left_ends_nothing(snapshot):
     controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
     controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
-    for k in range(5):
-        left_s = 70.0 if k % 2 else 73.0  # 120 % of the flight home, now and then
+    for k in range(50):
+        left_s = 70.0 if k % 9 else 73.0  # 120 % of the flight home, now and then
         assert controller.step(BatteryReported(101.0 + k, 22.0, left_s, 60.0)) == ()
+
+
+def test_a_rejected_charge_ends_nothing(snapshot):
+    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
+    for k in range(50):
+        assert controller.step(BatteryReported(101.0 + k, 3.0, 0.0, 60.0, rejected=True)) == ()
+
+
+@pytest.mark.parametrize("lasts_s", [3, 20])
+def test_a_battery_that_dips_is_an_alarm_and_ends_no_watch(rig, last, lasts_s):
+    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller.step(ControlAcquired(last.time_s, last.plan.circle, "AUTO"))
+    for second in range(600):
+        dips = 400 <= second < 400 + lasts_s
+        rig.status = replace(GOOD, battery_percent=3 if dips else 80 - second // 60)
+        time_s = last.time_s + second
+        rig.show(replace(last, time_s=time_s, estimate=replace(last.estimate, last_sighting_s=time_s)))
+    assert set(rig.alarms("raised")) - {"band"} == {"charge"}
+    assert "charge" in rig.alarms("cleared")
+    for event in rig.events:
+        assert not any(isinstance(one, End) for one in controller.step(event))
+
+
+def test_the_end_of_a_battery_says_all_that_is_known(rig, last):
+    for second in range(400):
+        time_s, percent = last.time_s + second, 100.0 - second * 0.2
+        rig.status = replace(
+            GOOD, battery_percent=int(percent), battery_v=12.6 * (0.8 + 0.002 * percent), battery_a=20.0
+        )
+        rig.show(replace(last, time_s=time_s, estimate=replace(last.estimate, last_sighting_s=time_s)))
+    text = next(one.text for one in rig.events if isinstance(one, BatteryReported) and one.text)
+    assert re.fullmatch(
+        r"the battery is ending: \d+ % left, \d+ % above the reserve of 20 %; "
+        r"about \d+ s at 20 A; home is \d+ s away",
+        text,
+    )
 
 
 def test_an_alarm_of_the_journal_is_announced_in_the_replay(snapshot):

@@ -23,8 +23,11 @@ def test_what_was_not_reported_is_not_known():
     ("remaining", "millivolts", "percent", "volts"), [(87, 12600, 87, 12.6), (-1, 65535, None, None), (0, 0, 0, None)]
 )
 def test_the_battery(remaining, millivolts, percent, volts):
-    status = vehicle_status(latest(SYS_STATUS={"battery_remaining": remaining, "voltage_battery": millivolts}), ())
-    assert (status.battery_percent, status.battery_v) == (percent, volts)
+    power = {"battery_remaining": remaining, "voltage_battery": millivolts, "current_battery": 1250}
+    status = vehicle_status(latest(SYS_STATUS=power), ())
+    assert (status.battery_percent, status.battery_v, status.battery_a) == (percent, volts, 12.5)
+    unknown = vehicle_status(latest(SYS_STATUS=power | {"current_battery": -100}), ())  # of PX4 without a sensor
+    assert unknown.battery_a is None
 
 
 @pytest.mark.parametrize(
