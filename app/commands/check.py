@@ -143,12 +143,16 @@ def _paper_values(settings: Config, airspeeds_m_s: tuple[float, float] | None) -
         console.print(_bounds_words("here", here))
         if best is not None:
             console.print(
-                f"best airspeed {best.airspeed_m_s:.1f} m/s on a circle of {best.radius_m:.1f} m; "
+                f"best airspeed {best.aircraft.airspeed_m_s:.1f} m/s on a circle of {best.aircraft.radius_m:.1f} m; "
                 f"targets up to {best.target_speed_max_m_s:.2f} m/s"
             )
         console.print(_bounds_words("there", best.bounds if best is not None else None))
         values["thresholds"] = asdict(here) if here is not None else None
-        values["optimum"] = asdict(best) if best is not None else None
+        values["optimum"] = None
+        if best is not None:
+            flown = {"airspeed_m_s": best.aircraft.airspeed_m_s, "radius_m": best.aircraft.radius_m}
+            bounds, fastest_m_s = asdict(best.bounds), best.target_speed_max_m_s
+            values["optimum"] = flown | {"bounds": bounds, "target_speed_max_m_s": fastest_m_s}
     return values
 
 

@@ -23,18 +23,44 @@ import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import turn_straight_turn
-from sidelong.mission.geometry.switching import departure_course_rad, must_move, range_after_lap_m, turn_to_go_rad
-from sidelong.mission.geometry.transition import TransitionError, abcd, min_move_m
-from sidelong.mission.geometry.wind import LapClock, WindError, path_times_s
+from sidelong.mission.geometry.wind import WindError, flight_times_s, path_times_s
+from sidelong.mission.paper.transition import abcd, departure_course_rad, min_move_m, stretched_lap
 from sidelong.mission.viewpoint.course_hold import CourseHold
 from sidelong.mission.viewpoint.descriptions import describe_move
 from sidelong.mission.viewpoint.side_policy import SidePolicy, Viewpoint
 
 Vector = tuple[float, float]
+
+
+_LAP_STEPS = 720
+
+
+class LapClock:
+    """Time against turn on one circle in steady wind; the turn grows in the direction of flight, from north.
+
+    A lap takes longer than in still air, by about 3 w^2 / 4 v^2 of it.
+    """
+
+    def __init__(self, circle: Circle, airspeed_m_s: float, wind: Wind) -> None:
+        # A counter-clockwise lap is a clockwise one seen in the mirror that keeps north.
+        mirrored = wind if circle.clockwise else Wind(-wind.east_m_s, wind.north_m_s)
+        self._turns_rad = np.linspace(0.0, 2.0 * math.pi, _LAP_STEPS + 1)
+        self._times_s = flight_times_s(circle.radius_m * self._turns_rad, self._turns_rad, airspeed_m_s, mirrored)
+        self.lap_s = float(self._times_s[-1])
+
+    def time_s(self, turn_rad: float) -> float:
+        """Return the time at a turn counted from north, any number of laps."""
+        laps, within_rad = divmod(turn_rad, 2.0 * math.pi)
+        return laps * self.lap_s + float(np.interp(within_rad, self._turns_rad, self._times_s))
+
+    def turn_rad(self, time_s: float) -> float:
+        """Return the turn from north at a time: the inverse of :meth:`time_s`."""
+        laps, within_s = divmod(time_s, self.lap_s)
+        return laps * 2.0 * math.pi + float(np.interp(within_s, self._times_s, self._turns_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +75,7 @@ class DepartureState:
     clock: LapClock
     target_m: Vector
     velocity_m_s: Vector
-    airspeed_m_s: float
+    aircraft: Aircraft
     wind: Wind
     latency_s: float
 
@@ -62,10 +88,16 @@ class DepartureState:
 
     def min_range_m(self, path: Path, wait_s: float) -> float:
         """Return the least range while ``path`` is flown from ``wait_s`` on."""
-        time_s = wait_s + path_times_s(path, self.airspeed_m_s, self.wind)
+        time_s = wait_s + path_times_s(path, self.aircraft.airspeed_m_s, self.wind)
         east_m = path.east_m - self.target_m[0] - self.velocity_m_s[0] * time_s
         north_m = path.north_m - self.target_m[1] - self.velocity_m_s[1] * time_s
         return float(np.min(np.hypot(east_m, north_m)))
+
+    def move(self, to: Circle, wait_s: float, target_m: Vector, leaving_rad: float) -> Move:
+        """Return the move that leaves the circle on a course, and the predicted range l_pre a lap later (12-15)."""
+        at_m, later_m = self.circle.position_at_course(leaving_rad), self.target_after(wait_s + self.clock.lap_s)
+        east_m, north_m = to.east_m - self.circle.east_m, to.north_m - self.circle.north_m
+        return Move(to, wait_s, east_m, north_m, target_m, math.dist(at_m, later_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +122,6 @@ def next_move(situation: DepartureState, place: Callable[[Vector], Circle], lead
 
     Where the move leads depends on where the target is by then, and A on where it leads: found by repetition,
     which converges as the target is much slower than the aircraft.
-
-    Args:
-        place: Returns the circle for a position of the target.
     """
     circle, clock = situation.circle, situation.clock
     sense = 1.0 if circle.clockwise else -1.0
@@ -101,14 +130,13 @@ def next_move(situation: DepartureState, place: Callable[[Vector], Circle], lead
     for _ in range(4):
         target_m = situation.target_after(wait_s)
         new = place(target_m)
-        east_m, north_m = new.east_m - circle.east_m, new.north_m - circle.north_m
-        leaving_rad = departure_course_rad(math.atan2(east_m, north_m), lead_rad, circle.clockwise)
-        turn_rad = turn_to_go_rad(situation.course_rad, leaving_rad, circle.clockwise)
+        bearing_rad = math.atan2(new.east_m - circle.east_m, new.north_m - circle.north_m)
+        leaving_rad = departure_course_rad(bearing_rad, lead_rad, circle.clockwise)
+        turn_rad = sense * (leaving_rad - situation.course_rad) % (2.0 * math.pi)
         wait_s = clock.time_s(sense * situation.course_rad + turn_rad) - begin_s
         if wait_s < situation.latency_s:
             wait_s += clock.lap_s
-    range_m = range_after_lap_m(circle.position_at_course(leaving_rad), target_m, situation.velocity_m_s, clock.lap_s)
-    return Move(new, wait_s, east_m, north_m, target_m, range_m)
+    return situation.move(new, wait_s, target_m, leaving_rad)
 
 
 def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
@@ -129,121 +157,6 @@ def circle_next_to(
     )
 
 
-def shifted(circle: Circle, east_m: float, north_m: float) -> Circle:
-    """Return the circle after the regular step O2 = O1 + e (17)."""
-    return Circle(circle.east_m + east_m, circle.north_m + north_m, circle.radius_m, circle.clockwise)
-
-
-@dataclass(frozen=True, slots=True)
-class RelativePosition:
-    """The target as the aircraft sees it: horizontal range l and bearing theta."""
-
-    range_m: float
-    bearing_rad: float
-
-    @staticmethod
-    def of(east_m: float, north_m: float) -> RelativePosition:
-        """Return the polar form of target minus aircraft; the bearing of a target right below is 0."""
-        return RelativePosition(math.hypot(east_m, north_m), math.atan2(east_m, north_m))
-
-    @property
-    def east_m(self) -> float:
-        """Metres east of the target from the aircraft."""
-        return self.range_m * math.sin(self.bearing_rad)
-
-    @property
-    def north_m(self) -> float:
-        """Metres north of the target from the aircraft."""
-        return self.range_m * math.cos(self.bearing_rad)
-
-    def after_flying(self, east_m: float, north_m: float) -> RelativePosition:
-        """Return where a stationary target is seen once the aircraft has flown (east, north).
-
-        This is the exact integral of l' = -v cos(theta - psi), theta' = (v / l) sin(theta - psi) (1-4) over any
-        course and speed, wind included, so it does not drift with the step.
-        """
-        return RelativePosition.of(self.east_m - east_m, self.north_m - north_m)
-
-
-def displacement_m(measured: RelativePosition, reference: RelativePosition) -> tuple[float, float]:
-    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8)."""
-    return measured.east_m - reference.east_m, measured.north_m - reference.north_m
-
-
-def stretched_lap(
-    present: Circle, new: Circle, half_width_rad: float = math.radians(60.0), step_m: float = 2.0
-) -> Path:
-    """Return the stretched part of the lap, from ``half_width_rad`` before the move's bearing to as much after it.
-
-    Raises:
-        TransitionError: The circles differ in radius or direction, or W is not in (0, pi).
-    """
-    if present.clockwise != new.clockwise or not math.isclose(present.radius_m, new.radius_m):
-        raise TransitionError("a stretched lap joins circles of one radius and one direction")
-    if not 0.0 < half_width_rad < math.pi:
-        raise TransitionError(f"half_width_rad must be in (0, pi), not {half_width_rad:.3f}")
-    radius_m, width_rad = present.radius_m, half_width_rad
-    move_east_m, move_north_m = new.east_m - present.east_m, new.north_m - present.north_m
-    move_rad = math.atan2(move_east_m, move_north_m)
-    swell_m = math.hypot(move_east_m, move_north_m) / float(_along(np.asarray(width_rad), width_rad))
-
-    length_m = 2.0 * width_rad * radius_m + swell_m * width_rad
-    turn_rad = _turns_rad(radius_m, swell_m, width_rad, max(3, math.ceil(length_m / step_m) + 1))
-    # Along the move and to its right, from the point of the circle that is flown on the move's bearing.
-    along_m = radius_m * np.sin(turn_rad) + swell_m * _along(turn_rad, width_rad)
-    inward_m = radius_m * (1.0 - np.cos(turn_rad)) + swell_m * _inward(turn_rad, width_rad)
-    right = 1.0 if present.clockwise else -1.0
-    top_east_m, top_north_m = present.position_at_course(move_rad)
-    start_rad = departure_course_rad(move_rad, width_rad, present.clockwise)
-    return Path(
-        _arc_m(turn_rad, radius_m, swell_m, width_rad),
-        top_east_m + along_m * math.sin(move_rad) + right * inward_m * math.cos(move_rad),
-        top_north_m + along_m * math.cos(move_rad) - right * inward_m * math.sin(move_rad),
-        start_rad + right * (turn_rad + width_rad),
-        right / (radius_m + swell_m * np.cos(math.pi * turn_rad / (2.0 * width_rad)) ** 2),
-    )
-
-
-def _arc_m(turn_rad: FloatArray, radius_m: float, swell_m: float, width_rad: float) -> FloatArray:
-    a = math.pi / width_rad
-    within_rad = turn_rad + width_rad
-    return radius_m * within_rad + swell_m * 0.5 * (within_rad + np.sin(a * turn_rad) / a)
-
-
-def _turns_rad(radius_m: float, swell_m: float, width_rad: float, count: int) -> FloatArray:
-    """Return courses (relative to the move) whose points on the line lie about equally far apart."""
-    even_rad = np.linspace(-width_rad, width_rad, 8 * count)
-    arc_m = _arc_m(even_rad, radius_m, swell_m, width_rad)
-    turns_rad = np.interp(np.linspace(0.0, arc_m[-1], count), arc_m, even_rad)
-    turns_rad[0], turns_rad[-1] = -width_rad, width_rad
-    return turns_rad
-
-
-def _along(turn_rad: FloatArray, width_rad: float) -> FloatArray:
-    """Return the integral of w(u) cos u from -W; at W it is I of the closed form."""
-    a = math.pi / width_rad
-
-    def antiderivative(u: FloatArray) -> FloatArray:
-        # sin(b u) / b = u sinc(b u) holds for b = 0, that is W = pi, too.
-        return 0.5 * np.sin(u) + 0.25 * u * (np.sinc((1 + a) * u / math.pi) + np.sinc((1 - a) * u / math.pi))
-
-    total: FloatArray = antiderivative(turn_rad) - antiderivative(np.asarray(-width_rad))
-    return total
-
-
-def _inward(turn_rad: FloatArray, width_rad: float) -> FloatArray:
-    """Return the integral of w(u) sin u from -W; it is zero again at W."""
-    a = math.pi / width_rad
-
-    def antiderivative(u: FloatArray) -> FloatArray:
-        # (1 - cos b u) / b = b u^2 / 2 sinc^2(b u / 2)
-        halves = (b * np.square(u) / 2.0 * np.square(np.sinc(b * u / (2.0 * math.pi))) for b in (1 + a, 1 - a))
-        return 0.5 * (1.0 - np.cos(u)) + 0.25 * sum(halves)
-
-    total: FloatArray = antiderivative(turn_rad) - antiderivative(np.asarray(-width_rad))
-    return total
-
-
 _STRETCHES_RAD = (math.radians(60.0), math.radians(90.0), math.radians(120.0))
 _DIP = 0.1  # of Dmin: noise and the flown radius reach below it by that much
 _LONGEST_INTERVAL_S = 2.0  # between two calls; the first call after a pause counts as this much
@@ -251,14 +164,22 @@ _LONGEST_INTERVAL_S = 2.0  # between two calls; the first call after a pause cou
 
 @dataclass(frozen=True, slots=True)
 class _Chosen:
-    """A circle, and where the target it was chosen for would be seen now had it stood still since.
+    """A circle, and where the target was that it was chosen for.
+
+    The paper carries on where a target that stands would be seen (1-4) and takes the error vector e from that (5-8).
+    Without drift that is how far the target has moved since.
 
     placed: whether the planner put it next to the target; a circle found flown is only adopted.
     """
 
     circle: Circle
-    reference: RelativePosition
+    target_m: Vector
     placed: bool
+
+    def shifted(self, target_m: Vector) -> Circle:
+        """Return the circle after the regular step O2 = O1 + e (17), for the target's present position."""
+        east_m, north_m = target_m[0] - self.target_m[0], target_m[1] - self.target_m[1]
+        return replace(self.circle, east_m=self.circle.east_m + east_m, north_m=self.circle.north_m + north_m)
 
 
 class PaperPlanner:
@@ -273,7 +194,7 @@ class PaperPlanner:
         self._min_move_m = min_move_m(aircraft.radius_m, self._psi_c_rad)
         self._chosen: _Chosen | None = None
         self._proposed: _Chosen | None = None
-        self._last: AircraftState | None = None
+        self._last_s: float | None = None
         # The other side is nearer only when the target's line is crossed by as much as it may be approached.
         self._policy = SidePolicy(requirement, requirement.range_min_m)
         self._motion = CourseHold()
@@ -286,10 +207,9 @@ class PaperPlanner:
     ) -> Decision:
         """Decide at the switching heading of each lap; see :class:`sidelong.mission.core.plan.Planner`."""
         now_s = aircraft.time_s
-        interval_s = min(now_s - self._last.time_s, _LONGEST_INTERVAL_S) if self._last else _LONGEST_INTERVAL_S
-        target_m = target.position_m(now_s)
-        seen = RelativePosition.of(target_m[0] - aircraft.east_m, target_m[1] - aircraft.north_m)
-        chosen = self._follow(aircraft, seen, present)
+        interval_s = _LONGEST_INTERVAL_S if self._last_s is None else min(now_s - self._last_s, _LONGEST_INTERVAL_S)
+        self._last_s, target_m = now_s, target.position_m(now_s)
+        chosen = self._flown(present.circle, target_m)
         self._viewpoint = self._policy.viewpoint(aircraft.east_m, aircraft.north_m, target)
         self._motion.update(target)
         if target.quality is TrackQuality.LOST:
@@ -310,18 +230,11 @@ class PaperPlanner:
             clock,
             target_m,
             (0.0, 0.0) if self._motion.standing else (target.velocity_east_m_s, target.velocity_north_m_s),
-            self._aircraft.airspeed_m_s,
+            self._aircraft,
             wind,
             latency_s,
         )
-        stood_m = tuple(
-            at - moved for at, moved in zip(target_m, displacement_m(seen, chosen.reference), strict=True)
-        )
-        move = next_move(
-            situation,
-            lambda at_m: shifted(present.circle, at_m[0] - stood_m[0], at_m[1] - stood_m[1]),
-            self._psi_c_rad,
-        )
+        move = next_move(situation, chosen.shifted, self._psi_c_rad)
         transition: Path | None = None
         restarted = self._reason_to_place_again(situation, move, chosen.placed)
         if restarted is not None:
@@ -342,39 +255,27 @@ class PaperPlanner:
             if staying is not None:
                 return Decision(now_s, None, staying, values)
             transition = abcd(present.circle, move.circle, self._psi_c_rad)
-        seen_then = RelativePosition.of(move.target_m[0] - aircraft.east_m, move.target_m[1] - aircraft.north_m)
-        self._proposed = _Chosen(move.circle, seen_then, placed=True)
+        self._proposed = _Chosen(move.circle, move.target_m, placed=True)
         why = restarted or self._range_words(situation, move)
         reason = f"moving {describe_move(move.east_m, move.north_m)}: {why}"
         return Decision(now_s, Plan(move.circle, transition, departure_s), reason, values)
 
-    # -- the reference model -------------------------------------------------------------------------------
-
-    def _follow(self, aircraft: AircraftState, seen: RelativePosition, present: Plan) -> _Chosen:
-        """Carry the reference models on to now; return the one of the circle that is flown.
+    def _flown(self, circle: Circle, target_m: Vector) -> _Chosen:
+        """Return what the circle that is flown was chosen for.
 
         A proposed circle waits next to the flown one until it is flown: an upload may fail.
         """
-        last = self._last or aircraft
-        flown_m = (aircraft.east_m - last.east_m, aircraft.north_m - last.north_m)
-        self._last = aircraft
-        known = [
-            replace(chosen, reference=chosen.reference.after_flying(*flown_m))
-            for chosen in (self._proposed, self._chosen)
-            if chosen is not None
-        ]
-        flown = next((chosen for chosen in known if chosen.circle == present.circle), None)
-        if flown is None:
-            flown = _Chosen(present.circle, seen, placed=False)
+        if self._proposed is not None and self._proposed.circle == circle:
+            self._chosen, self._proposed = self._proposed, None
+        elif self._chosen is None or self._chosen.circle != circle:
+            self._chosen = _Chosen(circle, target_m, placed=False)
             self._decided_until_s = -math.inf
-        self._proposed = known[0] if self._proposed is not None and known[0] is not flown else None
-        self._chosen = flown
-        return flown
+        return self._chosen
 
     # -- why -----------------------------------------------------------------------------------------------
 
     def _reason_to_stay(self, regular: Move) -> str | None:
-        if not must_move(regular.range_after_lap_m, self._requirement):
+        if not self._must_move(regular):
             return f"another lap: after it the target would be {regular.range_after_lap_m:.0f} m away"
         if regular.length_m < self._min_move_m:
             return (
@@ -385,7 +286,7 @@ class PaperPlanner:
 
     def _reason_to_place_again(self, situation: DepartureState, regular: Move, placed: bool) -> str | None:
         circle, side = situation.circle, self._viewpoint.side
-        ends_badly = must_move(regular.range_after_lap_m, self._requirement)
+        ends_badly = self._must_move(regular)
         if circle.clockwise != side.clockwise:
             return f"on the target's {side} the circle is flown the other way round"
         if not self._on_side(regular.circle, regular.target_m) and (
@@ -399,6 +300,11 @@ class PaperPlanner:
         if ends_badly and not placed:
             return self._range_words(situation, regular)
         return None
+
+    def _must_move(self, regular: Move) -> bool:
+        """Return whether another lap would end outside [Dmin, C Dmax] (16)."""
+        greatest_m = self._requirement.threshold * self._requirement.range_max_m
+        return not self._requirement.range_min_m <= regular.range_after_lap_m <= greatest_m
 
     @staticmethod
     def _range_words(situation: DepartureState, move: Move) -> str:
@@ -440,14 +346,14 @@ class PaperPlanner:
         begin_s = situation.clock.time_s(turn * situation.course_rad)
         course_rad = turn * situation.clock.turn_rad(begin_s + wait_s)
         east_m, north_m = circle.position_at_course(course_rad)
-        start = AircraftState(wait_s, east_m, north_m, course_rad, situation.airspeed_m_s, circle.curvature_per_m)
+        airspeed_m_s = self._aircraft.airspeed_m_s
+        start = AircraftState(wait_s, east_m, north_m, course_rad, airspeed_m_s, circle.curvature_per_m)
         target_m = situation.target_after(wait_s)
         new = self._alongside(target_m)
-        range_m = range_after_lap_m((east_m, north_m), target_m, situation.velocity_m_s, situation.clock.lap_s)
-        move = Move(new, wait_s, new.east_m - circle.east_m, new.north_m - circle.north_m, target_m, range_m)
-        paths = [turn_straight_turn(start, new, first * self._aircraft.radius_m) for first in (1.0, -1.0)]
-        found = [path for path in paths if path is not None]
-        return move, max(found, key=lambda path: situation.min_range_m(path, wait_s)) if found else None
+        move = situation.move(new, wait_s, target_m, course_rad)
+        ways = (turn_straight_turn(start, new, first * self._aircraft.radius_m) for first in (1.0, -1.0))
+        paths = [path for path in ways if path is not None]
+        return move, max(paths, key=lambda path: situation.min_range_m(path, wait_s)) if paths else None
 
     def _alongside(self, target_m: Vector) -> Circle:
         wanted = replace(self._requirement, side=self._viewpoint.side)

@@ -20,10 +20,10 @@ import numpy as np
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.feasibility import Change, fits_band, unflyable
+from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
-from sidelong.mission.geometry.root import root
-from sidelong.mission.geometry.transition import abcd, min_move_m, transition_length_m
 from sidelong.mission.paper.planner import stand_off_m
+from sidelong.mission.paper.transition import abcd, min_move_m, root, transition_length_m
 
 _THRESHOLD_MAX = 1.0  # beyond, the aircraft would leave the band by design
 
@@ -169,28 +169,28 @@ class ThresholdBounds:
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """The airspeed, with the circle it flies, at which the best threshold leaves the most room.
+    """The aircraft, at the airspeed and on the circle at which the best threshold leaves the most room.
 
     target_speed_max_m_s is the fastest straight target for which a threshold exists there.
     """
 
-    airspeed_m_s: float
-    radius_m: float
+    aircraft: Aircraft
     bounds: ThresholdBounds
     target_speed_max_m_s: float
 
 
-def max_range_m(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> float:
-    """Return the greatest range around the longest move d_max: in the lap before it and on the way.
-
-    A move too short for ABCD counts as the shortest that exists.
-    """
-    speed_m_s, target_m_s, radius_m = aircraft.airspeed_m_s, requirement.target_speed_max_m_s, aircraft.radius_m
+def _longest_move(aircraft: Aircraft, requirement: Requirement) -> tuple[float, Path]:
+    """Return d_max and the way there; a move too short for ABCD counts as the shortest that exists."""
+    radius_m, psi_c_rad = aircraft.radius_m, math.pi / 2
     move_m = max(scope(aircraft, requirement, psi_c_rad).longest_move_m, min_move_m(radius_m, psi_c_rad))
-    cross_track_m = stand_off_m(aircraft, requirement)
-    circle = Circle(0.0, 0.0, radius_m, True)
-    path = abcd(circle, Circle(move_m, 0.0, radius_m, True), psi_c_rad)
+    return move_m, abcd(Circle(0.0, 0.0, radius_m, True), Circle(move_m, 0.0, radius_m, True), psi_c_rad)
 
+
+def max_range_m(aircraft: Aircraft, requirement: Requirement) -> float:
+    """Return the greatest range around the longest move d_max: in the lap before it and on the way."""
+    speed_m_s, target_m_s, radius_m = aircraft.airspeed_m_s, requirement.target_speed_max_m_s, aircraft.radius_m
+    cross_track_m = stand_off_m(aircraft, requirement)
+    move_m, path = _longest_move(aircraft, requirement)
     on_path = np.hypot(path.east_m - move_m - target_m_s * path.arc_m / speed_m_s, path.north_m + cross_track_m)
     before_rad = np.linspace(0.0, 2.0 * math.pi, _LAP_STEPS)  # turn still to go until A
     course_rad = path.course_rad[0] - before_rad
@@ -201,21 +201,18 @@ def max_range_m(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float =
     return float(max(on_path.max(), on_lap.max()))
 
 
-def threshold_bounds(
-    aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2
-) -> ThresholdBounds | None:
+def threshold_bounds(aircraft: Aircraft, requirement: Requirement) -> ThresholdBounds | None:
     """Return which thresholds C work for this aircraft, and the best; None where none does."""
     if not fits_band(aircraft, requirement) or requirement.target_speed_max_m_s >= aircraft.airspeed_m_s:
         return None
 
     def headroom_m(threshold: float) -> float:
-        tried = replace(requirement, threshold=threshold)
-        return requirement.range_max_m - max_range_m(aircraft, tried, psi_c_rad)
+        return requirement.range_max_m - max_range_m(aircraft, replace(requirement, threshold=threshold))
 
     def spare_m(threshold: float) -> float:
-        return scope(aircraft, replace(requirement, threshold=threshold), psi_c_rad).straight_left_m
+        return scope(aircraft, replace(requirement, threshold=threshold)).straight_left_m
 
-    least = max(scope(aircraft, requirement, psi_c_rad).min_threshold, _in_time(aircraft, requirement, psi_c_rad))
+    least = max(scope(aircraft, requirement).min_threshold, _in_time(aircraft, requirement))
     if least >= _THRESHOLD_END or headroom_m(least) < 0.0:
         return None
     greatest = root(headroom_m, least, _THRESHOLD_END)
@@ -226,12 +223,7 @@ def threshold_bounds(
     return ThresholdBounds(least, greatest, best, room_m, requirement.range_max_m - headroom_m(best))
 
 
-def optimise(
-    aircraft: Aircraft,
-    requirement: Requirement,
-    airspeed_range_m_s: tuple[float, float],
-    psi_c_rad: float = math.pi / 2,
-) -> Optimum | None:
+def optimise(aircraft: Aircraft, requirement: Requirement, airspeed_range_m_s: tuple[float, float]) -> Optimum | None:
     """Return the best airspeed in a range, flying the aircraft's circle or the tightest its bank allows there.
 
     Faster means shorter laps, until the bank limit widens the circle: the best speed is where the circle takes all
@@ -243,37 +235,32 @@ def optimise(
     for airspeed_m_s in np.sort(speeds_m_s):
         flown = replace(aircraft, airspeed_m_s=float(airspeed_m_s))
         flown = replace(flown, radius_m=max(aircraft.radius_m, flown.min_radius_m))
-        bounds = threshold_bounds(flown, requirement, psi_c_rad)
+        bounds = threshold_bounds(flown, requirement)
         if bounds is not None and (best is None or bounds.room_m > best.bounds.room_m):
-            best = Optimum(flown.airspeed_m_s, flown.radius_m, bounds, math.nan)
+            best = Optimum(flown, bounds, math.nan)
     if best is None:
         return None
-    flown = replace(aircraft, airspeed_m_s=best.airspeed_m_s, radius_m=best.radius_m)
-    return replace(best, target_speed_max_m_s=fastest_target_m_s(flown, requirement, psi_c_rad))
+    return replace(best, target_speed_max_m_s=fastest_target_m_s(best.aircraft, requirement))
 
 
-def fastest_target_m_s(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> float:
+def fastest_target_m_s(aircraft: Aircraft, requirement: Requirement) -> float:
     """Return the top speed of a straight target up to which a threshold exists, by bisection; 0 if none does."""
     low_m_s, high_m_s = 0.0, aircraft.airspeed_m_s
     while high_m_s - low_m_s > 1e-3:
         middle_m_s = (low_m_s + high_m_s) / 2.0
-        tried = replace(requirement, target_speed_max_m_s=middle_m_s)
-        if threshold_bounds(aircraft, tried, psi_c_rad) is None:
+        if threshold_bounds(aircraft, replace(requirement, target_speed_max_m_s=middle_m_s)) is None:
             high_m_s = middle_m_s
         else:
             low_m_s = middle_m_s
     return low_m_s
 
 
-def _in_time(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float) -> float:
+def _in_time(aircraft: Aircraft, requirement: Requirement) -> float:
     """Return the least C with which the aircraft is at A again before the target is d_max ahead once more."""
 
     def early_m(threshold: float) -> float:
-        tried = replace(requirement, threshold=threshold)
-        move_m = max(scope(aircraft, tried, psi_c_rad).longest_move_m, min_move_m(aircraft.radius_m, psi_c_rad))
-        radius_m = aircraft.radius_m
-        path = abcd(Circle(0.0, 0.0, radius_m, True), Circle(move_m, 0.0, radius_m, True), psi_c_rad)
-        flown_m = path.length_m + 2.0 * (math.pi - psi_c_rad) * radius_m
+        move_m, path = _longest_move(aircraft, replace(requirement, threshold=threshold))
+        flown_m = path.length_m + math.pi * aircraft.radius_m  # from D to A, psi_c = pi/2 each way short of a lap
         return move_m - requirement.target_speed_max_m_s * flown_m / aircraft.airspeed_m_s
 
     if early_m(0.0) >= 0.0:

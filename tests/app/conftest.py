@@ -33,8 +33,8 @@ from sidelong.mission.core.events import (
     UploadPlan,
 )
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.geometry.follower import PlanTrack
 from sidelong.mission.predictive import planner
+from tests.plan_track import PlanTrack
 
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 HEIGHT_M, GRAVITY_M_S2 = 100.0, 9.80665

@@ -11,8 +11,7 @@ from sidelong.app.autopilots.px4 import Px4
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.transition import abcd
-from sidelong.mission.paper.planner import stretched_lap
+from sidelong.mission.paper.transition import abcd, stretched_lap
 from sidelong.mission.upload.items import lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.sitl.arduplane.navigator import L1Guidance

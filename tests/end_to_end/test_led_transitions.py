@@ -9,8 +9,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.orbit_command import leading_circle
 from sidelong.mission.geometry.approach import turn_straight_turn
-from sidelong.mission.geometry.transition import abcd
-from sidelong.mission.paper.planner import stretched_lap
+from sidelong.mission.paper.transition import abcd, stretched_lap
 from sidelong.sitl.arduplane.navigator import L1Guidance
 from sidelong.sitl.px4.navigator import PathFollower
 from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe, WindVector

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
-from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.paper.transition import abcd
 from sidelong.mission.upload.fences import FenceError, Fences
 
 FIRST, SECOND = Circle(0.0, 0.0, 50.0, True), Circle(400.0, 0.0, 50.0, True)

@@ -8,7 +8,7 @@ from sidelong.app.autopilots.px4 import Px4
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
-from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.paper.transition import abcd
 from sidelong.mission.upload.items import (
     FRAME_GLOBAL_RELATIVE_ALT,
     NAV_LOITER_UNLIM,

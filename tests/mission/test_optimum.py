@@ -8,10 +8,10 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.geometry.follower import PlanTrack
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.paper.scope import fastest_target_m_s, max_range_m, optimise, scope, threshold_bounds
+from tests.plan_track import PlanTrack
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)
@@ -100,8 +100,8 @@ def test_the_fastest_target_is_the_edge() -> None:
 def test_the_best_speed_takes_all_of_the_bank() -> None:
     optimum = optimise(AIRCRAFT, REQUIREMENT, (8.0, 30.0))
     assert optimum is not None
-    assert optimum.airspeed_m_s == pytest.approx(math.sqrt(50.0 * 9.80665), abs=1e-6)
-    assert optimum.radius_m == pytest.approx(50.0)
+    assert optimum.aircraft.airspeed_m_s == pytest.approx(math.sqrt(50.0 * 9.80665), abs=1e-6)
+    assert optimum.aircraft.radius_m == pytest.approx(50.0)
     present = threshold_bounds(AIRCRAFT, REQUIREMENT)
     assert present is not None
     assert optimum.bounds.room_m > present.room_m
@@ -110,5 +110,5 @@ def test_the_best_speed_takes_all_of_the_bank() -> None:
 
 def test_the_best_speed_stays_in_the_range_asked_for() -> None:
     optimum = optimise(AIRCRAFT, REQUIREMENT, (8.0, 12.0))
-    assert optimum is not None and optimum.airspeed_m_s == 12.0
+    assert optimum is not None and optimum.aircraft.airspeed_m_s == 12.0
     assert optimise(AIRCRAFT, replace(REQUIREMENT, target_speed_max_m_s=6.0), (8.0, 9.0)) is None

@@ -2,10 +2,9 @@ import math
 
 import pytest
 
-from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.feasibility import fits_band
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.paper.planner import circle_next_to, shifted, stand_off_m
+from sidelong.mission.paper.planner import circle_next_to, stand_off_m
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 
@@ -30,7 +29,3 @@ def test_the_circle_touches_the_least_range_and_must_fit_the_greatest() -> None:
     assert stand_off_m(AIRCRAFT, requirement()) == 150.0
     assert fits_band(AIRCRAFT, requirement(range_max_m=200.0))
     assert not fits_band(AIRCRAFT, requirement(range_max_m=199.9))
-
-
-def test_the_regular_step_moves_the_circle_as_the_target_moved() -> None:
-    assert shifted(Circle(1.0, 2.0, 50.0, True), 30.0, -4.0) == Circle(31.0, -2.0, 50.0, True)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
-from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.paper.transition import abcd
 from sidelong.mission.upload.items import circle_item, plan_items
 from sidelong.mission.upload.plan_file import plan_file
 

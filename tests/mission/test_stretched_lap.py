@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.geometry.transition import TransitionError
-from sidelong.mission.paper.planner import stretched_lap
+from sidelong.mission.paper.transition import TransitionError, stretched_lap
 
 laps = st.fixed_dictionaries(
     {

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.geometry.transition import (
+from sidelong.mission.paper.transition import (
     TransitionError,
     abcd,
     min_move_m,

@@ -12,8 +12,7 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.line_kernel import LinePoint
-from sidelong.mission.geometry.transition import abcd
-from sidelong.mission.paper.planner import stretched_lap
+from sidelong.mission.paper.transition import abcd, stretched_lap
 from sidelong.mission.upload.items import UnflyableError, first_to_fly, lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
 

@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.geometry.wind import (
     STILL_AIR,
-    LapClock,
     WindError,
     ground_speed_m_s,
     path_times_s,
 )
+from sidelong.mission.paper.planner import LapClock
+from sidelong.mission.paper.transition import abcd
 
 CIRCLE = Circle(0.0, 0.0, 50.0, True)
 

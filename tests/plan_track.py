@@ -1,4 +1,4 @@
-"""Where an aircraft is that flies a plan exactly. Source: docs/explanation/planners.md."""
+"""Where an aircraft is that flies a plan exactly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.wind import STILL_AIR, LapClock, ground_speed_m_s, path_times_s
+from sidelong.mission.geometry.wind import STILL_AIR, ground_speed_m_s, path_times_s
+from sidelong.mission.paper.planner import LapClock
 
 
 class PlanTrack:
