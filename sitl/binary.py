@@ -20,7 +20,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
-from sidelong.sitl.payload.devices import Address, device_of, device_port
+from sidelong.sitl.payload.devices import device_of
+from sidelong.sitl.payload.wired import Address, device_port
 from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, HomePosition, PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
 from sidelong.sitl.world.airframe import WindVector

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sidelong.sitl.payload.devices import Address, DevicePort, device_port
+from sidelong.sitl.payload.wired import Address, DevicePort, device_port
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 from sidelong.sitl.simulation import STEP_S, Simulation
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from sidelong.sitl.arduplane.vehicle import SimulatedArduPlane
 from sidelong.sitl.autopilot import SimulatedAutopilot
-from sidelong.sitl.payload.device import Device, Wired
-from sidelong.sitl.payload.devices import device_of
+from sidelong.sitl.payload.devices import Device, device_of
 from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
+from sidelong.sitl.payload.wired import Wired
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
 from sidelong.sitl.px4.vehicle import SimulatedPx4
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings

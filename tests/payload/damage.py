@@ -12,8 +12,7 @@ from pymavlink.generator.mavcrc import x25crc
 from sidelong.app.payload.driver import DriverSettings, Measured, RangeMeasured
 from sidelong.app.payload.gremsy import GremsyDriver
 from sidelong.app.payload.registry import kind_by_name
-from sidelong.sitl.payload.device import DeviceView
-from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.devices import DEVICES, DeviceView
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import SIYI_REQUESTS
 

@@ -10,8 +10,7 @@ import pytest
 from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, RangeMeasured
 from sidelong.app.payload.registry import kind_by_name
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import DeviceView
-from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.devices import DEVICES, DeviceView
 from sidelong.sitl.settings import Quirks
 from tests.payload.wiring import Wired, looking
 

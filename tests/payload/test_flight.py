@@ -10,8 +10,7 @@ import pytest
 
 from sidelong.app.payload.driver import RangeMeasured
 from sidelong.app.payload.messages import COMPONENT, fields_of
-from sidelong.sitl.payload.device import DeviceView
-from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.devices import DEVICES, DeviceView
 from sidelong.sitl.settings import Quirks
 from tests.faults.flight import ERRORS, STEP_S, FaultedFlight, Scenario
 from tests.faulty_payload import FaultyPayload

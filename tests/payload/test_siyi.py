@@ -9,8 +9,7 @@ import pytest
 from sidelong.app.payload.driver import AnglesMeasured, DriverSettings
 from sidelong.app.payload.siyi import SiyiDriver, encode
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import DeviceView
-from sidelong.sitl.payload.siyi import SimulatedSiyi
+from sidelong.sitl.payload.devices import DeviceView, SimulatedSiyi
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import SIYI_CAPTURED, SIYI_REQUESTS
 from tests.payload.wiring import Wired, looking

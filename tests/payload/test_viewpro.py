@@ -8,8 +8,7 @@ import pytest
 from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, DriverSettings, RangeMeasured
 from sidelong.app.payload.viewpro import ViewproDriver, encode, wrapped
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import DeviceView
-from sidelong.sitl.payload.viewpro import SimulatedViewpro
+from sidelong.sitl.payload.devices import DeviceView, SimulatedViewpro
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import VIEWPRO_ATTITUDE, VIEWPRO_CAPTURED, VIEWPRO_FRAMES, VIEWPRO_OVER_TCP
 

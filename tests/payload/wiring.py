@@ -12,8 +12,7 @@ import numpy as np
 from sidelong.app.payload.driver import DriverSettings, Measured
 from sidelong.app.payload.registry import kind_by_name
 from sidelong.app.payload.session import PayloadSession
-from sidelong.sitl.payload.device import DeviceView
-from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.devices import DEVICES, DeviceView
 from sidelong.sitl.settings import Quirks
 
 NO_QUIRKS, AS_IN_THE_MANUAL = Quirks(), DriverSettings()

@@ -1,0 +1,159 @@
+"""What a device is connected to, and the network port that it speaks at."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
+
+from sidelong.sitl.payload.devices import OVER_TCP, Device, DeviceView
+from sidelong.sitl.payload.payload import Measurement, TargetGeometry
+
+_LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
+
+
+class Wired(ABC):
+    """What the port of a device is connected to: a simulation or a companion, which looks at the target for it.
+
+    latency_looks: how many looks ago the laser's present range was measured.
+    """
+
+    def __init__(self, device: Device | None, latency_looks: int) -> None:
+        self.device = device
+        self.unplugged = False  # the device neither receives nor answers
+        self._seen: DeviceView | None = None
+        self._streamed: list[bytes] = []
+        self._slants_m: deque[float] = deque(maxlen=latency_looks + 1)  # true ones
+
+    @property
+    @abstractmethod
+    def time_s(self) -> float:
+        """The device's clock."""
+
+    def receive_device(self, data: bytes) -> list[bytes]:
+        """Take bytes at the device's port and return its answers."""
+        if self.device is None or self._seen is None or self.unplugged:
+            return []
+        return self.device.receive(data, self.time_s, self._seen)
+
+    def take_device(self) -> list[bytes]:
+        """Return what the device has sent unasked since the last call."""
+        streamed, self._streamed = self._streamed, []
+        return [] if self.unplugged else streamed
+
+    def look(
+        self, device: Device, sight: TargetGeometry, latest: Measurement, heading_rad: float, roll_rad: float
+    ) -> None:
+        """Let the device look along the sight, with the errors of the latest measurement."""
+        self._slants_m.append(sight.slant_range_m)
+        self._seen = DeviceView(
+            None if latest.range_m is None else self._slants_m[0] + latest.range_error_m,
+            sight.bearing_rad + latest.bearing_error_rad - heading_rad,
+            sight.elevation_rad + latest.elevation_error_rad,
+            _LEAN * roll_rad,
+        )
+        self._streamed += device.stream(self.time_s, self._seen)
+
+
+Address = tuple[str, int]
+
+_DATAGRAM_MAX = 4096
+
+
+class _UdpPort:
+    """Answers its client, and streams to the latest one."""
+
+    def __init__(self, wired: Wired, address: Address) -> None:
+        self._wired = wired
+        self._peer: Address | None = None
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(address)
+        self.socket.setblocking(False)
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """Those that may become readable."""
+        return (self.socket,)
+
+    def send(self) -> None:
+        self._send(self._wired.take_device())
+
+    def receive(self) -> None:
+        while True:
+            try:
+                data, self._peer = self.socket.recvfrom(_DATAGRAM_MAX)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                continue  # the client has gone
+            self._send(self._wired.receive_device(data))
+
+    def close(self) -> None:
+        self.socket.close()
+
+    def _send(self, frames: Sequence[bytes]) -> None:
+        for frame in frames:
+            if self._peer is not None:
+                with contextlib.suppress(BlockingIOError, ConnectionError):
+                    self.socket.sendto(frame, self._peer)
+
+
+class _TcpPort:
+    """Serves one client at a time, the latest."""
+
+    def __init__(self, wired: Wired, address: Address) -> None:
+        self._wired = wired
+        self._server = socket.create_server(address)
+        self._server.setblocking(False)
+        self._client: socket.socket | None = None
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """Those that may become readable."""
+        return (self._server,) if self._client is None else (self._server, self._client)
+
+    def send(self) -> None:
+        self._send(self._wired.take_device())
+
+    def receive(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            client, _ = self._server.accept()
+            self._drop()
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
+        if self._client is None:
+            return
+        with contextlib.suppress(BlockingIOError):
+            try:
+                data = self._client.recv(_DATAGRAM_MAX)
+            except ConnectionError:
+                data = b""
+            if data:
+                self._send(self._wired.receive_device(data))
+            else:
+                self._drop()
+
+    def close(self) -> None:
+        self._drop()
+        self._server.close()
+
+    def _send(self, frames: Sequence[bytes]) -> None:
+        if self._client is not None:
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                self._client.sendall(b"".join(frames))
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+
+DevicePort = _UdpPort | _TcpPort
+
+
+def device_port(kind: str, wired: Wired, address: Address) -> DevicePort:
+    """Return an open port for a device of this kind."""
+    return _TcpPort(wired, address) if kind.partition("@")[0] in OVER_TCP else _UdpPort(wired, address)
