@@ -29,11 +29,9 @@ from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.control.surroundings import Surroundings
-from sidelong.mission.core.plan import CheckedPlannerFactory, ClimbRates, Heights, OneHeight
-from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.core.plan import CheckedPlannerFactory, Heights, OneHeight
+from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.mission_controller import MissionController
-from sidelong.mission.exchange.plan_backend import BackendSettings
-from sidelong.mission.exchange.takeover import TakeoverSettings
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
@@ -233,16 +231,12 @@ def mission_controller_of(
     return MissionController(
         controller,
         autopilot,
-        BackendSettings(
+        ExchangeSettings(
             plane,
             home,
-            airspeed_m_s=aircraft.airspeed_m_s,
-            height_m=aircraft.height_m,
-            tolerance_m=config.planner.tolerance_m,
-            bank_max_rad=radians(aircraft.bank_max_deg),
-        ),
-        TakeoverSettings(
-            radius_m=aircraft.radius_m,
+            aircraft.aircraft(),
+            aircraft.height_m,
+            config.planner.tolerance_m,
             clockwise=config.requirement.requirement().side.clockwise,
             by_command=config.planner.guidance == "command",
             cleared=controller.surroundings.levelled,
@@ -278,8 +272,7 @@ def surroundings_of(
     aircraft, fences = config.aircraft, fences_of(config, plane).check(config.aircraft.height_m)
     ground = ground or ground_of(config, plane, home_deg)
     if ground is None:
-        rates = ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s)
-        return Surroundings(fences, OneHeight(rates))
+        return Surroundings(fences, OneHeight(aircraft.rates()))
     # Compiled code takes a second to load, so it is imported only if there is elevation data.
     from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
     from sidelong.mission.terrain.sight import SightField  # noqa: PLC0415
@@ -288,9 +281,7 @@ def surroundings_of(
         aircraft.height_m,
         aircraft.height_above,
         aircraft.clearance_m,
-        aircraft.airspeed_m_s,
-        aircraft.climb_m_s,
-        aircraft.descent_m_s,
+        aircraft.rates(),
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )

@@ -32,6 +32,7 @@ from sidelong.app.records.text_file import read_toml
 from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.contact import is_contact
 from sidelong.mission.core.feasibility import in_words
+from sidelong.mission.core.plan import ClimbRates
 from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG, Aircraft, Requirement, Side, widest_radius_m
 from sidelong.mission.viewpoint.side_policy import watching_from
 
@@ -193,6 +194,10 @@ class AircraftSection(Section):
             math.radians(self.roll_rate_max_deg_s),
             math.radians(180.0 if self.pan_limit_deg is None else self.pan_limit_deg),
         )
+
+    def rates(self) -> ClimbRates:
+        """Return how it climbs and descends."""
+        return ClimbRates(self.airspeed_m_s, self.climb_m_s, self.descent_m_s)
 
 
 class RequirementSection(Section):

@@ -215,7 +215,7 @@ def _first_height_m(config: Config, circle: Circle, ground: Ground | None) -> fl
     own = config.aircraft
     if ground is None or own.height_above != "ground":
         return own.height_m
-    rules = HeightRules(own.height_m, "ground", own.clearance_m, own.airspeed_m_s, own.climb_m_s, own.descent_m_s)
+    rules = HeightRules(own.height_m, "ground", own.clearance_m, own.rates())
     first = FlightHeights(ground, rules).levelled(Plan(circle), None, (0.0, 0.0))
     over_target_m = own.height_m + ground.height_m(0.0, 0.0)
     return over_target_m if isinstance(first, str) else first.circle_height_m(over_target_m)

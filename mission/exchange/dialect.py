@@ -1,16 +1,23 @@
-"""What autopilots do differently, as data and one Protocol. Source: docs/explanation/exchange.md."""
+"""What autopilots do differently, as data and one Protocol, and the settings of the exchange.
+
+Source: docs/explanation/exchange.md.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from sidelong.mission.core.requirement import Wind
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.requirement import Aircraft, Wind
 from sidelong.mission.exchange.reports import VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.upload.mission_item import MissionItem
+from sidelong.mission.upload.mission_item import MissionItem, e7
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +41,38 @@ class CircleOrder:
     height_m: float
     altitude_m: float
     signed_radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeSettings:
+    """What is exchanged with the autopilot, and how the first circle is to be flown.
+
+    Attributes:
+        height_m: above home, of plans without heights of their own.
+        tolerance_m: how far the flown line may leave the plan.
+        clockwise: sense of the first circle.
+        by_command: whether plans are flown by commands, else by mission items.
+        cleared: gives a plan its heights, or names what is in its way.
+    """
+
+    plane: LocalPlane
+    home: Home
+    aircraft: Aircraft
+    height_m: float
+    tolerance_m: float
+    clockwise: bool
+    by_command: bool
+    cleared: Callable[[Plan], Plan | str]
+
+    def order(self, circle: Circle, plan: Plan) -> CircleOrder:
+        """Return a circle of the plane on the globe, at the height of a plan."""
+        height_m = plan.circle_height_m(self.height_m)
+        return CircleOrder(
+            *e7(self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)),
+            height_m,
+            self.home.altitude_m + height_m,
+            circle.radius_m if circle.clockwise else -circle.radius_m,
+        )
 
 
 @dataclass(frozen=True, slots=True)

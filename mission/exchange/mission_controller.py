@@ -36,11 +36,10 @@ from sidelong.mission.core.events import (
     UploadPlan,
     Yield,
 )
-from sidelong.mission.exchange.dialect import AutopilotDialect
+from sidelong.mission.exchange.dialect import AutopilotDialect, ExchangeSettings
 from sidelong.mission.exchange.mission_items import MissionItemBackend
 from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox, SendMessage, TakeoverFailed
-from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.reports import (
     CommandAcknowledged,
     ExchangeEvent,
@@ -49,7 +48,7 @@ from sidelong.mission.exchange.reports import (
     TakeoverRequested,
     TimerExpired,
 )
-from sidelong.mission.exchange.takeover import Takeover, TakeoverSettings
+from sidelong.mission.exchange.takeover import Takeover
 from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
@@ -70,13 +69,12 @@ class MissionController:
         self,
         controller: StandoffController,
         dialect: AutopilotDialect,
-        backend_settings: BackendSettings,
-        takeover_settings: TakeoverSettings,
+        settings: ExchangeSettings,
     ) -> None:
         self.controller = controller
         self._dialect = dialect
         self._outbox = Outbox()
-        self._settings = backend_settings, takeover_settings
+        self._settings = settings
         self._restart()
         self._way_home: CommandExchange | None = None
         self._silent = self._closing = False
@@ -85,12 +83,12 @@ class MissionController:
 
     def _restart(self) -> None:
         """Assume nothing of what is on board: at the start, and after another station has flown."""
-        outbox, dialect, (settings, takeover) = self._outbox, self._dialect, self._settings
+        outbox, dialect, settings = self._outbox, self._dialect, self._settings
         missions = MissionItemBackend(outbox, dialect, settings)
         orbits = OrbitCommandBackend(outbox, dialect, settings)
-        self._backends: tuple[PlanBackend, ...] = (missions, orbits) if takeover.by_command else (missions,)
-        self._backend: PlanBackend = orbits if takeover.by_command else missions
-        self._takeover = Takeover(outbox, dialect, settings, takeover, missions, orbits)
+        self._backends: tuple[PlanBackend, ...] = (missions, orbits) if settings.by_command else (missions,)
+        self._backend: PlanBackend = orbits if settings.by_command else missions
+        self._takeover = Takeover(outbox, dialect, settings, missions, orbits)
 
     @property
     def next_timer_s(self) -> float:

@@ -21,12 +21,11 @@ from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, Upl
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.exchange.dialect import AutopilotDialect, Home
-from sidelong.mission.exchange.mission_ownership import MissionOwnership
+from sidelong.mission.exchange.dialect import AutopilotDialect, ExchangeSettings, Home
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
 from sidelong.mission.exchange.outbox import CANCELLED, Outbox
-from sidelong.mission.exchange.plan_backend import BackendSettings
+from sidelong.mission.exchange.ownership import MissionOwnership
 from sidelong.mission.exchange.reports import (
     MissionCountReported,
     MissionCurrentReported,
@@ -374,7 +373,7 @@ class _Change:
 class MissionItemBackend:
     """Flies plans by uploads. ``load`` or ``adopt`` comes first."""
 
-    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
+    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: ExchangeSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
         self._layout: MissionLayout | None = None
         self._loading: MissionLayout | None = None
@@ -481,7 +480,7 @@ class MissionItemBackend:
             UnflyableError: No waypoints lead along the plan.
         """
         settings = self._settings
-        tracking = self._dialect.tracking(settings.airspeed_m_s, wind)
+        tracking = self._dialect.tracking(settings.aircraft.airspeed_m_s, wind)
         items = plan_items(plan, settings.plane, settings.height_m, settings.tolerance_m, tracking)
         return tuple(self._dialect.stored(item) for item in items)
 
@@ -576,14 +575,14 @@ class MissionItemBackend:
             late_s += on_the_way_s
         else:
             return layout.first + self._first_to_fly(change.command, path, layout)
-        return first_ahead(layout, path, self._settings.plane, late_s * self._settings.airspeed_m_s)
+        return first_ahead(layout, path, self._settings.plane, late_s * self._settings.aircraft.airspeed_m_s)
 
     def _first_to_fly(self, command: UploadPlan, transition: Path, layout: MissionLayout) -> int:
         """Return which item of a line the aircraft begins with, from where it is."""
         if self._aircraft is None:
             return 0
         settings = self._settings
-        tracking = self._dialect.tracking(settings.airspeed_m_s, command.wind)
+        tracking = self._dialect.tracking(settings.aircraft.airspeed_m_s, command.wind)
         places = [place_of(item, settings.plane) for item in layout.line()[:-1]]
         return first_to_fly(transition, command.commanded, tracking, places, self._aircraft, settings.tolerance_m)
 

@@ -25,10 +25,9 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, PlanStatus, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import GRAVITY_M_S2
-from sidelong.mission.exchange.dialect import AutopilotDialect, CircleOrder
+from sidelong.mission.exchange.dialect import AutopilotDialect, CircleOrder, ExchangeSettings
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox
 from sidelong.mission.exchange.ownership import Suspicion
-from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.reports import CommandAcknowledged, VehicleReport
 from sidelong.mission.exchange.vehicle_command import CommandExchange, describe_result
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, point_at
@@ -79,7 +78,7 @@ class OrbitCommandBackend:
     once.
     """
 
-    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
+    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: ExchangeSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
         self._plan: UploadPlan | None = None  # on board, as far as a plan can be before it is flown
         self._flown: UploadPlan | None = None  # its transition is being flown
@@ -183,7 +182,7 @@ class OrbitCommandBackend:
             self._failed("the aircraft's place is not known" if aircraft is None else f"the mode is {self._mode}")
             return
         wanted = plan.plan.circle
-        circle = leading_circle(plan.plan, aircraft, self._settings.bank_max_rad)
+        circle = leading_circle(plan.plan, aircraft, self._settings.aircraft.bank_max_rad)
         self._was_last = circle is None
         circle = circle or wanted
         # The autopilot flies another radius than commanded; what is known of that holds for every circle.

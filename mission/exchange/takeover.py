@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import Announce, ControlAcquired
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.exchange.dialect import AutopilotDialect, CircleOrder
+from sidelong.mission.exchange.dialect import AutopilotDialect, CircleOrder, ExchangeSettings
 from sidelong.mission.exchange.mission_items import MissionItemBackend
 from sidelong.mission.exchange.mission_write import WriteResult
 from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
 from sidelong.mission.exchange.outbox import Outbox, TakeoverFailed
-from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.reports import CommandAcknowledged, TakeoverRequested, VehicleReport
 from sidelong.mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
 from sidelong.mission.upload.mission_item import MissionItem, e7
@@ -41,16 +40,6 @@ _TICK_S = 0.1
 Script = Iterator[None]
 
 
-@dataclass(frozen=True, slots=True)
-class TakeoverSettings:
-    """How the first circle is to be flown. cleared gives a plan its heights, or names what is in its way."""
-
-    radius_m: float
-    clockwise: bool
-    by_command: bool
-    cleared: Callable[[Plan], Plan | str]
-
-
 class _FailedError(Exception):
     """The way onto the circle has ended; wrong_input: before anything was sent, by the configuration."""
 
@@ -66,14 +55,12 @@ class Takeover:
         self,
         outbox: Outbox,
         dialect: AutopilotDialect,
-        backend_settings: BackendSettings,
-        settings: TakeoverSettings,
+        settings: ExchangeSettings,
         missions: MissionItemBackend,
         orbits: OrbitCommandBackend,
     ) -> None:
         self._outbox, self._dialect = outbox, dialect
-        self._vehicle, self._settings = backend_settings, settings
-        self._missions, self._orbits = missions, orbits
+        self._settings, self._missions, self._orbits = settings, missions, orbits
         self._script: Script | None = None
         self._mode = ""
         self._height_m = -math.inf
@@ -218,7 +205,7 @@ class Takeover:
 
     def _wanted(self, flown: Circle | None) -> tuple[Circle, Circle]:
         """Return the circle wanted, and the circle commanded for it."""
-        radius_m = self._settings.radius_m
+        radius_m = self._settings.aircraft.radius_m
         if flown is None:
             self._note("already flying: taking over from where it is")
             here, clockwise = self._here(), self._settings.clockwise
@@ -242,8 +229,8 @@ class Takeover:
         order, here = self._circle_reported, self._here()
         if order is None:
             return None
-        east_m, north_m = self._vehicle.plane.east_north_m(order.x * 1e-7, order.y * 1e-7)
-        radius_m = abs(order.signed_radius_m) or self._settings.radius_m
+        east_m, north_m = self._settings.plane.east_north_m(order.x * 1e-7, order.y * 1e-7)
+        radius_m = abs(order.signed_radius_m) or self._settings.aircraft.radius_m
         off_east_m, off_north_m = here.east_m - east_m, here.north_m - north_m
         if math.hypot(off_east_m, off_north_m) > _ROUND * radius_m:
             return None
@@ -266,9 +253,9 @@ class Takeover:
     # -- from the ground -----------------------------------------------------------------------------------
 
     def _circle_at_home(self) -> Circle:
-        home = self._vehicle.home
-        east_m, north_m = self._vehicle.plane.east_north_m(home.latitude_deg, home.longitude_deg)
-        return Circle(east_m, north_m, self._settings.radius_m, self._settings.clockwise)
+        home = self._settings.home
+        east_m, north_m = self._settings.plane.east_north_m(home.latitude_deg, home.longitude_deg)
+        return Circle(east_m, north_m, self._settings.aircraft.radius_m, self._settings.clockwise)
 
     def _take_off(self, circle: Circle) -> Script:
         first = self._first(circle)
@@ -292,8 +279,8 @@ class Takeover:
             )
 
     def _take_off_item(self) -> MissionItem:
-        place = e7((self._vehicle.home.latitude_deg, self._vehicle.home.longitude_deg))
-        height_m = min(_TAKE_OFF_HEIGHT_M, self._vehicle.height_m)
+        place = e7((self._settings.home.latitude_deg, self._settings.home.longitude_deg))
+        height_m = min(_TAKE_OFF_HEIGHT_M, self._settings.height_m)
         return MissionItem(_TAKE_OFF, _RELATIVE, 15.0, 0.0, 0.0, math.nan, *place, height_m)
 
     def _arm(self) -> Script:
@@ -357,4 +344,4 @@ class Takeover:
         at_item = index is not None and index >= self._missions.line_first
         if first.heights is not None:  # over hills only its own height is high enough
             return at_item and self._height_m > first.heights.to_m - _AT_HEIGHT_M
-        return at_item and self._height_m > _HIGH_ENOUGH * self._vehicle.height_m
+        return at_item and self._height_m > _HIGH_ENOUGH * self._settings.height_m

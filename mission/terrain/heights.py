@@ -53,9 +53,7 @@ class HeightRules:
     height_m: float
     above: Literal["home", "ground"]
     clearance_m: float
-    airspeed_m_s: float
-    climb_m_s: float = 3.0
-    descent_m_s: float = 2.0
+    rates: ClimbRates
     margin_m: float = 30.0
     ceiling_m: float = math.inf
 
@@ -65,7 +63,6 @@ class FlightHeights:
 
     def __init__(self, ground: Ground, rules: HeightRules) -> None:
         self._grid, self._rules = ground.grid, rules
-        self._rates = ClimbRates(rules.airspeed_m_s, rules.climb_m_s, rules.descent_m_s)
         self._carried = False  # whether plans carry the one height for all: it is not the configured one
         self._highest = _highest_about(ground, rules.margin_m)
 
@@ -158,13 +155,13 @@ class FlightHeights:
                 f"clear of the ground the new circle is {to_m:.0f} m above home, "
                 f"above the ceiling of {rules.ceiling_m:.0f} m"
             )
-        return replace(plan, heights=self._rates.profile(from_m, to_m))
+        return replace(plan, heights=self._rules.rates.profile(from_m, to_m))
 
     def _climbing_clearance_m(self, plan: Plan, from_m: float, to_m: float) -> float:
         """Return the least clearance from the departure until the aircraft has climbed, at last on the circle."""
         line = plan.transition
         assert line is not None
-        slope = self._rates.slope(climbs=True)
+        slope = self._rules.rates.slope(climbs=True)
         arc_m = np.arange(0.0, line.length_m, _ARC_STEP_M)
         east_m, north_m = np.interp(arc_m, line.arc_m, line.east_m), np.interp(arc_m, line.arc_m, line.north_m)
         left_m = (to_m - from_m) / slope - line.length_m

@@ -7,14 +7,16 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.core.requirement import Wind
-from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.core.requirement import Aircraft, Wind
+from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox
-from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.reports import PositionTargetReported
 
-SETTINGS = BackendSettings(LocalPlane(47.0, 8.0), Home(47.0, 8.0, 400.0), 22.0, 100.0, 15.0, math.radians(45.0))
+AIRCRAFT = Aircraft(22.0, 80.0, math.radians(45.0))
+SETTINGS = ExchangeSettings(
+    LocalPlane(47.0, 8.0), Home(47.0, 8.0, 400.0), AIRCRAFT, 100.0, 15.0, True, True, lambda plan: plan
+)
 HERE = AircraftState(0.0, 0.0, 0.0, 0.0, 22.0, 0.0)
 
 

@@ -14,13 +14,13 @@ from sidelong.app.flight.preflight import _ground_check
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan, settled_m
+from sidelong.mission.core.plan import AircraftState, ClimbRates, HeightProfile, Plan, settled_m
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.terrain.heights import FlightHeights, HeightRules
 from sidelong.mission.upload.items import plan_items
 
 CLEARANCE_M, AIRSPEED_M_S = 50.0, 15.0
-RULES = HeightRules(100.0, "ground", CLEARANCE_M, AIRSPEED_M_S)
+RULES = HeightRules(100.0, "ground", CLEARANCE_M, ClimbRates(AIRSPEED_M_S))
 HOME_DEG = (36.59, -84.24)
 
 
@@ -85,7 +85,9 @@ def test_over_real_hills_no_plan_comes_below_the_clearance(ground: Ground) -> No
         for late_s in (0.0, 5.0, 20.0) if descends else (0.0,):
             way = flown(levelled, late_s)
             assert (way[:, 2] - ground.heights_at_m(way[:, 0], way[:, 1])).min() >= CLEARANCE_M - 0.01
-        assert abs(levelled.heights.slope) * AIRSPEED_M_S <= (RULES.descent_m_s if descends else RULES.climb_m_s)
+        assert abs(levelled.heights.slope) * AIRSPEED_M_S <= (
+            RULES.rates.descent_m_s if descends else RULES.rates.climb_m_s
+        )
     assert flyable > 400
 
 

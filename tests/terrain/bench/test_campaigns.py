@@ -9,7 +9,7 @@ import pytest
 
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.plan import ClimbRates, Plan
 from sidelong.mission.terrain.heights import FlightHeights, HeightRules
 
 CLEARANCE_M = 50.0
@@ -19,7 +19,7 @@ CLEARANCE_M = 50.0
 def test_four_thousand_places(ground: Ground, range_m: float, height_m: float) -> None:
     """Circles of 50 m next to a target anywhere: flown at one height over the target, and as they are planned."""
     rng = np.random.default_rng(1)
-    heights = FlightHeights(ground, HeightRules(height_m, "ground", CLEARANCE_M, 15.0))
+    heights = FlightHeights(ground, HeightRules(height_m, "ground", CLEARANCE_M, ClimbRates(15.0)))
     around_rad = np.linspace(0.0, 2.0 * math.pi, 400)
     low = hit = blocked = places = refused = 0
     planned_m: list[float] = []
