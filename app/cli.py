@@ -94,35 +94,13 @@ def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
     return groups
 
 
-# Options of earlier versions that only repeated a key of the configuration.
-_NOW_KEYS = {
-    "--beacon": "sharing.beacon",
-    "--cot": "sharing.cot",
-    "--dmax": "requirement.range_max_m",
-    "--dmin": "requirement.range_min_m",
-    "--follow-target": "sharing.follow_target",
-    "--guidance": "planner.guidance",
-    "--home": "simulation.home",
-    "--map": "display.map_file",
-    "--map-bounds": "display.map_bounds",
-    "--nmea": "sharing.nmea",
-    "--point-gimbal": "payload.point_gimbal",
-    "--set-parameters": "link.set_parameters",
-    "--signing-key": "link.signing_key_file",
-    "--system-id": "link.system_id",
-    "--take-over-from": "link.take_over_from",
-    "--threshold": "requirement.threshold",
-    "--lag": "study.lag_s",
-    "--legs": "study.legs_s",
-    "--noise-draws": "study.noise_draws",
-    "--perfect-sensors": "study.perfect_sensors",
-    "--timeout": "link.heartbeat_timeout_s",
-    "--wind": "simulation.wind_speed_m_s",
-    "--view-cert": "display.certificate_file",
-    "--view-host": "display.host",
-    "--view-key": "display.key_file",
-    "--view-port": "display.port",
-}
+def _as_key(option: str) -> str | None:
+    """Return the key of the configuration, as ``section.key``, that is named like an option, None if none is."""
+    from sidelong.app.config import Config  # noqa: PLC0415  # only for an option that does not exist
+
+    name = option.lstrip("-").replace("-", "_")
+    keys = ((section, key) for section, kind in Config() for key in type(kind).model_fields)
+    return next((f"{section}.{key}" for section, key in keys if f"{key}_".startswith(f"{name}_")), None)
 
 
 class _Command(TyperCommand):
@@ -138,8 +116,9 @@ class _Command(TyperCommand):
             return super().make_context(*arguments, **options)
         except typer.TyperException as error:
             option = getattr(error, "option_name", "")
-            if option in _NOW_KEYS:
-                raise InputError(f"{option} is now --set {_NOW_KEYS[option]}=VALUE.") from error
+            key = _as_key(option) if option.startswith("--") else None
+            if key is not None:
+                raise InputError(f"{option} is a key of the configuration: give --set {key}=VALUE.") from error
             if isinstance(error, typer.BadParameter):
                 error.message = error.message.removeprefix("Value error, ")
             raise

@@ -25,11 +25,11 @@ from pydantic_core import ErrorDetails
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM
+from sidelong.app.network import NetworkAddress
 from sidelong.app.payload.address import checked_payload_url
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from sidelong.app.records.text_file import read_toml
-from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.contact import is_contact
 from sidelong.mission.core.feasibility import in_words
 from sidelong.mission.core.plan import ClimbRates

@@ -9,11 +9,18 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.options import AIRCRAFT, Overrides, SetOption, changed_keys, panel
-from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
+from sidelong.app.commands.options import AIRCRAFT, Overrides, RadiusOption, SetOption, changed_keys, panel
+from sidelong.app.commands.output import JsonOption, checked_output, console, print_notes, say, write_json
 from sidelong.app.commands.progress import table_progress
-from sidelong.app.commands.radius import RadiusOption, warn_of_band, warn_of_settings
-from sidelong.app.config import Config, check_alone, load_config, unflyable
+from sidelong.app.config import (
+    Config,
+    check_alone,
+    load_config,
+    reach_warning,
+    room_warning,
+    setting_notes,
+    unflyable,
+)
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
@@ -75,7 +82,7 @@ def check(
         settings = load_config(config, overrides)
         check_alone(settings)
         check_files(settings)
-        warn_of_settings(settings)
+        print_notes(setting_notes(settings))
         values, reasons = _checked(settings, airspeeds_m_s)
         write_json(json, values)
         if reasons:
@@ -84,7 +91,7 @@ def check(
         return
     fleet = load_fleet(config, overrides)
     check_files(fleet, fleet.target)
-    warn_of_settings(fleet)
+    print_notes(setting_notes(fleet))
     all_values, refused = [], []
     for member in fleet.members:
         console.print(f"{member.name}, at {member.config.aircraft.height_m:g} m:")
@@ -110,7 +117,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     if airspeeds_m_s is not None and settings.planner.name != _PAPER:
         raise InputError(f"--optimise finds the best numbers of the paper's method; add --planner {_PAPER}.")
     reasons = unflyable(settings)
-    warn_of_band(settings)
+    print_notes((room_warning(settings), reach_warning(settings)))
     values: dict[str, Any] = {"planner": settings.planner.name, "prediction": None}
     if settings.planner.name == _PAPER:
         values |= _paper_values(settings, airspeeds_m_s)

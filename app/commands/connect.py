@@ -12,7 +12,7 @@ from rich.table import Table
 from sidelong.app.assembly import tracker_of
 from sidelong.app.commands.options import Overrides, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
-from sidelong.app.commands.payload_status import degrees_of, payload_lines, payload_values
+from sidelong.app.commands.payload import degrees_of, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_files, check_single
 from sidelong.app.errors import FlightError, InputError

@@ -21,48 +21,47 @@ from sidelong.app.commands.output import checked_file, say, writing
 from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
+from sidelong.app.payload.registry import kind_by_name
 from sidelong.app.records.text_file import write_text
+
+Values = dict[str, dict[str, Any]]
+"""Values of the configuration by section and key."""
 
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """about: what it is, in half a line. source: where the figures are published."""
+    """about: what it is, in half a line. source: where the values are published."""
 
     about: str
     source: str
-    airspeed_m_s: float
-    radius_m: float
-    bank_max_deg: float
-    range_max_m: float = 500.0
-
-    def values(self) -> dict[str, dict[str, float]]:
-        """Return the keys that it sets, by section."""
-        return {
-            "aircraft": {
-                "airspeed_m_s": self.airspeed_m_s,
-                "radius_m": self.radius_m,
-                "bank_max_deg": self.bank_max_deg,
-            },
-            "requirement": {"range_max_m": self.range_max_m},
-        }
+    values: Values
 
 
-_ARDUPILOT = "ArduPilot Tools/Frame_params"
+def _airframe(
+    about: str, source: str, airspeed_m_s: float, radius_m: float, bank_max_deg: float, range_max_m: float = 500.0
+) -> Preset:
+    aircraft = {"airspeed_m_s": airspeed_m_s, "radius_m": radius_m, "bank_max_deg": bank_max_deg}
+    return Preset(about, source, {"aircraft": aircraft, "requirement": {"range_max_m": range_max_m}})
+
+
+_ARDUPILOT = "ArduPilot Tools"
 
 PRESETS = {
-    "parrot-disco": Preset(
-        "Parrot Disco, foam flying wing of 1.15 m", f"{_ARDUPILOT}/Parrot_Disco", 14.0, 30.0, 55.0
+    "parrot-disco": _airframe(
+        "Parrot Disco, foam flying wing of 1.15 m", f"{_ARDUPILOT}/Frame_params/Parrot_Disco", 14.0, 30.0, 55.0
     ),
-    "3dr-aero": Preset("3DR Aero, foam pusher", f"{_ARDUPILOT}/3DR_Aero_RTF.param", 15.0, 73.0, 50.0, 750.0),
-    "skywalker-x8": Preset(
-        "Skywalker X8, foam flying wing of 2.1 m", f"{_ARDUPILOT}/SkyWalkerX8.param", 16.0, 50.0, 35.0
+    "3dr-aero": _airframe(
+        "3DR Aero, foam pusher", f"{_ARDUPILOT}/Frame_params/3DR_Aero_RTF.param", 15.0, 73.0, 50.0, 750.0
     ),
-    "arduplane-sitl": Preset(
-        "the stock ArduPlane simulation", "ArduPilot Tools/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
+    "skywalker-x8": _airframe(
+        "Skywalker X8, foam flying wing of 2.1 m", f"{_ARDUPILOT}/Frame_params/SkyWalkerX8.param", 16.0, 50.0, 35.0
     ),
-    "px4-sih": Preset(
+    "arduplane-sitl": _airframe(
+        "the stock ArduPlane simulation", f"{_ARDUPILOT}/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
+    ),
+    "px4-sih": _airframe(
         "the PX4 SIH fixed wing",
-        "PX4 SIH rc_plane, FW_R_LIM and NAV_LOITER_RAD as they come",
+        "PX4 SIH rc_plane, unchanged",
         15.5,
         80.0,
         50.0,
@@ -70,58 +69,40 @@ PRESETS = {
     ),
 }
 
-
-@dataclass(frozen=True, slots=True)
-class PayloadPreset:
-    """A payload's protocol and its address as delivered.
-
-    Attributes:
-        about: what it is, in half a line.
-        kind: value of ``payload.kind``.
-        url: value of ``payload.url``.
-        source: where the address is published.
-        pan_limit_deg: value of ``aircraft.pan_limit_deg``; None: it pans all around, or its manual gives no limit.
-    """
-
-    about: str
-    kind: str
-    url: str
-    source: str
-    pan_limit_deg: float | None = None
-    has_laser: bool = True
-
-    def values(self) -> dict[str, dict[str, str | float]]:
-        """Return the keys that it sets, by section; without a laser, the range comes from flat ground."""
-        found: dict[str, dict[str, str | float]] = {"payload": {"kind": self.kind, "url": self.url}}
-        if not self.has_laser:
-            found |= {"terrain": {"flat": True}, "simulation": {"laser": False}}
-        if self.pan_limit_deg is not None:
-            found["aircraft"] = {"pan_limit_deg": self.pan_limit_deg}
-        return found
-
-
-_SIYI, _GREMSY = "udp://192.168.144.25:37260", "udp://192.168.55.1:14566"
-_SERIAL = "serial:///dev/ttyUSB0:115200"
 _LASERLESS = "no laser: range from flat ground, or from elevation data (terrain.folder)"
-_ARDUPILOT_MOUNT = "ArduPilot AP_Mount"
+_SERIAL = "serial:///dev/ttyUSB0:115200"
+
+
+def _payload(
+    about: str, kind: str, source: str, url: str = "", pan_limit_deg: float | None = None, has_laser: bool = True
+) -> Preset:
+    """Return a payload's protocol and its address as delivered; without a laser, the range comes from flat ground.
+
+    pan_limit_deg: None if it pans all around, or its manual gives no limit.
+    """
+    values: Values = {"payload": {"kind": kind, "url": url or kind_by_name(kind).url}}
+    if not has_laser:
+        values |= {"terrain": {"flat": True}, "simulation": {"laser": False}}
+    if pan_limit_deg is not None:
+        values["aircraft"] = {"pan_limit_deg": pan_limit_deg}
+    return Preset(about, source, values)
+
 
 PAYLOAD_PRESETS = {
-    "siyi-zt30": PayloadPreset("SIYI ZT30, four sensors with laser", "siyi", _SIYI, "SIYI's manuals"),
-    "siyi-zt6": PayloadPreset(f"SIYI ZT6, {_LASERLESS}", "siyi", _SIYI, "SIYI's manuals", has_laser=False),
-    "siyi-a8-mini": PayloadPreset(
-        f"SIYI A8 mini, {_LASERLESS}", "siyi", _SIYI, "A8 mini manual v1.5", 135.0, has_laser=False
+    "siyi-zt30": _payload("SIYI ZT30, four sensors with laser", "siyi", "SIYI's manuals"),
+    "siyi-zt6": _payload(f"SIYI ZT6, {_LASERLESS}", "siyi", "SIYI's manuals", has_laser=False),
+    "siyi-a8-mini": _payload(
+        f"SIYI A8 mini, {_LASERLESS}", "siyi", "A8 mini manual v1.5", pan_limit_deg=135.0, has_laser=False
     ),
-    "viewpro-tcp": PayloadPreset(
-        "Viewpro with a laser, by Ethernet", "viewpro", "tcp://192.168.2.119:2000", "Viewpro's TCP control document"
+    "viewpro-tcp": _payload("Viewpro with a laser, by Ethernet", "viewpro", "Viewpro's TCP control document"),
+    "viewpro-serial": _payload(
+        "Viewpro with a laser, by a serial line", "viewpro", "ArduPilot AP_Mount_Viewpro", _SERIAL
     ),
-    "viewpro-serial": PayloadPreset(
-        "Viewpro with a laser, by a serial line", "viewpro", _SERIAL, f"{_ARDUPILOT_MOUNT}_Viewpro"
+    "topotek-serial": _payload(
+        "Topotek with a laser, by a serial line", "topotek", "ArduPilot AP_Mount_Topotek", _SERIAL
     ),
-    "topotek-serial": PayloadPreset(
-        "Topotek with a laser, by a serial line", "topotek", _SERIAL, f"{_ARDUPILOT_MOUNT}_Topotek"
-    ),
-    "gremsy-vio": PayloadPreset("Gremsy VIO, laser", "gremsy", _GREMSY, "Gremsy PayloadSdk"),
-    "gremsy-orus-l": PayloadPreset("Gremsy Orus-L, laser", "gremsy", _GREMSY, "Gremsy PayloadSdk"),
+    "gremsy-vio": _payload("Gremsy VIO, laser", "gremsy", "Gremsy PayloadSdk"),
+    "gremsy-orus-l": _payload("Gremsy Orus-L, laser", "gremsy", "Gremsy PayloadSdk"),
 }
 
 
@@ -233,12 +214,12 @@ def config_text(preset: str | None = None, fleet: int | None = None) -> str:
     return "\n".join(_lines(presets, fleet)) + "\n"
 
 
-def _lines(presets: Mapping[str, Preset | PayloadPreset], fleet: int | None) -> Iterator[str]:
+def _lines(presets: Mapping[str, Preset], fleet: int | None) -> Iterator[str]:
     yield "# Configuration of sidelong. Every key may be left out; it then has the default that is written here."
-    values: dict[str, dict[str, Any]] = {}
+    values: Values = {}
     for name, preset in presets.items():
         yield from _comment(f"Preset {name}: {preset.about}. Values from {preset.source}.")
-        for section, own in preset.values().items():
+        for section, own in preset.values.items():
             values[section] = values.get(section, {}) | own
     for section, about in Config.model_fields.items():
         kind: Any = about.annotation

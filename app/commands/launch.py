@@ -8,20 +8,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sidelong.app.commands.options import MAP, OUTPUT, Overrides, SetOption, changed_keys, panel
+from sidelong.app.commands.options import MAP, OUTPUT, Overrides, RadiusOption, SetOption, changed_keys, panel
 from sidelong.app.commands.output import (
     JsonOption,
     checked_output,
     console,
+    print_notes,
     say,
     shielded_output,
     standard,
     warn,
     write_json,
 )
-from sidelong.app.commands.radius import RadiusOption, warn_of_band, warn_of_settings
 from sidelong.app.commands.report import write_report
-from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, load_config, with_values
+from sidelong.app.config import (
+    DEMONSTRATION,
+    MAX_AIRCRAFT,
+    Config,
+    load_config,
+    reach_warning,
+    room_warning,
+    setting_notes,
+    with_values,
+)
 from sidelong.app.config_files import check_files, check_single
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
@@ -178,11 +187,9 @@ def launch(
 def _checked(settings: Config, speed: float | None, payload_url: str | None) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
     settings = _with_simulated_payload(settings, speed, payload_url)
-    for note in check_single(settings):
-        say(f"note: {note}")
+    print_notes(check_single(settings))
     _check_input(settings)
-    warn_of_band(settings)
-    warn_of_settings(settings)
+    print_notes((room_warning(settings), reach_warning(settings), *setting_notes(settings)))
     return settings
 
 
@@ -240,13 +247,12 @@ def _check_simulated(settings: Config, options: dict[str, object]) -> None:
 
 
 def _check_fleet(fleet: FleetFile) -> None:
-    for note in check_files(fleet, fleet.target):
-        say(f"note: {note}")
+    print_notes(check_files(fleet, fleet.target))
     for member in fleet.members:
         _check_input(member.config)
     if fleet.link.system_id is not None:
         raise InputError("link.system_id names one vehicle; give each aircraft of the fleet file its system_id.")
-    warn_of_settings(fleet)
+    print_notes(setting_notes(fleet))
 
 
 def _write_mcap(run: Path) -> None:

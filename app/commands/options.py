@@ -24,6 +24,24 @@ AIRCRAFT = panel("Aircraft and requirement")
 MAP = panel("Live map")
 OUTPUT = panel("Output")
 
+
+def _parsed(words: str) -> float | str:
+    try:
+        return words if words == "auto" else float(words)
+    except ValueError:
+        raise ValueError(f"{words!r} is neither a number of metres nor auto.") from None
+
+
+RadiusOption = Annotated[
+    Any,
+    AIRCRAFT(
+        parser=_parsed,
+        metavar="M|auto",
+        help="Radius of the circle, m; auto: 3.5 s of flight, with room in the range band.",
+    ),
+]
+"""A float, or "auto"."""
+
 SetOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, TextIO, cast
 
@@ -115,6 +115,12 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
             print(text, end="", flush=True)
         else:
             write_text(path, text)
+
+
+def print_notes(notes: Iterable[str | None]) -> None:
+    """Print each note on a line; None: there is none."""
+    for note in filter(None, notes):
+        say(f"note: {note}")
 
 
 def warn_of_log(source: Path, warning: str) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import re
-import socket
+import math
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,18 +13,76 @@ import typer
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
-from sidelong.app.commands.payload_status import payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.payload_input import PayloadRunner, driver_of
 from sidelong.app.link.transport import Transport, opened
+from sidelong.app.network import NetworkAddress
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.driver import Measured
 from sidelong.app.payload.messages import COMPONENT, fields_of, packed
+from sidelong.app.payload.pan_limits import pan_words
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
+from sidelong.app.payload.session import PayloadStatus
 from sidelong.app.process import run
+from sidelong.estimators.rotations import sight_direction
 
-_TO = re.compile(r"udpout:(?://)?([^:/]+):(\d{1,5})")
+
+def payload_values(status: PayloadStatus) -> dict[str, Any]:
+    """Return the status as plain values, angles in degrees; None where something is not known."""
+    direction = None if status.angles is None else sight_direction(status.angles.quaternion_wxyz)
+    return {
+        "model": status.identity.model or None,
+        "firmware": status.identity.firmware or None,
+        "has_laser": status.identity.has_laser,
+        "pan_limits_deg": degrees_of(status.identity.pan_limits_rad),
+        "range_hz": status.range_hz,
+        "angles_hz": status.angles_hz,
+        "round_trip_s": status.round_trip_s,
+        "damaged_frames": status.damaged,
+        "range_m": None if status.range is None else status.range.slant_range_m,
+        "yaw_deg": None if direction is None else math.degrees(math.atan2(direction[1], direction[0])),
+        "pitch_deg": None if direction is None else math.degrees(-math.asin(max(-1.0, min(1.0, direction[2])))),
+        "angles_relative_to": None if status.angles is None else status.angles.frame,
+        "height_ratio": status.height_ratio,
+        "missing": list(status.missing),
+    }
+
+
+def payload_lines(name: str, status: PayloadStatus) -> list[str]:
+    """Return lines that begin with the payload's name."""
+    values = payload_values(status)
+    model = values["model"] or "model unknown"
+    firmware = f", firmware {values['firmware']}" if values["firmware"] else ""
+    delay = "" if status.round_trip_s is None else f", round trip {1000.0 * status.round_trip_s:.0f} ms"
+    damaged = f", {status.damaged} damaged frames" if status.damaged else ""
+    lines = [
+        f"payload {name}: {model}{firmware}",
+        f"  range at {status.range_hz:.1f} Hz, angles at {status.angles_hz:.1f} Hz{delay}{damaged}",
+    ]
+    now = []
+    if status.range is not None and status.range_hz:
+        now.append(f"range {values['range_m']:.1f} m")
+    if status.angles is not None and status.angles_hz:
+        frame = {"vehicle": "heading", "body": "airframe", "earth": "north"}[status.angles.frame]
+        now.append(f"yaw {values['yaw_deg']:.1f}, pitch {values['pitch_deg']:.1f} degrees, relative to {frame}")
+    if now:
+        lines.append(f"  now: {', '.join(now)}")
+    if status.height_ratio is None:
+        lines.append("  height by range and angles: not compared (on the ground, or too few ranges)")
+    else:
+        lines.append(
+            f"  height by range and angles: {status.height_ratio:.2f} times the autopilot's height above home"
+        )
+    lines += [f"  {words}" for words in pan_words(status.identity.pan_limits_rad)]
+    return lines + [f"  missing: {what}" for what in status.missing]
+
+
+def degrees_of(limits_rad: tuple[float, float] | None) -> list[float] | None:
+    """Return limits in degrees."""
+    return None if limits_rad is None else [round(math.degrees(limit_rad), 1) for limit_rad in limits_rad]
+
+
 _STATUS_EVERY_S, _HEARTBEAT_EVERY_S = 5.0, 1.0
 
 
@@ -72,13 +129,11 @@ def payload(
 
 
 def _opened(to: str) -> Transport:
-    match = _TO.fullmatch(to)
-    if match is None or not 0 < int(match[2]) < 65536:
-        raise InputError(f"--to {to!r:.80}: give udpout:HOST:PORT.")
     try:
-        return opened(f"udpout://{socket.gethostbyname(match[1])}:{match[2]}")
-    except OSError as error:
-        raise InputError(f"--to {to!r:.80}: {error.strerror or error}; give udpout:HOST:PORT.") from error
+        host, port = NetworkAddress.read(to if "//" in to else to.replace(":", "://", 1), ["udpout"]).resolved("--to")
+        return opened(f"udpout://{host}:{port}")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--to {to!r:.80}: give udpout:HOST:PORT.") from error
 
 
 async def _serve(

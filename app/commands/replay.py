@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import Progress
 from rich.text import Text
 
 from sidelong.app.analysis.replay import (
@@ -27,7 +26,7 @@ from sidelong.app.assembly import Prepared, mission_controller_of, prepared
 from sidelong.app.autopilots.registry import autopilot_by_name
 from sidelong.app.commands.options import MAP, OUTPUT, Overrides, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, warn_of_log, write_json
-from sidelong.app.commands.progress import progress_bar, table_progress
+from sidelong.app.commands.progress import share_progress, table_progress
 from sidelong.app.config import Config, check_flyable, load_config, validated, with_values
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
@@ -123,10 +122,8 @@ def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary],
     from sidelong.app.fleet.assembly import coordinator_of  # noqa: PLC0415  # it takes half a second to load
     from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, compare_coordination  # noqa: PLC0415
 
-    progress, task = progress_bar(folder.path.name)
-    journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
     advice = f"{folder.journal}: its configuration cannot be used; replay the aircraft by themselves"
-    fleet = validated(FleetFile, journal.header.config, advice)
+    fleet = validated(FleetFile, JournalReader(folder.journal, FLEET_JOURNAL_TYPES).header.config, advice)
     aircraft = []
     for member in fleet.members:
         own = RunFolder(folder.path / member.name)
@@ -141,7 +138,8 @@ def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary],
         raise InputError(f"{folder.path} holds no flight of an aircraft.")
     compared = None
     if verify:
-        with progress:
+        with share_progress(folder.path.name) as progress:
+            journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES, progress)
             steps = compare_coordination(coordinator_of(fleet, table_progress(console.print)), journal)
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the coordinator's replay differs from the flight {steps.difference}")
@@ -198,16 +196,15 @@ def _replay_log(
     log = open_log(path)
     telemetry = Telemetry()
     made = prepared(settings, table_progress(console.print), console.print)
-    progress, task = progress_bar(path.name)
-    with progress:
-        messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
+    with share_progress(path.name) as progress:
+        messages = log.messages(telemetry.wanted, progress)
         events = log_events(messages, telemetry)
         first = list(itertools.islice(events, 1))
         # A log does not hold the home position: the first position of an aircraft on the ground is near it.
         controller = made.controller(telemetry.plane)
         if frames is not None:
             frames.plane = telemetry.plane
-        judged = _Judged(settings, controller, progress, quiet)
+        judged = _Judged(settings, controller, quiet)
         replayed = Proposals(controller).follow(itertools.chain(first, events))
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     warn_of_log(path, log.context().warning)
@@ -227,16 +224,15 @@ def _replay_run(
     frames: Frames | None = None,
 ) -> Summary:
     config, changes = wanted
-    progress, task = progress_bar(folder.path.name)
-    with progress:
-        journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
+    with share_progress(folder.path.name) as progress:
+        journal = JournalReader(folder.journal, JOURNAL_TYPES, progress)
         flown = load_config(config) if config is not None else journalled_config(journal)
         settings = _changed(flown, config, changes)
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
         plane = journal.header.plane
         controller = _prepared(settings).controller(plane, journal.header.home_deg)
-        judged = _Judged(settings, controller, progress, quiet or verify, of_a_flight=True)
+        judged = _Judged(settings, controller, quiet or verify, of_a_flight=True)
         compares = verify or not quiet
         # Nothing depends on the exchange but what it sends, and that only a comparison reads.
         repeats = settings == flown and compares
@@ -292,17 +288,12 @@ class _Judged:
     """Follows a replay: prints its messages, and gathers the values of the summary."""
 
     def __init__(
-        self,
-        settings: Config,
-        controller: StandoffController,
-        progress: Progress,
-        quiet: bool,
-        of_a_flight: bool = False,
+        self, settings: Config, controller: StandoffController, quiet: bool, of_a_flight: bool = False
     ) -> None:
         self._of_a_flight = of_a_flight
         self.first_estimate_s: float | None = None
         self.engaged_s: float | None = None
-        self.controller, self._progress, self._quiet = controller, progress, quiet
+        self.controller, self._quiet = controller, quiet
         self.collector = SummaryCollector(settings.requirement.requirement())
         self.collector.ground = controller.surroundings.ground
 
@@ -317,7 +308,7 @@ class _Judged:
                 self.engaged_s = step.event.time_s
             if not self._quiet:
                 for announced in announcements(step.commands):
-                    self._progress.console.print(Text(f"{self._since(announced.time_s):>7}  {announced.text}"))
+                    console.print(Text(f"{self._since(announced.time_s):>7}  {announced.text}"))
 
     def _since(self, time_s: float) -> str:
         """Return the time as displayed in flight; for a log, the time of the vehicle's clock."""

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import Field, TypeAdapter, ValidationError
 
-from sidelong.app.commands.options import AIRCRAFT, OUTPUT, SetOption, changed_keys, panel
+from sidelong.app.commands.options import AIRCRAFT, OUTPUT, RadiusOption, SetOption, changed_keys, panel
 from sidelong.app.commands.output import (
     JsonOption,
     checked_file,
@@ -26,7 +26,6 @@ from sidelong.app.commands.output import (
     writing,
 )
 from sidelong.app.commands.progress import runs_progress
-from sidelong.app.commands.radius import RadiusOption
 from sidelong.app.config import load_config, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.study.benchmark import Benchmark, benchmark_table
@@ -125,7 +124,6 @@ def study(
     duration: Annotated[
         float | None, _TARGETS(help="Longest run, s; default 1200, or a recorded target's whole track.")
     ] = None,
-    fidelity: Annotated[str | None, typer.Option(hidden=True)] = None,  # noqa: ARG001  # refused where it is given
     fleet: Annotated[
         int,
         AIRCRAFT(
@@ -274,8 +272,8 @@ def _fly_fleet(
         raise InputError(f"--fleet compares the planners of fleets ({names}); leave out --planner.")
     if designs > 1:
         raise InputError("--fleet flies one design; leave out --sweep.")
-    with runs_progress(len(FleetPlannerName) * len(settings.numbers)) as (advance, computing):
-        flown = fly_fleets(settings, table_of(settings, computing), workers, advance)
+    with runs_progress(len(FleetPlannerName) * len(settings.numbers)) as advance:
+        flown = fly_fleets(settings, table_of(settings), workers, advance)
     for name, reason in settings.skipped:
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
@@ -289,8 +287,8 @@ def _fly_fleet(
 def _benchmark(benchmark: Benchmark, jobs: int | None, json: Path | None) -> None:
     if not is_compiled(PREDICTIVE):
         console.print("compiling the flights, once for this version of the program: up to a minute")
-    with runs_progress(benchmark.total) as (advance, computing):
-        rows = benchmark.fly(jobs, advance, computing)
+    with runs_progress(benchmark.total) as advance:
+        rows = benchmark.fly(jobs, advance)
     if str(json) != "-":
         print_whole(benchmark_table(rows))
         console.print(f"mean / worst run; {benchmark.total} runs in {benchmark.wall_s / 60.0:.1f} min")
@@ -306,10 +304,10 @@ def _fly(study: Study, workers: Workers, batches: int) -> None:
         return
     if not is_compiled(*study.designs[0].settings.planners):
         console.print("compiling the flights, once for this version of the program: up to a minute")
-    with runs_progress(missing) as (advance, computing):
+    with runs_progress(missing) as advance:
         try:
             size = min(max(missing // batches, 1), _BATCH_MAX)
-            study.fly(workers, lambda settings: table_of(settings, computing), size, advance)
+            study.fly(workers, table_of, size, advance)
         except KeyboardInterrupt:
             if study.store.file is not None:
                 done = study.total - study.missing()
@@ -410,7 +408,6 @@ def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
     if autopilot and autopilot not in LAG_S:
         raise InputError(f"--autopilot: there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}.")
     useless = {
-        "fidelity": (True, "every study flies the closed loop; leave it out"),
         "home": ("terrain" not in given, "it places the study on elevation data; give --terrain with it"),
         "jobs": ("scheduler" in given, "the workers of --scheduler compute; leave it out"),
         **dict.fromkeys(("export", "report", "store"), (fleet > 1, "--fleet prints a table; give --json instead")),

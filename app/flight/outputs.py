@@ -16,7 +16,7 @@ from sidelong.app.config import SharingSection
 from sidelong.app.flight.streams import OneTask
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError, Vehicle
-from sidelong.app.sharing.address import NetworkAddress
+from sidelong.app.network import NetworkAddress
 from sidelong.app.sharing.beacon import BeaconInput
 from sidelong.app.sharing.contact import ContactBeacon, is_contact
 from sidelong.app.sharing.cot import CotNames, CotOutput

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import re
-import socket
 
 from sidelong.app.errors import InputError
+from sidelong.app.network import NetworkAddress
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, kind_by_name
 
-_NETWORK = re.compile(r"(udp|tcp)://([^:/\[\]]+):(\d{1,5})")
+_NETWORK = ("udp", "tcp")
 _SERIAL = re.compile(r"serial://(/[^:]+):(\d{1,8})")
 _SHORT = re.compile(r"([a-z]+)://(?:(/[^:]+)|([^:/\[\]]*))(?::(\d{1,8}))?")
 _BAUD = 115_200
-_FORMS = "udp://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
 
 
 def checked_payload_url(url: str) -> str:
     """Return the URL. Raises ValueError that shows what one looks like."""
-    network = _NETWORK.fullmatch(url)
-    if (network is None or not 0 < int(network[3]) < 65536) and _SERIAL.fullmatch(url) is None:
-        raise ValueError(f"{url!r:.80} is not the address of a payload; give one like {_FORMS}")
+    if _SERIAL.fullmatch(url) is None:
+        NetworkAddress.read(url, _NETWORK, ["serial:///dev/NAME:BAUD"])
     return url
 
 
@@ -60,10 +58,8 @@ def read_payload(option: str, text: str) -> tuple[str, str | None]:
 
 def resolved(url: str) -> str:
     """Return the URL with its host in numbers. Raises InputError for a host that is not known."""
-    match = _NETWORK.fullmatch(url)
-    if match is None:
+    if _SERIAL.fullmatch(url) is not None:
         return url
-    try:
-        return f"{match[1]}://{socket.gethostbyname(match[2])}:{match[3]}"
-    except OSError as error:
-        raise InputError(f"payload.url: the host {match[2]:.80} is not known; give its address.") from error
+    address = NetworkAddress.read(url, _NETWORK)
+    host, port = address.resolved("payload.url")
+    return f"{address.scheme}://{host}:{port}"

@@ -25,9 +25,8 @@ from xml.etree import ElementTree
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.allowances import Allowances
 from sidelong.app.errors import InputError, missing_package
-from sidelong.app.sharing.address import NetworkAddress
+from sidelong.app.network import Allowances, NetworkAddress
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source, TargetFixReading
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from sidelong.app.errors import InputError
-from sidelong.app.sharing.address import NetworkAddress
+from sidelong.app.network import NetworkAddress
 
 _CONNECT_TIMEOUT_S, _AGAIN_AFTER_S = 10.0, 5.0
 _BACKLOG_MAX_BYTES = 64 << 10

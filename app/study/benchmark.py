@@ -75,7 +75,6 @@ class Row:
 
 
 _MEASURES = (BAND, SIDE, LEAST, MOVES, REVERSALS)
-Computing = Callable[[float], None]
 
 
 class Benchmark:
@@ -122,22 +121,19 @@ class Benchmark:
         each = len(self._planners) + (4 if self._all else 0)
         return sum(each * len(settings.numbers) for settings in self._settings)
 
-    def fly(self, jobs: int | None, advance: Callable[[int], None], computing: Computing) -> list[Row]:
+    def fly(self, jobs: int | None, advance: Callable[[int], None]) -> list[Row]:
         """Fly everything and return the rows, by aircraft.
 
         Args:
             jobs: Processes; None: one for each core.
             advance: Called with the number of runs just flown.
-            computing: Called with the share of a value table that is computed.
         """
         begun_s = time.perf_counter()
-        rows = [row for k in range(len(CLASSES)) for row in self._fly_class(k, jobs, advance, computing)]
+        rows = [row for k in range(len(CLASSES)) for row in self._fly_class(k, jobs, advance)]
         self.wall_s = time.perf_counter() - begun_s
         return rows
 
-    def _fly_class(
-        self, k: int, jobs: int | None, advance: Callable[[int], None], computing: Computing
-    ) -> Iterator[Row]:
+    def _fly_class(self, k: int, jobs: int | None, advance: Callable[[int], None]) -> Iterator[Row]:
         settings, one = self._settings[k], CLASSES[k]
         found, routed = [Design(settings)], settings
         if self._all:
@@ -145,7 +141,7 @@ class Benchmark:
             found.append(Design(replace(routed, planners=(PREDICTIVE,))))
         with closing(ResultStore()) as store:
             study = Study(found, store)
-            study.fly(on_processes(jobs), lambda of: table_of(of, computing), 1, advance)
+            study.fly(on_processes(jobs), table_of, 1, advance)
             for result, name in zip(study.results(), ("", WITH_ROUTE), strict=False):
                 for planner, own in result.planners.items():
                     yield Row(one, name or str(planner), own.measures, decision_ms(own.decision_s)["p99"])
@@ -156,7 +152,7 @@ class Benchmark:
             (routed, {FleetPlannerName.JOINT: PAIR_WITH_ROUTE}),
         ):
             pairs = replace(of, config=studied(**asdict(one), fleet_size=2))
-            flown = fly_fleets(pairs, table_of(pairs, computing), on_processes(jobs), advance, tuple(names))
+            flown = fly_fleets(pairs, table_of(pairs), on_processes(jobs), advance, tuple(names))
             for steered, runs in flown.items():
                 yield _pair_row(one, names[steered], runs)
 

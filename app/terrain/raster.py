@@ -23,7 +23,6 @@ HeightArray = npt.NDArray[np.float32]
 # Metres above sea level; what lies beyond is a fault of the data and counts as void.
 LOWEST_M, HIGHEST_M = -500.0, 9000.0
 _SLIVER_DEG = 1e-9
-_MARGIN = 1e-9
 _METRES = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0)
 _METRES |= dict.fromkeys(("ft", "foot", "feet"), 0.3048) | dict.fromkeys(("us-ft", "us survey foot"), 1200.0 / 3937.0)
 # This number of pixels is decimated in a few seconds; they must be unpacked for it.
@@ -103,12 +102,11 @@ class Raster:
         self._driver = "SRTMHGT" if self._name.lower().endswith(".hgt") else "GTiff"
         if self._driver == "SRTMHGT":
             self.posts = self._posts_of_tile(_length(path) if size is None else size)
-            self._scale, self._offset_m, self._thins = 1.0, 0.0, False
+            self._scale, self._offset_m = 1.0, 0.0
             return
         with self._opened() as (dataset, raster):
             self._scale = dataset.scales[0] * _METRES[_unit(dataset)]
             self._offset_m = dataset.offsets[0] * _METRES[_unit(dataset)]
-            self._thins = bool(dataset.overviews(1))
             t, rows, columns = raster.transform, raster.height, raster.width
         if rows < 2 or columns < 2 or not all(map(math.isfinite, t[:6])):
             raise InputError(f"{path}: has no raster of heights; replace it.")
@@ -151,13 +149,22 @@ class Raster:
         return content
 
     @contextlib.contextmanager
-    def _opened(self) -> Iterator[tuple[Any, Any]]:
-        """Yield the dataset, and the same in latitude and longitude."""
+    def _opened(self, wanted: Posts | None = None) -> Iterator[tuple[Any, Any]]:
+        """Yield the dataset, and the same at posts in latitude and longitude; None: at some of its own spacing."""
         try:
             import rasterio  # noqa: PLC0415  # an extra
             from rasterio.vrt import WarpedVRT  # noqa: PLC0415
         except ImportError as error:
             raise missing_package(f"{self.path}: elevation data", "rasterio") from error
+        grid: dict[str, Any] = {}
+        if wanted is not None:
+            west_deg = wanted.west_deg - 0.5 * wanted.step_east_deg
+            north_deg = wanted.bounds.north_deg + 0.5 * wanted.step_north_deg
+            corner = rasterio.transform.from_origin(west_deg, north_deg, wanted.step_east_deg, wanted.step_north_deg)
+            grid = {"transform": corner, "width": wanted.columns, "height": wanted.rows}
+            # What posts far apart are the mean of. GDAL would guess it, wrongly for few posts.
+            grid["XSCALE"] = 1.0 / max(1, int(wanted.step_east_deg / self.posts.step_east_deg + 1e-9))
+            grid["YSCALE"] = 1.0 / max(1, int(wanted.step_north_deg / self.posts.step_north_deg + 1e-9))
         with contextlib.ExitStack() as opened:
             # Without it errors are printed; the cache would take a twentieth of the memory.
             opened.enter_context(rasterio.Env(GDAL_CACHEMAX=_CACHE_BYTES))
@@ -173,16 +180,16 @@ class Raster:
                 kind = "GeoTIFF" if self._driver == "GTiff" else "SRTM tile"
                 raise InputError(f"{self.path}: is no readable {kind} ({error}); replace it.") from error
             self._check(dataset)
-            raster = dataset
-            if self._driver == "GTiff":
-                try:
-                    warped = WarpedVRT(dataset, crs="EPSG:4326", resampling=rasterio.enums.Resampling.bilinear)
-                    raster = opened.enter_context(warped)
-                except Exception as error:
-                    raise InputError(
-                        f"{self.path}: cannot be converted to latitude and longitude; write it in another coordinate "
-                        "system."
-                    ) from error
+            form = {"crs": "EPSG:4326", "dtype": "float32", "nodata": math.nan} | grid
+            try:
+                raster = opened.enter_context(
+                    WarpedVRT(dataset, resampling=rasterio.enums.Resampling.bilinear, **form)
+                )
+            except Exception as error:
+                raise InputError(
+                    f"{self.path}: cannot be converted to latitude and longitude; write it in another coordinate "
+                    "system."
+                ) from error
             yield dataset, raster
 
     def _check(self, dataset: Any) -> None:
@@ -194,52 +201,25 @@ class Raster:
             raise InputError(f"{self.path}: has heights in {_unit(dataset)}; write it in metres or feet.")
 
     def read(self, wanted: Posts) -> HeightArray:
-        """Return heights above sea level (rows, columns) at posts, NaN where void or beyond the tile.
+        """Return heights above sea level (rows, columns) at posts, bilinear; NaN where void or beyond the tile.
 
         Memory grows with the posts wanted, never with the file. Raises InputError naming a file that cannot be read.
         """
-        own = self.posts
-        south, north, west, east = needed(wanted, own)
-        if south == north or west == east:
-            return np.full((wanted.rows, wanted.columns), np.nan, np.float32)
-        # Far finer than wanted, the file is thinned out while it is read, so that memory stays bounded.
-        thin_rows = max(1, int(wanted.step_north_deg / own.step_north_deg + _MARGIN))
-        thin_columns = max(1, int(wanted.step_east_deg / own.step_east_deg + _MARGIN))
-        if thin_rows > 1:
-            south, north = max(south - thin_rows, 0), min(north + thin_rows, own.rows)
-        if thin_columns > 1:
-            west, east = max(west - thin_columns, 0), min(east + thin_columns, own.columns)
-        window = ((own.rows - north, own.rows - south), (west, east))
-        shape = (math.ceil((north - south) / thin_rows), math.ceil((east - west) / thin_columns))
-        pixels = (north - south) * (east - west)
-        if pixels > _PIXELS_MAX and not self._thins:
+        common = self.posts.bounds.overlap(wanted.bounds)
+        pixels = 0 if common is None else common.area_deg2 / (self.posts.step_north_deg * self.posts.step_east_deg)
+        if pixels > _PIXELS_MAX:
             raise InputError(
-                f"{self.path}: has {pixels:,} pixels there, {_PIXELS_MAX:,} at most serve; make it coarser "
-                "(gdalwarp -tr) or give it overviews (gdaladdo)."
+                f"{self.path}: has {pixels:,.0f} pixels there, {_PIXELS_MAX:,} at most serve; make it coarser "
+                "(gdalwarp -tr)."
             )
-        with self._opened() as (_, raster):
+        with self._opened(wanted) as (_, raster):
             try:
-                band = raster.read(1, window=window, out_shape=shape, masked=True)
+                band = raster.read(1)
             except Exception as error:
                 raise InputError(f"{self.path}: cannot be read ({error}); replace it.") from error
-        heights: HeightArray = np.ma.filled(band.astype(np.float32), np.nan)[::-1]
-        heights *= np.float32(self._scale)
-        heights += np.float32(self._offset_m)
+        heights: HeightArray = band[::-1] * np.float32(self._scale) + np.float32(self._offset_m)
         heights[~((heights >= LOWEST_M) & (heights <= HIGHEST_M))] = np.nan
-        if shape == (north - south, east - west):
-            return at_posts(wanted, own, heights, south, west)
-        step_north, step_east = (
-            (north - south) / shape[0] * own.step_north_deg,
-            (east - west) / shape[1] * own.step_east_deg,
-        )
-        thinned = Posts(
-            own.south_deg + south * own.step_north_deg + 0.5 * (step_north - own.step_north_deg),
-            own.west_deg + west * own.step_east_deg + 0.5 * (step_east - own.step_east_deg),
-            step_north,
-            step_east,
-            *shape,
-        )
-        return at_posts(wanted, thinned, heights, 0, 0)
+        return heights
 
 
 def _length(path: Path) -> int:
@@ -254,56 +234,3 @@ def _length(path: Path) -> int:
 
 def _unit(dataset: Any) -> str:
     return (dataset.units[0] or "").lower()
-
-
-def at_posts(wanted: Posts, own: Posts, stored: HeightArray, first_row: int, first_column: int) -> HeightArray:
-    """Return heights at wanted posts, bilinear between those stored; void next to a void, and beyond the tile.
-
-    stored (rows, columns) is the part of a tile's own posts that begins at first_row and first_column.
-    """
-    y = (wanted.south_deg + np.arange(wanted.rows) * wanted.step_north_deg - own.south_deg) / own.step_north_deg
-    x = (wanted.west_deg + np.arange(wanted.columns) * wanted.step_east_deg - own.west_deg) / own.step_east_deg
-    row, v, row_known = _between(y, first_row, stored.shape[0], own.rows)
-    column, u, column_known = _between(x, first_column, stored.shape[1], own.columns)
-    south = _along(stored[row], column, u)
-    north = _along(stored[np.minimum(row + 1, stored.shape[0] - 1)], column, u)
-    weight = v[:, None].astype(np.float32)
-    # A post of weight 0 is left out, void or not: posts that fall together are copied as they are.
-    heights = np.where(weight == 0.0, south, south + weight * (north - south)).astype(np.float32)
-    heights[~row_known] = np.nan
-    heights[:, ~column_known] = np.nan
-    return heights
-
-
-def _along(rows: HeightArray, column: npt.NDArray[np.intp], u: npt.NDArray[np.floating]) -> HeightArray:
-    west, east = rows[:, column], rows[:, np.minimum(column + 1, rows.shape[1] - 1)]
-    weight = u.astype(np.float32)
-    along: HeightArray = np.where(weight == 0.0, west, west + weight * (east - west))
-    return along
-
-
-def _between(
-    x: npt.NDArray[np.floating], first: int, stored: int, own: int
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.floating], npt.NDArray[np.bool_]]:
-    """Return the stored post before, the share of the way to the next, and whether it lies within the tile."""
-    rounded = np.round(x)
-    x = np.where(np.abs(x - rounded) < 1e-4, rounded, x)  # posts of one raster, but for what degrees cannot say
-    known = (x >= 0.0) & (x <= own - 1)
-    before = np.clip(np.floor(x).astype(np.intp), first, first + stored - 1)
-    return before - first, np.where(known, x - before, 0.0), known
-
-
-def needed(wanted: Posts, own: Posts) -> tuple[int, int, int, int]:
-    """Return which of a tile's own posts are needed: first and end of rows, then of columns; equal for none."""
-    rows = _span(wanted.south_deg, wanted.step_north_deg, wanted.rows, own.south_deg, own.step_north_deg, own.rows)
-    return (
-        *rows,
-        *_span(wanted.west_deg, wanted.step_east_deg, wanted.columns, own.west_deg, own.step_east_deg, own.columns),
-    )
-
-
-def _span(low: float, step: float, posts: int, own_low: float, own_step: float, own_posts: int) -> tuple[int, int]:
-    first = math.floor((low - own_low) / own_step + 1e-4)
-    end = math.ceil((low + (posts - 1) * step - own_low) / own_step - 1e-4) + 1
-    first, end = min(max(first, 0), own_posts), min(max(end, 0), own_posts)
-    return first, max(first, end)

@@ -27,7 +27,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sidelong.app.allowances import Allowances
+from sidelong.app.network import Allowances
 from sidelong.app.view.access import Access
 from sidelong.app.view.background import Background, is_tile, media_type, readable_tile
 from sidelong.app.view.guard import timed

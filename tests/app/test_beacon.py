@@ -14,8 +14,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sidelong.app.errors import InputError
+from sidelong.app.network import NetworkAddress
 from sidelong.app.sharing import beacon as beacon_module
-from sidelong.app.sharing.address import NetworkAddress
 from sidelong.app.sharing.beacon import BeaconInput, decode
 from sidelong.app.sharing.cot import CotNames, target_event
 from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput

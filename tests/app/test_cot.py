@@ -18,7 +18,7 @@ import pytest
 
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
-from sidelong.app.sharing.address import NetworkAddress
+from sidelong.app.network import NetworkAddress
 from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, target_event
 from sidelong.app.sharing.senders import DatagramSender, StreamSender, tls_context
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality

@@ -29,9 +29,9 @@ from tests.command_line import sidelong
             ["launch", "--fleet", "2", "--set", "sharing.beacon=udp://127.0.0.1:6969"],
             "a beacon is used by one aircraft",
         ),
-        (["launch", "--connect", "nope://x"], "'nope://x' is no link this can open"),
-        (["launch", "--connect", "udpin://0.0.0.0:99999"], "a port is a number from 1 to 65535, not 99999"),
-        (["connect", "tcpout://127.0.0.1:0"], "a port is a number from 1 to 65535, not 0"),
+        (["launch", "--connect", "nope://x"], "'nope://x' is no address; give one like"),
+        (["launch", "--connect", "udpin://0.0.0.0:99999"], "with a port from 1 to 65535"),
+        (["connect", "tcpout://127.0.0.1:0"], "with a port from 1 to 65535"),
         (["sign", "tests"], "tests is a folder; name the key's file in it, such as tests/plane.key"),
         (["report", "none"], "none: there is no such run folder or log"),
         (["launch", "--connect", "serial:///dev/none:57600"], "there is no device /dev/none"),
@@ -93,7 +93,7 @@ def test_an_option_of_the_simulation_is_refused_where_a_vehicle_would_fly(tmp_pa
 def test_check_refuses_a_link_that_cannot_be_opened(tmp_path):
     (tmp_path / "mission.toml").write_text("[link]\nurl = 'foo://1.2.3.4:5'")
     ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
-    assert "link.url: 'foo://1.2.3.4:5' is no link this can open" in str(ended.exception)
+    assert "link.url: 'foo://1.2.3.4:5' is no address; give one like" in str(ended.exception)
 
 
 @pytest.mark.parametrize(("is_ready", "code"), [(True, 0), (False, 1)])

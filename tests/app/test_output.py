@@ -13,7 +13,7 @@ from sidelong.app.analysis.summary import SummaryCollector
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.cli import run
 from sidelong.app.commands.output import shielded_output, standard
-from sidelong.app.commands.progress import progress_bar
+from sidelong.app.commands.progress import share_progress
 from sidelong.app.config import load_config
 from sidelong.app.link.message import plain, plain_fields
 from sidelong.app.view.panel import Panel
@@ -83,8 +83,7 @@ def test_what_a_terminal_cannot_show_is_no_error(monkeypatch):
 
 
 def test_a_name_with_brackets_is_no_markup(capsys):
-    progress, _ = progress_bar("e6[/x]")
-    with progress:
+    with share_progress("e6[/x]"):
         pass
 
 

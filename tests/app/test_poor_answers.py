@@ -15,7 +15,6 @@ from sidelong.app.commands.progress import share_progress
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.link.raw_links import opened_links
-from sidelong.app.link.transport import checked_url
 from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.journal import encode
 from sidelong.app.records.run_folder import RunFolder
@@ -61,22 +60,6 @@ def test_a_decimal_comma_is_named_with_its_line(tmp_path, comment):
 def test_another_mistake_is_shown_with_its_line(tmp_path):
     with pytest.raises(InputError, match=r"line 2.*'range_max_m 500'; correct it"):
         load_config(file(tmp_path, b"[requirement]\nrange_max_m 500\n"))
-
-
-@pytest.mark.parametrize(
-    ("url", "present"),
-    [
-        ("udp://:14540", "udpin://0.0.0.0:14540"),
-        ("udp://0.0.0.0:14540", "udpin://0.0.0.0:14540"),
-        ("udp://192.0.2.1:14540", "udpin://192.0.2.1:14540 to listen there, or udpout:// to send"),
-        ("tcp://127.0.0.1:5760", "tcpout://127.0.0.1:5760"),
-        ("tcp://:5760", "tcpout://127.0.0.1:5760"),
-    ],
-)
-def test_mavsdk_s_older_urls_are_translated(url, present):
-    with pytest.raises(InputError, match="older spelling") as wrong:
-        checked_url(url)
-    assert present in str(wrong.value)
 
 
 def test_a_picture_is_not_a_track(tmp_path):

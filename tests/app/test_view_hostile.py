@@ -19,9 +19,9 @@ from urllib.request import HTTPCookieProcessor, HTTPSHandler, Request, build_ope
 import pytest
 from rich.console import Console
 
-from sidelong.app.allowances import Allowances
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
+from sidelong.app.network import Allowances
 from sidelong.app.view.access import Access
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from sidelong.app.commands.payload_status import payload_lines
+from sidelong.app.commands.payload import payload_lines
 from sidelong.app.payload.driver import RangeMeasured
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
