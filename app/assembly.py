@@ -45,6 +45,7 @@ HomeDeg = Pair | None
 _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
+_COMPILED = 165  # functions of a first compilation, about
 _PARTS = "rest", "search and filter"  # of the first compilation, each in a process of its own
 
 
@@ -148,8 +149,7 @@ def prepared(
     """
     kind = kind or planner_by_name(config.planner.name)
     if not (kind.is_compiled() and is_cached(update)):
-        announce("compiling the planner and the filter, once for this version of the program: up to a minute")
-        _compile(config, kind)
+        _compile(config, kind, announce)
     return _prepared(config, kind, progress)
 
 
@@ -160,11 +160,17 @@ def controller_of(
     return prepared(config, kind=kind).controller(plane, home_deg)
 
 
-def _compile(config: Config, kind: PlannerKind) -> None:
+def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None]) -> None:
     """Compile in two processes at a time, which leave the machine code in the cache and take their memory with them.
 
     What one of them fails to compile is compiled in this process when it is first called.
+
+    Args:
+        config: The configuration.
+        kind: The kind of planner.
+        announce: Receives a sentence with the share that is done, of the functions that most flights need.
     """
+    announced = -1
     with ExitStack() as running:
         helpers = []
         for part in _PARTS:
@@ -184,8 +190,13 @@ def _compile(config: Config, kind: PlannerKind) -> None:
             assert helper.stdin is not None
             with suppress(BrokenPipeError), helper.stdin:
                 helper.stdin.write(given)
-        for helper in helpers:
-            helper.wait()
+        while any(helper.poll() is None for helper in helpers):
+            share = min(sum(1 for _ in FOLDER.rglob("*.nbi")) / _COMPILED, 0.99)
+            if int(10.0 * share) > announced:
+                announced = int(10.0 * share)
+                announce(f"compiling planner and filter, once for this version, a minute or two: {10 * announced} %")
+            with suppress(subprocess.TimeoutExpired):
+                next(helper for helper in helpers if helper.returncode is None).wait(0.5)
 
 
 def _prepared(config: Config, kind: PlannerKind, progress: Callable[[float], None] = lambda _share: None) -> Prepared:

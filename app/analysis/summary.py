@@ -430,26 +430,31 @@ class FleetSummary:
     def table(self) -> Table:
         """Return the summary as a table for the terminal, a column for each aircraft."""
         table = Table("", "all", *(one.name for one in self.aircraft), box=None, pad_edge=False)
+        for row in self.rows():
+            table.add_row(*row)
+        return table
+
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """Yield names and values as a person reads them: of all, and of each aircraft."""
         each = [one.summary for one in self.aircraft]
         if any(one.attention for one in each):
-            table.add_row("attention", "", *(one.attention for one in each))
-        table.add_row("outcome", self.outcome, *(one.outcome for one in each))
-        table.add_row("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
-        table.add_row("time in band", percent(self.time_in_band_any), *(percent(one.time_in_band) for one in each))
+            yield ("attention", "", *(one.attention for one in each))
+        yield ("outcome", self.outcome, *(one.outcome for one in each))
+        yield ("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
+        yield ("time in band", percent(self.time_in_band_any), *(percent(one.time_in_band) for one in each))
         wanted = (percent(one.time_on_wanted_side) for one in self.aircraft)
-        table.add_row("time on the required side", percent(self.time_on_side_any), *wanted)
-        table.add_row("time on the side it was to hold", "", *(percent(one.time_on_side) for one in each))
-        table.add_row("time unknown", "", *(percent(one.time_unknown) for one in each))
+        yield ("time on the required side", percent(self.time_on_side_any), *wanted)
+        yield ("time on the side it was to hold", "", *(percent(one.time_on_side) for one in each))
+        yield ("time unknown", "", *(percent(one.time_unknown) for one in each))
         for target in self.targets if len(self.targets) > 1 else ():
-            table.add_row(f"  {target.name}", percent(target.time_on_side_any))
-        table.add_row("longest time off the side", _seconds(self.longest_off_side_any_s))
-        table.add_row("least separation", _metres(self.min_separation_m))
-        table.add_row("least range", "", *(_metres(one.min_range_m) for one in each))
-        table.add_row("moves of the circle", "", *(str(one.moves) for one in each))
-        table.add_row("uploads, failed", "", *(f"{one.uploads}, {one.upload_failures}" for one in each))
-        table.add_row("error of the estimate (RMS)", "", *(_metres(one.estimate_rmse_m, 2) for one in each))
-        table.add_row("judged by", self.source)
-        return table
+            yield (f"  {target.name}", percent(target.time_on_side_any))
+        yield ("longest time off the side", _seconds(self.longest_off_side_any_s))
+        yield ("least separation", _metres(self.min_separation_m))
+        yield ("least range", "", *(_metres(one.min_range_m) for one in each))
+        yield ("moves of the circle", "", *(str(one.moves) for one in each))
+        yield ("uploads, failed", "", *(f"{one.uploads}, {one.upload_failures}" for one in each))
+        yield ("error of the estimate (RMS)", "", *(_metres(one.estimate_rmse_m, 2) for one in each))
+        yield ("judged by", self.source)
 
 
 def summarise_fleet(

@@ -165,8 +165,7 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
         console.print(f"{firmware}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)
         for check in found:
-            remedy = f"; {check.remedy}" if check.remedy and not check.ready else ""
-            table.add_row(check.name, "ready" if check.ready else "NOT READY", check.found + remedy)
+            table.add_row(check.name, "ready" if check.ready else "NOT READY", check.words)
         console.print(table)
         listed = Table("parameter", "value", "", box=None, pad_edge=False)
         for note in notes:

@@ -14,7 +14,7 @@ from sidelong.app.analysis.summary import Summary
 from sidelong.app.assembly import Prepared, prepared
 from sidelong.app.commands.output import console, say, warn
 from sidelong.app.commands.progress import table_progress
-from sidelong.app.config import DEMONSTRATION, Config
+from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.flight.loop import FlightDisplay
@@ -76,6 +76,8 @@ async def _recorded(
                 finally:
                     for one in aircraft:
                         one.recording.close()
+                if view is not None:
+                    view.show_end(ended.summary.rows(), ended.folder.path)
                 if ended.is_internal:
                     warn(f"this is a fault of the program; {ended.aircraft}.")
                 return _with_records_lost(ended, {one.name: one.recording.lost for one in aircraft})
@@ -124,8 +126,7 @@ async def _displayed(
     """Show the flight on the terminal, and in the browser if it has an address there."""
     fleet = settings if isinstance(settings, FleetFile) else None
     keyboard = keyboard_descriptor() if fleet is None else None
-    calm = fleet is None and settings.simulation.target == DEMONSTRATION
-    with Panel(console, quiet, keyboard, calm, fleet is not None and len(fleet.target) > 1) as panel:
+    with Panel(console, quiet, keyboard, fleet is not None and len(fleet.target) > 1) as panel:
         displays = {name: panel.of(name) for name in configs}
         if address is None:
             yield displays, panel.note, None
@@ -145,8 +146,7 @@ def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
     from sidelong.app.study.study import is_compiled  # noqa: PLC0415  # likewise
 
     if not is_compiled(config.planner.name) or config.aircraft.aircraft().has_pan_limit:
-        note("how well this requirement can be kept has not been computed yet: sidelong check does it")
-        return
+        return  # a first flight does not wait for it
     try:
         prediction = predict(config, flights=_FLIGHTS)
     except InputError as error:  # of the study alone: the flight has been checked

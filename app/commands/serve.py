@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,13 +24,13 @@ from sidelong.app.view.address import PageAddress, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.flight.loop import FlightDisplay
-    from sidelong.app.serve.resident import ServiceDisplay
+    from sidelong.app.serve.resident import Resident, ServiceDisplay
 
 
 def serve(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
     connect: Annotated[list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.")] = None,
-    view: Annotated[bool, MAP("--view", help="Serve a live map while a watch lasts.")] = False,
+    view: Annotated[bool, MAP("--view", help="Serve the live map, which begins and ends watches, too.")] = False,
     set_: SetOption = None,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
 ) -> None:
@@ -54,45 +54,94 @@ def serve(
     address = page_address(view, settings.display)
     # The flight modules take a second to load; report a wrong option first.
     from sidelong.app.process import run  # noqa: PLC0415
-    from sidelong.app.serve.resident import Resident, share_one_heap, undecorated  # noqa: PLC0415
+    from sidelong.app.serve.resident import Resident, share_one_heap  # noqa: PLC0415
 
     share_one_heap()
-
-    def log(text: str) -> None:
-        say(plain(text))
-
-    obstacle = "" if address is None else address.obstacle
-    if address is not None and obstacle:  # its network may come up later
-        where = f"{address.host}:{address.port}"
-        log(f"the live map cannot be served at {where} now ({obstacle}); watches go on without it")
 
     async def live() -> None:
         loop, stopped = asyncio.get_running_loop(), asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, stopped.set)
-        shown = undecorated if address is None else partial(_on_map, settings, address, log)
-        resident = Resident(settings, out, partial(_from_any_thread, loop, log), shown)
-        await resident.run(stopped, own_path())
-        log("sidelong serve has ended; an aircraft in flight goes on with what it flies")
+        async with contextlib.AsyncExitStack() as stack:
+            page = None if address is None else ServicePage(settings, address, stack)
+            log = say_plain if page is None else page.log
+            own = settings, out, partial(_from_any_thread, loop, log)
+            resident = Resident(*own) if page is None else Resident(*own, page.decorate, page.draw)
+            if page is not None:
+                await page.open(resident)
+            log("`sidelong watch`, the live map or a switch begins a watch; `sidelong status` shows the state")
+            await resident.run(stopped, own_path())
+        say_plain("sidelong serve has ended; an aircraft in flight goes on with what it flies")
 
     with shielded_output():
         run(live())
 
 
-@contextlib.asynccontextmanager
-async def _on_map(
-    settings: Config, address: PageAddress, log: Callable[[str], object], display: ServiceDisplay
-) -> AsyncIterator[FlightDisplay]:
-    """Show a watch on the live map too. A watch goes on without a map that cannot be served."""
-    from sidelong.app.view.display import ViewDisplay, served  # noqa: PLC0415  # as above
+def say_plain(text: str) -> None:
+    """Print a line of the log."""
+    say(plain(text))
 
-    async with contextlib.AsyncExitStack() as stack:
-        shown: FlightDisplay = display
+
+class ServicePage:
+    """The live map of a service, from its start to its end: it shows the state, and begins and ends watches.
+
+    A service goes on without a map that cannot be served; each watch tries again, for its network may come up later.
+    """
+
+    def __init__(self, settings: Config, address: PageAddress, stack: contextlib.AsyncExitStack) -> None:
+        from sidelong.app.view.display import ViewDisplay  # noqa: PLC0415  # as above
+
+        self._stack = stack
+        self._resident: Resident | None = None
+        self._view = ViewDisplay({"": _Nowhere()}, {"": settings}, address, is_service=True)
+
+    async def open(self, resident: Resident | None = None) -> None:
+        """Serve the page, if it is not served yet."""
+        from sidelong.app.view.display import served  # noqa: PLC0415  # as above
+
+        if resident is not None:
+            self._resident, self._view.service = resident, resident.request
+        if self._view.is_served:
+            return
         try:
-            shown = await stack.enter_async_context(served(ViewDisplay({"": display}, {"": settings}, address), log))
+            await self._stack.enter_async_context(served(self._view, say_plain))
         except InputError as error:
-            log(f"the watch goes on without the live map: {error}")
-        yield shown
+            self.log(f"the service goes on without the live map: {error}")
+        self.draw()
+
+    def log(self, text: str) -> None:
+        """Print a line of the log, and show it on the page."""
+        say_plain(text)
+        self._view.received(self._view, None, "note", text)
+
+    def draw(self) -> None:
+        """Show what the service does now; while a watch lasts the page follows that itself."""
+        if self._resident is None or (status := self._resident.status).state in ("watching", "yielded"):
+            return
+        checks = [(one.name, one.ready, one.words) for one in self._resident.checks]
+        last = self._resident.last
+        summary = () if last is None else list(last.summary.rows())
+        commands = () if last is None else (f"sidelong report {last.folder.path}",)
+        text = "" if checks and status.state == "waiting" else status.reason
+        self._view.show_stage(status.state, text, checks=checks, summary=summary, next=commands)
+
+    @contextlib.asynccontextmanager
+    async def decorate(self, display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
+        """Show a watch."""
+        await self.open()
+        self._view.adopt(display)
+        self._view.show_stage("taking over", "the watch begins")
+        yield self._view
+
+
+class _Nowhere:
+    """Shows nothing: between two watches the page has no other display next to it."""
+
+    def begin(self, plane: object, request: object) -> None: ...
+    def engage(self, start_s: float, duration_s: float | None) -> None: ...
+    def note(self, text: str) -> None: ...
+    def say(self, announcement: object) -> None: ...
+    def show(self, snapshot: object) -> None: ...
 
 
 def _from_any_thread(loop: asyncio.AbstractEventLoop, log: Any, text: str) -> None:

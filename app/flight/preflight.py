@@ -219,8 +219,13 @@ class Check:
     before_take_off: bool = False
     lasts: bool = False
 
+    @property
+    def words(self) -> str:
+        """What was found, and the way out when it is not ready."""
+        return self.found + (f"; {self.remedy}" if self.remedy and not self.ready else "")
+
     def __str__(self) -> str:
-        return f"{self.name}: {self.found}" + (f"; {self.remedy}" if self.remedy and not self.ready else "")
+        return f"{self.name}: {self.words}"
 
 
 def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:

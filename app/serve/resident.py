@@ -34,6 +34,7 @@ from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.loop import FlightDisplay, Wish
 from sidelong.app.flight.payload_input import payload_input
+from sidelong.app.flight.preflight import Check
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, fly
@@ -159,7 +160,19 @@ class Status:
 
 
 class Resident:
-    """One vehicle's service. log receives lines, from any thread; decorate shows each watch elsewhere, too."""
+    """One vehicle's service.
+
+    Args:
+        config: The configuration.
+        out: Where run folders are made.
+        log: Receives lines, from any thread.
+        decorate: Shows each watch elsewhere, too.
+        changed: Called when another state, reason or list of checks is to be shown.
+
+    Attributes:
+        checks: What was checked last before a watch.
+        last: The last watch that was flown.
+    """
 
     def __init__(
         self,
@@ -167,7 +180,11 @@ class Resident:
         out: Path,
         log: Callable[[str], None],
         decorate: Decorate = undecorated,
+        changed: Callable[[], object] = lambda: None,
     ) -> None:
+        self._changed = changed
+        self.checks: tuple[Check, ...] = ()
+        self.last: FlightEnded | None = None
         self._config, self._out, self._log = config, out, log
         self._decorate = decorate
         self._state, self._reason = State.WAITING, "not connected yet"
@@ -323,6 +340,9 @@ class Resident:
     async def _attend(self, stopped: asyncio.Event) -> None:
         """Stay connected, and watch as often as it is requested: a request is received at any time."""
         link = self._config.link
+        self._vehicle, self.checks = "", ()
+        if self._state is not State.FAULT:
+            self._become(State.WAITING, f"waiting for the vehicle's heartbeat at {' and '.join(link.connections)}")
         async with connected(
             link.connections,
             link.heartbeat_timeout_s,
@@ -355,6 +375,9 @@ class Resident:
                     if judging.done():
                         judging.result()
                     self._stands(standby.missing)
+                    if self.checks != standby.found:
+                        self.checks = standby.found
+                        self._changed()
             finally:
                 judging.cancel()
                 await asyncio.gather(judging, return_exceptions=True)
@@ -413,6 +436,7 @@ class Resident:
             ended = await self._flown(session, display)
             reason = ended.reason
             self._summarised(ended)
+            self.last = ended
             text = ended.summary.outcome if reason is None else str(reason)
             failed = reason is not None and not isinstance(reason, InputError)
         except (FlightError, InputError, OSError) as error:
@@ -420,7 +444,7 @@ class Resident:
         except Exception as error:  # a fault of the program, and the service goes on
             failed, text = True, f"a fault of the program: {error!r}"
         self._display = self._life = None
-        self._log(f"the watch has ended: {text}")
+        self._log(f"the watch has ended: {text}; its records: {self._run}")
         self._become(State.FAULT if failed else State.WAITING, text)
 
     async def _flown(self, session: Session, display: ServiceDisplay) -> FlightEnded:
@@ -490,6 +514,7 @@ class Resident:
         changed = state is not self._state
         self._state, self._reason = state, reason
         self._log(str(self.status))
+        self._changed()
         notify(f"STATUS={self.status}")
         if changed:
             self._inform_station(str(self.status))

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from sidelong.app.config import Config, ControlSection
 from sidelong.app.errors import InputError
-from sidelong.app.flight.preflight import FAILSAFE_STATES, SourceRates, check_takeover, checks
+from sidelong.app.flight.preflight import FAILSAFE_STATES, Check, SourceRates, check_takeover, checks
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.streams import ask_for_streams, wants_few
 from sidelong.app.link.message import Message
@@ -50,6 +50,7 @@ class Standby:
     Attributes:
         missing: What keeps the vehicle from being watched with, in words; '' where it is ready, None before the first
             check.
+        found: The latest checks.
     """
 
     def __init__(self, session: Session, config: Config) -> None:
@@ -58,6 +59,7 @@ class Standby:
         self._boot_ms = -1
         self._restarted = self._was_missing = False
         self.missing: str | None = None
+        self.found: tuple[Check, ...] = ()
         session.vehicle.listeners.append(self._on_message)
 
     async def run(self) -> None:
@@ -79,6 +81,7 @@ class Standby:
                 unmet = () if config.link.set_parameters else needed
                 found = checks(config, vehicle, autopilot, table, home, rates, unmet)
                 flying = is_flying(vehicle)
+                self.found = tuple(one for one in found if one.ready or not (flying and one.before_take_off))
                 missing = [str(one) for one in found if not (one.ready or (flying and one.before_take_off))]
                 self._judge("; ".join(missing) or self._takeover_refused())
                 if missing and time.monotonic() - asked_s > _AGAIN_S and asking.done():

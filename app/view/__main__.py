@@ -1,7 +1,7 @@
 """``python -m app.view``: serves the page; states come in on standard input, buttons go out on standard output.
 
 The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key", "map", "replay",
-"fleet"}, the first line out {"port"}. It ends when its input does.
+"fleet", "service"}, the first line out {"port"}. It ends when its input does.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import uvicorn
 from sidelong.app.view.access import Access
 from sidelong.app.view.background import Background
 from sidelong.app.view.guard import Listener
-from sidelong.app.view.server import Json, Server
+from sidelong.app.view.history import Json
+from sidelong.app.view.server import Server
 
 _LINE_MAX_BYTES = 1 << 22
 
@@ -44,7 +45,7 @@ async def _serve() -> None:
 
     under = options["map"] and Background(Path(options["map"]["path"]), zooms=options["map"]["zooms"])
     access = Access(options["host"], options["operator_token"], options["viewer_token"])
-    server = Server(access, press, under, options["replay"], options["fleet"])
+    server = Server(access, press, under, options["replay"], options["fleet"], options["service"])
     configured = uvicorn.Config(
         server.app,
         http="h11",
@@ -54,6 +55,7 @@ async def _serve() -> None:
         access_log=False,
         server_header=False,
         proxy_headers=False,  # the client address is that of the connection
+        timeout_keep_alive=30,  # a page on a stalled line comes again on the connection that it has
         timeout_graceful_shutdown=1,
         ssl_certfile=options["cert"],
         ssl_keyfile=options["key"],

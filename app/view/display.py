@@ -11,18 +11,19 @@ import tempfile
 import time
 import webbrowser
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 from sidelong.app.config import Config
 from sidelong.app.flight.loop import FlightDisplay, Wish
 from sidelong.app.view.address import PageAddress
+from sidelong.app.view.history import Json
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
-from sidelong.app.view.state import Json, StateEncoder, setting
+from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
@@ -32,7 +33,7 @@ from sidelong.mission.route.route import Route
 _SEND_EVERY_S = 0.125
 _TRAIL_STEP_S = 0.5  # of the vehicle's time
 _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
-
+_LAST_WITHIN_S = 1.0
 
 T = TypeVar("T")
 
@@ -58,8 +59,14 @@ class ShownAircraft:
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str) -> None:
-        self._inner, self._page, self.name = inner, page, name
-        self.encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
+        self._page, self.name, self._config = page, name, config
+        self.adopt(inner)
+
+    def adopt(self, inner: FlightDisplay) -> None:
+        """Show another flight, which the given display shows elsewhere."""
+        self._inner = inner
+        aircraft = self._config.aircraft
+        self.encoder = StateEncoder(aircraft.airspeed_m_s, aircraft.height_m)
         self.snapshot: Present | None = None
         self.start_s: float | None = None
         self._received_at_s = time.monotonic()
@@ -69,10 +76,12 @@ class ShownAircraft:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._inner.begin(plane, request)
         self.encoder.plane, self._request = plane, request
+        self._page.comes_to("taking over")
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)
         self.start_s = start_s
+        self._page.comes_to("flying")
 
     def note(self, text: str) -> None:
         self._inner.note(text)
@@ -119,15 +128,18 @@ class ViewDisplay(ShownAircraft):
 
     Attributes:
         requests: Receives the requests to a whole fleet; needed before a button is pressed.
+        service: Takes a request to watch or to release, and who asks; returns whether it is accepted, and a text.
 
     Args:
         displays: Another display of each aircraft, by its name; '' where there is one aircraft only.
         configs: The configuration of each aircraft, by its name.
         address: Where the page is served.
         sides: The required side of each target of a fleet.
+        is_service: Watches are begun and released on the page.
     """
 
     requests: FleetRequests
+    service: Callable[[Literal["watch", "release"], str], tuple[bool, str]]
 
     def __init__(
         self,
@@ -135,9 +147,14 @@ class ViewDisplay(ShownAircraft):
         configs: Mapping[str, Config],
         address: PageAddress,
         sides: Mapping[str, Side] = MappingProxyType({}),
+        is_service: bool = False,
     ) -> None:
         first, *others = configs
-        config = self._config = configs[first]
+        config = configs[first]
+        self._is_service, self._restarts = is_service, False
+        self._stage: Json = {"name": "preparing", "text": ""}
+        self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
+        self.trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         super().__init__(displays[first], config, self, first)
         self.url = self.viewer_url = ""
         self.address = address
@@ -147,8 +164,6 @@ class ViewDisplay(ShownAircraft):
         self._shown |= {name: ShownAircraft(displays[name], configs[name], self, name) for name in others}
         self._fleet = tuple(filter(None, configs))
         self._feed: Feed | None = None
-        self.trail: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
-        self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
         self._wanted, self._sides = self._requirement.side, dict(sides)
@@ -165,24 +180,68 @@ class ViewDisplay(ShownAircraft):
 
     def __enter__(self) -> ViewDisplay:
         """Start the server and wait for it. Raises InputError when it does not come up (port in use)."""
-        self._feed, self.url, self.viewer_url = start_page(self.address, fleet=self._fleet)
+        self._feed, self.url, self.viewer_url = start_page(self.address, fleet=self._fleet, service=self._is_service)
         self._setting = self._set()
         self.pump()
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._feed is not None:
+            self._drain(self._feed)  # so that the end is sent whole
             self.pump()
+            self._drain(self._feed)
             self._feed.close()
             self._feed = None
         if self._shading is not None:
             self._shading.close()
+
+    @property
+    def is_served(self) -> bool:
+        """Whether the page's process runs."""
+        return self._feed is not None and self._feed.alive
+
+    @staticmethod
+    def _drain(feed: Feed) -> None:
+        until_s = time.monotonic() + _LAST_WITHIN_S
+        while feed.alive and not feed.ready and time.monotonic() < until_s:
+            time.sleep(0.01)
 
     async def keep_fresh(self) -> None:
         """Keep sending the state to the page while there are no events, until cancelled."""
         while True:
             await asyncio.sleep(_SEND_EVERY_S)
             self.pump_if_due()
+
+    # -- before, between and after flights -------------------------------------------------------------------
+
+    def show_stage(self, name: str, text: str = "", **more: object) -> None:
+        """Show where the program stands when nothing is flown.
+
+        Args:
+            name: preparing, taking over, flying, ended; of a service also waiting, ready and fault.
+            text: What it does or waits for, in words.
+            more: checks (name, ready, text), summary (name, text), next (commands).
+        """
+        if self._stage != (stage := {"name": name, "text": text, **more}):
+            self._stage = stage
+            self.pump()
+
+    def comes_to(self, name: str) -> None:
+        """Come to taking over, or to flying; the first of several aircraft leads the others."""
+        if self._stage["name"] != "flying":
+            self.show_stage(name)
+
+    def show_end(self, rows: Iterable[tuple[str, ...]], folder: Path) -> None:
+        """Show what a flight came to, and what can be done with its records."""
+        commands = f"sidelong report {folder}", f"sidelong replay {folder} --view"
+        self.show_stage(
+            "ended", summary=[(name, " · ".join(filter(None, values))) for name, *values in rows], next=commands
+        )
+
+    def adopt(self, inner: FlightDisplay) -> None:
+        super().adopt(inner)
+        self.trail.clear()
+        self._restarts = True
 
     # -- from the flight -----------------------------------------------------------------------------------
 
@@ -197,13 +256,15 @@ class ViewDisplay(ShownAircraft):
         self.pump()
 
     def received(self, aircraft: ShownAircraft, time_s: float | None, kind: str, text: str) -> None:
-        """Add a message of an aircraft to the log of the page, at the time since it began to watch.
+        """Add a message of an aircraft to the log of the page; several aircraft share the clock of the first.
 
-        time_s: By its vehicle's clock.
+        time_s: By its vehicle's clock; None before it flies.
         """
-        if time_s is not None and aircraft is not self and aircraft.start_s is not None:
-            time_s = None if self.start_s is None else self.start_s + (time_s - aircraft.start_s)
+        if time_s is not None and aircraft is not self:
+            time_s = None if self.snapshot is None or self.start_s is None else self.snapshot.time_s
         self._announced.append([time_s, kind, f"{aircraft.name}: {text}" if aircraft.name else text])
+        if self._stage["name"] in ("preparing", "taking over"):
+            self.show_stage(self._stage["name"], text)
 
     # -- to and from the page ------------------------------------------------------------------------------
 
@@ -225,7 +286,7 @@ class ViewDisplay(ShownAircraft):
         if feed.send(page_line(self._update())):
             self.trail.clear()
             self._announced.clear()
-            self._setting = None
+            self._setting, self._restarts = None, False
         elif not feed.alive:
             self._inner.note("the page has stopped; the flight goes on without it")
 
@@ -256,6 +317,8 @@ class ViewDisplay(ShownAircraft):
     def _update(self) -> Json:
         self._renew_setting()
         update: Json = {
+            "made_s": time.monotonic(),
+            "stage": self._stage | {"service": self._is_service},
             "start_s": self.start_s,
             "trail": list(self.trail),
             "announcements": list(self._announced),
@@ -264,6 +327,8 @@ class ViewDisplay(ShownAircraft):
             update["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
             update["setting"] = self._setting
+        if self._restarts:
+            update["restart"] = True
         states = [self._state_of(one, one.snapshot) for one in self._shown.values() if one.snapshot is not None]
         if self._fleet:
             return update | {"fleet": states}
@@ -292,11 +357,15 @@ class ViewDisplay(ShownAircraft):
             refused = self.requests.relieve(name, who) if name in self._fleet else "there is no such aircraft"
             self._answer(f"relieving {name} refused: {refused}" if refused else f"relieve {name} by {who}")
             return
+        if action in ("watch", "release"):
+            accepted, text = self.service(action, who)
+            self._announced.append([None, "operator" if accepted else "refused", f"{action}: {text}"])
+            return
         asked = self._shown.get(press["aircraft"], self) if action == "acknowledge" else self
         if not asked.is_flown:
             self._answer(f"{action} refused: nothing is flown yet")
             return
-        self.note(f"{action} by {who}")
+        self._inner.note(f"{action} by {who}")
         if action == "acknowledge":
             asked.ask(AlarmReported(0.0, press["alarm"], "acknowledged", who=who))
         elif action == "change":
@@ -327,7 +396,10 @@ class ViewDisplay(ShownAircraft):
             self._answer(f"refused: {refused}" if refused else f"watching from the {wish.side}")
             return
         for one in self._shown.values():
-            one.ask(wish)
+            if one.is_flown:
+                one.ask(wish)
+            else:
+                self._answer(f"{one.name}: refused: it is not flown yet")
 
 
 @contextlib.contextmanager
@@ -355,13 +427,10 @@ def _shown_address(view: ViewDisplay, announce: Callable[[str], object]) -> Iter
 async def served(view: ViewDisplay, announce: Callable[[str], object]) -> AsyncIterator[ViewDisplay]:
     """Serve a page inside the context; the callback receives its address."""
     with view, _shown_address(view, announce):
-        opening = (
-            asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.address.opens_browser else None
-        )
+        if view.address.opens_browser:  # at once: the event loop may compile for a minute next
+            asyncio.get_running_loop().run_in_executor(None, webbrowser.open, view.url)
         fresh = asyncio.create_task(view.keep_fresh())
         try:
             yield view
         finally:
             fresh.cancel()
-            if opening is not None:
-                opening.cancel()

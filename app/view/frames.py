@@ -10,14 +10,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sidelong.app.analysis.replay import Replayed, announcements
-from sidelong.app.view.state import Json, StateEncoder
+from sidelong.app.view.history import Json, sample
+from sidelong.app.view.state import StateEncoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, DecisionRecord
 from sidelong.mission.route.route import Route
 
 _STEP_S, _ROUNDING_S, _SAME_S = 0.2, 0.01, 3.0
 _FRAMES_MAX = 50_000  # beyond, only every other one is kept
-_TRAIL_MAX, _WORDS_MAX, _SAMPLES_MAX, _RECENT_S = 2000, 400, 1200, 180.0
+_TRAIL_MAX, _WORDS_MAX, _SAMPLES_MAX, _RECENT_S = 600, 400, 200, 180.0
 SPEED_MAX = 1000.0
 
 
@@ -92,11 +93,15 @@ class Frames:
         )
         return [list(one) for one in self.announced[max(begin, end - _WORDS_MAX) : end]]
 
-    def states_until(self, index: int) -> list[Json]:
-        """Return states up to a frame, thinned where they are long past: what plots and the target's path need."""
-        recent = self.index(self.times_s[index] - _RECENT_S)
-        chosen = (*range(0, recent, max(1, recent // _SAMPLES_MAX)), *range(recent, index + 1))
-        return [self.state(k) for k in chosen]
+    def samples(self, begin: int, end: int) -> list[Json]:
+        """Return what plots and the target's path need of frames [begin, end), thinned where they are many.
+
+        They are few enough to be read and sent at once after a jump in a long recording.
+        """
+        recent = max(self.index(self.times_s[end - 1] - _RECENT_S), begin)
+        parts = range(begin, recent), range(recent, end)
+        chosen = [k for part in parts for k in part[:: -(-len(part) // _SAMPLES_MAX) or 1]]
+        return [sample(self.state(k)) for k in dict.fromkeys((*chosen, end - 1))]
 
     def decided_next(self, time_s: float, ahead: bool) -> float | None:
         """Return the time of the next decision to move, or of the one before; None where there is none."""
@@ -145,15 +150,17 @@ class Player:
         self._advance()
         frames, restarted = self._frames, self._sent < 0
         index, since_s = frames.index(self._at_s), -math.inf if restarted else self._sent_s
+        begin = max(self._sent + 1, 0)
         update: dict[str, Any] = {
             "start_s": frames.start_s,
-            "trail": frames.trail(max(self._sent + 1, 0), index + 1),
+            "trail": frames.trail(begin, index + 1),
+            "series": frames.samples(begin, index + 1) if begin <= index else [],
             "announcements": frames.announced_between(since_s, self._at_s),
             "state": frames.state(index),
             "replay": {"playing": self._playing, "speed": self._speed, "at_s": round(self._at_s, 2)},
         }
         if restarted:
-            update |= {"restart": True, "states": frames.states_until(index)}
+            update["restart"] = True
         if self._what_if is not None and self._what_if.times_s:
             other = self._what_if.state(self._what_if.index(self._at_s))
             update["state"]["what_if"] = {key: other[key] for key in ("proposed", "reason", "side")}

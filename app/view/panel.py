@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Self
@@ -25,8 +24,6 @@ from sidelong.mission.core.requirement import Requirement
 
 REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
-_QUIET_S = 10.0  # of the wall clock: least time between two plain lines of a simulation that runs fast
-_CALM = frozenset({"decision", "track", "plan", "sensor"})  # kinds of announcements that may be left out
 _STANDING_M_S = 0.3
 _GAUGE_CELLS = 24
 _LOW_BATTERY_PERCENT, _POOR_LINK_PERCENT = 25, 80
@@ -53,8 +50,6 @@ class Panel:
         console: Where to print.
         quiet: Print nothing.
         keyboard: File descriptor of the terminal for typed changes of a single aircraft; None: there is none.
-        calm: Without a panel, print messages that are not urgent at most every ten seconds; the live map and the
-            journal contain all messages.
         names_targets: Whether there are several targets.
     """
 
@@ -63,13 +58,10 @@ class Panel:
         console: Console,
         quiet: bool = False,
         keyboard: int | None = None,
-        calm: bool = False,
         names_targets: bool = False,
-        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.console, self.quiet, self.names_targets = console, quiet, names_targets
         self._descriptor = keyboard
-        self._calm, self._clock_s, self._printed_s = calm, clock_s, -math.inf
         self._live: Live | None = None
         self._aircraft: list[AircraftDisplay] = []
         self._typed: Keyboard | None = None
@@ -103,7 +95,6 @@ class Panel:
 
     def print(self, text: Text) -> None:
         """Print a line above the panel."""
-        self._printed_s = self._clock_s()
         if not self.quiet:
             self.console.print(text, soft_wrap=self._live is None)
 
@@ -111,11 +102,6 @@ class Panel:
     def is_live(self) -> bool:
         """Whether there is a panel; without it a line a minute is printed."""
         return self._live is not None
-
-    @property
-    def is_too_soon(self) -> bool:
-        """Whether a message that is not urgent is to be left out."""
-        return self._calm and self._live is None and self._clock_s() < self._printed_s + _QUIET_S
 
     def typed(self, ask: Callable[[Wish], None]) -> Prompt | None:
         """Return the line of typed changes, where there is a keyboard."""
@@ -165,8 +151,6 @@ class AircraftDisplay:
         terminal = self._terminal
         if announcement.kind == "alarm" and not terminal.quiet and terminal.console.is_terminal:
             terminal.console.bell()
-        if announcement.kind in _CALM and terminal.is_too_soon:
-            return
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
         text = f"{since:>7}  {self._named(plain(announcement.text))}"
         terminal.print(Text(text, style=STYLES.get(announcement.kind, "")))
@@ -174,7 +158,7 @@ class AircraftDisplay:
     def show(self, snapshot: Present) -> None:
         self._snapshot, terminal = snapshot, self._terminal
         due = not terminal.is_live and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S
-        if due and not terminal.is_too_soon:
+        if due:
             self._plain_s = snapshot.time_s
             terminal.print(Text(self._line(snapshot)))
 

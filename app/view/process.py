@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from sidelong.app.errors import InputError
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.view.address import PageAddress
+from sidelong.app.view.history import Json
 from sidelong.app.view.shading import Shading
-from sidelong.app.view.state import Json
 
 _UP_S = 30.0  # a second or two; a machine that is busy takes many times that
 _END_S = 2.0
@@ -115,13 +115,16 @@ class Feed:
             self._process.wait()
 
 
-def start_page(address: PageAddress, replay: bool = False, fleet: Sequence[str] = ()) -> tuple[Feed, str, str]:
+def start_page(
+    address: PageAddress, replay: bool = False, fleet: Sequence[str] = (), service: bool = False
+) -> tuple[Feed, str, str]:
     """Start the server and wait for it.
 
     Args:
         address: Where the page is served.
         replay: Accept only the requests of a replay's page.
         fleet: The names of the aircraft that may be relieved.
+        service: Whether watches are begun and released on the page.
 
     Returns:
         The feed to the server, and the URLs for the operator and for viewers.
@@ -135,7 +138,7 @@ def start_page(address: PageAddress, replay: bool = False, fleet: Sequence[str] 
     options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
     options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
     options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
-    options |= {"replay": replay, "fleet": list(fleet)}
+    options |= {"replay": replay, "fleet": list(fleet), "service": service}
     feed.send(page_line(options))
     try:
         ready = json.loads(feed.wait_for_line(_UP_S))

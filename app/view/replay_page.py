@@ -39,7 +39,7 @@ def serve_replay(
                 for line in feed.lines():
                     player.pressed(json.loads(line))
                 if feed.ready:
-                    update = player.update()
+                    update = player.update() | {"made_s": time.monotonic()}
                     new_shade = shading is not None and shading.is_new()
                     if not setting_sent or new_shade:
                         base = setting(config, frames.plane, name, routes=frames.routes.values())

@@ -1,4 +1,8 @@
-"""The page's server: static files, a stream of states to each browser, and the button presses.
+"""The page's server: static files, the states that each browser asks for one by one, and the button presses.
+
+A browser asks for what is newer than what it has, and its request waits until there is something. So a slow line
+drops states and never queues them. A page knows how old the shown state is at most: as old as the program's last
+message was when it was sent, and the time that the exchange took.
 
 ``sidelong.app.view.access`` controls access to the page and its buttons. Other sites cannot reach this server:
 not by another host name (Host), from another origin (Origin, Sec-Fetch-Site) or in a frame. Every request is small
@@ -10,20 +14,20 @@ This module is imported by the server's process alone and must stay quick to loa
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
 import re
 import time
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -31,8 +35,7 @@ from sidelong.app.network import Allowances
 from sidelong.app.view.access import Access
 from sidelong.app.view.background import Background, is_tile, media_type, readable_tile
 from sidelong.app.view.guard import timed
-
-Json = dict[str, Any]
+from sidelong.app.view.history import FrameHistory, Json
 
 _COOKIE = "sidelong"
 _MEDIA = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
@@ -48,67 +51,14 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
 }
+_GZIP = {"Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
 _BODY_MAX_BYTES, _BODY_WITHIN_S = 1024, 5.0
-_PAGES_MAX, _OF_ONE_CLIENT_MAX = 50, 16  # streams of states; fewer than a client has connections
-_TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
-_UNSENT_MAX = 50  # states; a browser that is further behind must reconnect
+_PAGES_MAX, _OF_ONE_CLIENT_MAX = 50, 16  # waiting requests; fewer than a client has connections
+_WAITS_S = 5.0  # for news, before it is answered that there is none
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
 _NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
 _ALARM = re.compile("[a-z]{1,20}")
-_SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
-
-
-class FrameHistory:
-    """Data for a page that is opened during the flight."""
-
-    def __init__(self, setting: Json | None = None, aircraft: int = 1) -> None:
-        self.setting: Json = setting or {}
-        self.replay: Json | None = None
-        self.present: Json = {}  # the state, or those of a fleet
-        self.start_s: float | None = None
-        self.trail: deque[list[Any]] = deque(maxlen=aircraft * _TRAIL_KEPT)
-        self.announced: deque[list[Any]] = deque(maxlen=_WORDS_KEPT)
-        self.series: deque[Json] = deque(maxlen=aircraft * _SERIES_KEPT)
-
-    def add(self, update: Json) -> None:
-        self.setting = update.get("setting", self.setting)
-        self.start_s = update["start_s"]
-        self.trail.extend(update["trail"])
-        self.announced.extend(update["announcements"])
-        self.replay = update.get("replay", self.replay)
-        self.present = {key: update[key] for key in ("state", "fleet") if key in update} or self.present
-        self.series.extend(_samples(update))
-
-    def update(self) -> Json:
-        """Return all of it as one message."""
-        return {
-            "setting": self.setting,
-            "start_s": self.start_s,
-            "trail": list(self.trail),
-            "announcements": list(self.announced),
-            "series": list(self.series),
-            "replay": self.replay,
-            **self.present,
-        }
-
-
-def _samples(update: Json) -> list[Json]:
-    """Return what the plots draw of an update."""
-    states = [update["state"]] if "state" in update else update.get("fleet", [])
-    return [_sample(state) for state in states]
-
-
-def _sample(state: Json) -> Json:
-    target, aircraft = state["target"] or {}, state["aircraft"] or {}
-    return {
-        "name": state["name"],
-        "time_s": state["time_s"],
-        "target_m": target.get("at_m"),
-        "range_m": target.get("range_m"),
-        "angle_rad": target.get("angle_rad"),
-        "bank_rad": aircraft.get("bank_rad"),
-        **{key: state[key] for key in _SERIES},
-    }
+_OF_SERVICE = frozenset({"watch", "release"})  # buttons of a service's page
 
 
 class Server:
@@ -121,21 +71,24 @@ class Server:
         under: Background | None = None,
         replay: bool = False,
         fleet: Sequence[str] = (),
+        service: bool = False,
     ) -> None:
         self._access, self._press = access, press
-        self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet))
+        self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet), service=service)
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
         self._history = FrameHistory(aircraft=max(len(fleet), 1))
-        self._pages: dict[asyncio.Queue[bytes | None], str] = {}  # the clients of the streams
+        self._news = asyncio.Event()  # set when there is some; another one for each message
+        self._waiting: Counter[str] = Counter()  # requests for news, by client
         self._requests = Allowances(burst=300.0, rate_s=50.0)
-        self._pictures = Allowances(burst=2000.0, rate_s=300.0)
+        self._often = Allowances(burst=2000.0, rate_s=300.0)  # states, and the map's pictures
         self._guesses = Allowances(burst=10.0, rate_s=0.2)
         self._presses = Allowances(burst=20.0, rate_s=5.0)
         self._files = {one.name: one.read_bytes() for one in (files("sidelong.app.view") / "page").iterdir()}
+        self._packed = {name: gzip.compress(data, mtime=0) for name, data in self._files.items()}
         routes = [
             Route("/", self._index),
-            Route("/events", self._events),
+            Route("/state", self._state),
             Route("/press", self._pressed, methods=["POST"]),
             Route("/map/{zoom:int}/{column:int}/{row:int}", self._tile),
             Route("/map", self._picture),
@@ -145,31 +98,16 @@ class Server:
         self.app = timed(self._guarded(Starlette(routes=routes)))
 
     def publish(self, update: Json) -> None:
-        """Pass a message on to every page."""
+        """Pass a message of the program on to every page."""
         if "shade" in update:
             self._shade = Path(update.pop("shade"))
-        states = update.pop("states", None)
-        if update.get("restart"):  # a replay has jumped
-            self._history = FrameHistory(self._history.setting)
-            update["series"] = [_sample(state) for state in states]
-            self._history.series.extend(update["series"])
         self._history.add(update)
-        update.setdefault("series", _samples(update))
-        event = _event({"setting": self._history.setting} | update if update.get("restart") else update)
-        for page in list(self._pages):
-            try:
-                page.put_nowait(event)
-            except asyncio.QueueFull:
-                del self._pages[page]
-                while not page.empty():
-                    page.get_nowait()
-                page.put_nowait(None)
+        self._news.set()
+        self._news = asyncio.Event()
 
     def close(self) -> None:
-        """End every page's stream."""
-        self.publish({"start_s": self._history.start_s, "trail": [], "announcements": [], "over": True})
-        for page in self._pages:
-            page.put_nowait(None)
+        """Let every page know that the program has ended."""
+        self.publish({"over": True})
 
     # -- requests ------------------------------------------------------------------------------------------
 
@@ -190,8 +128,8 @@ class Server:
         return app
 
     def _unwanted(self, request: Request) -> Response | None:
-        pictures = request.url.path.startswith(("/map", "/shade"))
-        allowances = self._pictures if pictures else self._requests
+        often = request.url.path.startswith(("/map", "/shade", "/state"))
+        allowances = self._often if often else self._requests
         if not allowances.used(_client(request), time.monotonic()):
             return PlainTextResponse("too many requests", 429)
         if not self._access.knows_host(request.headers.get("host", "")):
@@ -216,14 +154,17 @@ class Server:
                 secure = request.url.scheme == "https"
                 entered.set_cookie(_COOKIE, session, httponly=True, samesite="strict", secure=secure)
                 return entered
-        return self._refused(request) or self._static("index.html")
+        return self._refused(request) or self._static("index.html", request)
 
     async def _file(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return self._static(name) if name in self._files else PlainTextResponse("not found", 404)
+        return self._static(name, request) if name in self._files else PlainTextResponse("not found", 404)
 
-    def _static(self, name: str) -> Response:
-        return Response(self._files[name], media_type=_MEDIA[name.rpartition(".")[2]])
+    def _static(self, name: str, request: Request) -> Response:
+        media = _MEDIA[name.rpartition(".")[2]]
+        if _takes_gzip(request):
+            return Response(self._packed[name], media_type=media, headers=_GZIP)
+        return Response(self._files[name], media_type=media)
 
     async def _tile(self, request: Request) -> Response:
         at = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
@@ -235,21 +176,24 @@ class Server:
     async def _shading(self, request: Request) -> Response:
         return _shown(_content(self._shade))
 
-    async def _events(self, request: Request) -> Response:
-        client, clients = _client(request), list(self._pages.values())
-        if len(clients) >= _PAGES_MAX or clients.count(client) >= _OF_ONE_CLIENT_MAX:
-            return PlainTextResponse("too many live maps are open; close one and load this page again", 503)
-        return StreamingResponse(self._stream(client), media_type="text/event-stream")
-
-    async def _stream(self, client: str) -> AsyncIterator[bytes]:
-        page: asyncio.Queue[bytes | None] = asyncio.Queue(_UNSENT_MAX)
-        self._pages[page] = client
-        try:
-            yield _event(self._history.update() | {"restart": True})
-            while (event := await page.get()) is not None:
-                yield event
-        finally:
-            self._pages.pop(page, None)
+    async def _state(self, request: Request) -> Response:
+        """Answer with what is newer than the page has, as soon as there is something."""
+        client, have, since_s = _client(request), request.query_params.get("have", ""), time.monotonic()
+        if have == self._history.cursor:
+            if self._waiting.total() >= _PAGES_MAX or self._waiting[client] >= _OF_ONE_CLIENT_MAX:
+                return PlainTextResponse("too many live maps are open; close one and load this page again", 503)
+            self._waiting[client] += 1
+            try:
+                await asyncio.wait_for(self._news.wait(), _WAITS_S)
+            except TimeoutError:
+                pass
+            finally:
+                self._waiting -= Counter({client: 1})  # drops those at zero
+        answer = self._history.since(have) | {"held_s": round(time.monotonic() - since_s, 3)}
+        data = json.dumps(answer, separators=(",", ":")).encode()
+        if _takes_gzip(request):
+            return Response(gzip.compress(data, 5, mtime=0), media_type="application/json", headers=_GZIP)
+        return Response(data, media_type="application/json")
 
     async def _pressed(self, request: Request) -> Response:
         # A page of another origin can neither send this content type unasked nor leave out or forge its Origin.
@@ -286,17 +230,20 @@ def _shown(data: bytes | None) -> Response:
     return Response(data, media_type=media_type(data), headers={"Cache-Control": "private, max-age=3600"})
 
 
-def button_of(press: Json, fleet: frozenset[str] = frozenset()) -> Json:
+def button_of(press: Json, fleet: frozenset[str] = frozenset(), *, service: bool = False) -> Json:
     """Return the known part of a request from a flight's page.
 
     Args:
         press: The request as it came.
         fleet: The names of the aircraft that may be relieved.
+        service: Whether watches are begun and released on the page.
 
     Raises:
         ValueError, TypeError, KeyError, AttributeError: The page of this flight has no such button.
     """
     action = press["action"]
+    if service and action in _OF_SERVICE:
+        return {"action": action}
     if action == "relieve":
         name = press["name"]
         if name not in fleet:
@@ -334,6 +281,10 @@ def replay_button_of(press: Json) -> Json:
     return {"action": action, "value": value}
 
 
+def _takes_gzip(request: Request) -> bool:
+    return "gzip" in request.headers.get("accept-encoding", "")
+
+
 def _client(request: Request) -> str:
     return request.client.host if request.client is not None else "?"
 
@@ -350,7 +301,3 @@ async def _body(request: Request) -> bytes | None:
     except TimeoutError:
         return None
     return body
-
-
-def _event(update: Json) -> bytes:
-    return b"data: " + json.dumps(update, separators=(",", ":")).encode() + b"\n\n"

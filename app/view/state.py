@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, fields
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from sidelong.app.analysis.score import GAP_MAX_S
 from sidelong.app.config import AircraftSection, Config, RequirementSection
+from sidelong.app.view.history import Json
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present, VehicleStatus
 from sidelong.mission.core.path import Path
@@ -23,8 +23,6 @@ from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.route.progress import RouteProgress
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.side_policy import side_words
-
-Json = dict[str, Any]
 
 
 def _limits(section: type[BaseModel], name: str) -> list[float]:
@@ -89,6 +87,13 @@ def _origin(plane: LocalPlane) -> Json:
         "east_m_per_deg": round(east_m * 100.0, 2),
         "north_m_per_deg": round(north_m * 100.0, 2),
     }
+
+
+def _inputs(snapshot: Present) -> list[str]:
+    """Return the inputs that are not ok and have no alarm, which states its own age."""
+    alarms = snapshot.vehicle.alarms if snapshot.vehicle else ()
+    keys = {alarm.key for alarm in alarms}
+    return [] if "target" in keys else [one for one in snapshot.impaired_inputs if one.split()[0] not in keys]
 
 
 def _vehicle(vehicle: VehicleStatus) -> Json:
@@ -182,7 +187,7 @@ class StateEncoder:
             "alarms": [{"aircraft": name, **asdict(alarm)} for alarm in (vehicle.alarms if vehicle else ())],
             "over": snapshot.over,
             "unknown": snapshot.unknown,
-            "inputs": list(snapshot.impaired_inputs),
+            "inputs": _inputs(snapshot),
             "route": None if snapshot.route is None else _route(snapshot.route),
             "share_in_band": _number(self._shares.in_band, 3),
             "share_on_side": _number(self._shares.on_side, 3),
@@ -232,6 +237,7 @@ class StateEncoder:
             "quality": estimate.quality,
             "why": estimate.reason,
             "unseen_s": _number(snapshot.time_s - estimate.last_sighting_s, 1),
+            "stands": snapshot.stands,
             "range_m": _number(snapshot.range_m, 1),
             "angle_rad": _number(snapshot.angle_rad, 4),
             "in_band": snapshot.in_band,

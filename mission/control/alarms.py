@@ -181,6 +181,7 @@ class _Rule:
     key: str
     text: Callable[[Alarms, Present], str]
     advice: str
+    held: str = ""  # the advice while the circle is held, if another one
     after_s: float = 0.0
     clear_s: float = 2.0
     sure: Callable[[Present], bool] = lambda _now: True
@@ -236,12 +237,13 @@ class Alarms:
         text = rule.text(self, now)
         countdown_s = now.gives_up_in_s if rule.key == "target" else None
         if text:
+            advice = rule.held if rule.held and now.phase is Phase.HOLDING else rule.advice
             self._right_since_s.pop(rule.key, None)
             wrong_since_s = self._wrong_since_s.setdefault(rule.key, now.time_s)
             if before is not None:
-                return replace(before, text=text, countdown_s=countdown_s)
+                return replace(before, text=text, advice=advice, countdown_s=countdown_s)
             if now.time_s - wrong_since_s >= rule.after_s and rule.sure(now):
-                return Alarm(rule.key, text, rule.advice, now.time_s, countdown_s)
+                return Alarm(rule.key, text, advice, now.time_s, countdown_s)
             return None
         self._wrong_since_s.pop(rule.key, None)
         right_since_s = self._right_since_s.setdefault(rule.key, now.time_s)
@@ -253,9 +255,15 @@ class Alarms:
         return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
 
 
+def _duration(time_s: float) -> str:
+    """Return a time in words: seconds, or m:ss from a minute and a half on."""
+    whole_s = round(max(time_s, 0.0))
+    return f"{whole_s} s" if whole_s < 90 else f"{whole_s // 60}:{whole_s % 60:02d} min"
+
+
 def _link(_alarms: Alarms, now: Present) -> str:
     silent_s = 0.0 if now.vehicle is None else now.vehicle.silent_s
-    return "" if now.connected else f"nothing received from the aircraft for {silent_s:.0f} s; it keeps circling"
+    return "" if now.connected else f"nothing received from the aircraft for {_duration(silent_s)}; it keeps circling"
 
 
 def _yielded(_alarms: Alarms, now: Present) -> str:
@@ -269,11 +277,11 @@ def _separation(_alarms: Alarms, now: Present) -> str:
 def _target(_alarms: Alarms, now: Present) -> str:
     if not now.phase.in_control or now.unseen_s is None or not (now.is_lost or now.unseen_s >= _UNSEEN_S):
         return ""
-    text = f"the target has not been seen for {now.unseen_s:.0f} s"
+    text = f"the target has not been seen for {_duration(now.unseen_s)}"
     if now.gives_up_in_s is None:
         return text
     does = "flies home" if now.give_up_action == "return" else "stays on its circle and the mission ends"
-    return f"{text}; the aircraft {does} in {max(now.gives_up_in_s, 0.0):.0f} s"
+    return f"{text}; the aircraft {does} in {_duration(now.gives_up_in_s)}"
 
 
 def _band(alarms: Alarms, now: Present) -> str:
@@ -358,16 +366,24 @@ _INPUTS = {
     Input.TERRAIN: "fly higher, or check the elevation data",
     Input.NEIGHBOURS: "watch the separation from the other aircraft",
 }
+_HELD = "press Resume: while you hold the circle it is not relocated"
 _RULES = (
     _Rule("yield", _yielded, "you, or another station, fly the aircraft; resume to let sidelong watch on"),
     _Rule("separation", _separation, "change the height of one of the two, or take over", clear_s=0.0),
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
     _Rule("charge", _charge, "check the battery's sensor, and watch its voltage", after_s=2.0),
-    _Rule("target", _target, "point the camera at the target, or press Hold to keep circling here"),
+    _Rule(
+        "target",
+        _target,
+        "point the camera at the target, or press Hold to keep circling here",
+        held="point the camera at the target; the aircraft keeps circling here until you press Resume",
+    ),
     *(_Rule(watched.value, _input(watched), advice, clear_s=0.0) for watched, advice in _INPUTS.items()),
     _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),
-    _Rule("band", _band, "wait for the next relocation, or change the band or the circle", after_s=2.0),
-    _Rule("side", _side, "wait for the next relocation, or change the side", after_s=20.0, sure=_well_beyond_side),
+    _Rule("band", _band, "wait for the next relocation, or change the band or the circle", _HELD, after_s=2.0),
+    _Rule(
+        "side", _side, "wait for the next relocation, or change the side", _HELD, after_s=20.0, sure=_well_beyond_side
+    ),
 )
 ALARM_KEYS = tuple(rule.key for rule in _RULES)

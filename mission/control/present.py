@@ -17,6 +17,8 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
 from sidelong.mission.route.progress import RouteProgress
 
+_STANDING_M_S = 0.3  # a slower target's course is noise
+
 
 class Phase(StrEnum):
     """Where the mission stands."""
@@ -183,8 +185,19 @@ class Present:
         return None if self.from_target_m is None else math.hypot(*self.from_target_m)
 
     @property
+    def stands(self) -> bool:
+        """Whether the target has made no course good, and its speed is not known to differ from none (2 sigma)."""
+        estimate = self.estimate
+        if estimate is None or self.course_rad is not None:
+            return False
+        sigma_m_s = math.sqrt(max(float(estimate.covariance[2, 2]), float(estimate.covariance[3, 3]), 0.0))
+        return estimate.speed_m_s < max(_STANDING_M_S, 2.0 * sigma_m_s)
+
+    @property
     def watch_course_rad(self) -> float | None:
-        """The target's course that defines the sides: the present one until it has made one good."""
+        """The target's course that defines the sides: the present one until it has made one good; None: it stands."""
+        if self.stands:
+            return None
         return self.present_course_rad if self.course_rad is None else self.course_rad
 
     @property

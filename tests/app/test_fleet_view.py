@@ -205,12 +205,21 @@ def test_the_routes_are_sent_again_only_when_one_changes(view, snapshot):
     assert [line[0] for line in shown._update()["setting"]["routes"]] == [[0.0, 0.0]]
 
 
-def test_messages_of_the_others_are_logged_by_the_time_since_their_own_start(view, snapshot):
+def test_all_messages_are_logged_by_the_clock_of_the_first_aircraft(view, snapshot):
     shown, _ = view
-    shown.of("plane").engage(100.0, None)
+    shown.of("plane").engage(snapshot.time_s - 30.0, None)
+    shown.of("plane").show(snapshot)
     shown.of("wing").engage(500.0, None)
     shown.of("wing").say(Announce(530.0, "decision", "moving"))
-    assert shown._announced[-1] == [130.0, "decision", "wing: moving"]
+    assert shown._announced[-1] == [snapshot.time_s, "decision", "wing: moving"]
+
+
+def test_an_aircraft_that_is_not_flown_answers_that_it_is_not(view, snapshot):
+    shown, wishes = view
+    shown.of("plane").show(snapshot)
+    shown._pressed({"action": "hold", "side": None, "who": "operator 1"})
+    assert [len(one) for one in wishes.values()] == [1, 0]
+    assert shown._announced[-1][2] == "wing: refused: it is not flown yet"
 
 
 BATTERIES = {"plane": 74, "wing": 20}

@@ -30,9 +30,7 @@ attempt("press", {{ method: "POST", mode: "no-cors", body: '{{"action":"end"}}' 
 attempt("press", {{ method: "POST", body: '{{"action":"end"}}', headers: {{ "Content-Type": "application/json" }} }});
 attempt("", {{}});
 attempt("", {{ mode: "no-cors" }});
-const stream = new EventSource("{url}events");
-stream.onmessage = (event) => window.read.push(event.data);
-stream.onerror = () => {{ stream.close(); over(); }};
+attempt("state", {{}});
 document.getElementById("form").submit();
 document.getElementsByName("answer")[0].onload = over;
 </script>"""

@@ -123,6 +123,7 @@ def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
         {"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0, map=under)
     ) as display:
         display.begin(PLANE, lambda _wish: None)
+        display.engage(100.0, None)
         for _, _, controller in flight(5.0):
             display.show(controller.snapshot())
         display.pump()
@@ -130,8 +131,10 @@ def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
         page.goto(display.url)
         page.locator("#map .tile").first.wait_for(state="attached")
         page.wait_for_function("[...document.querySelectorAll('#map .tile')].every((one) => one.getBBox().width > 0)")
-        box = page.locator(f"#map .tile[href='map/{ZOOM}/{COLUMN}/{ROW}']").bounding_box()
-        ring = page.locator("#map .ring").nth(1).bounding_box()  # 1 km across, about the target
+        names = f"#map .tile[href='map/{ZOOM}/{COLUMN}/{ROW}']", "#map .ring + .ring"  # a ring 1 km across, at the target
+        box, ring = page.evaluate(
+            "all => all.map((name) => document.querySelector(name).getBoundingClientRect().toJSON())", names
+        )
         target_m = controller.estimate.position_m(controller.time_s)
         page.context.close()
     px_per_m = ring["width"] / 1000.0

@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import time
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -81,6 +83,7 @@ def module_display(snapshots):
 def display(module_display, snapshots):
     """Return the display, showing the flight's last snapshot."""
     module_display.show(snapshots[-1][0])
+    module_display._received_at_s = time.monotonic() + 60.0  # the aircraft's messages go on
     module_display.pump()
     return module_display
 
@@ -98,10 +101,13 @@ def page(browser, display, snapshots):
 
 
 @contextmanager
-def opened(browser, display, size=(1400, 860), scheme="light"):
+def opened(browser, display, size=(1400, 860), scheme="light", gone=False, ages=False):
+    """Open a page. gone: its program ends, so that requests fail; ages: what it shows becomes old."""
     viewport = {"width": size[0], "height": size[1]}
     # axe is put into the page, which allows no script but its own: only that is lifted.
     page = browser.new_context(viewport=viewport, color_scheme=scheme, bypass_csp=True).new_page()
+    if not ages:
+        page.add_init_script("performance.now = () => 1e6; Date.now = () => 1e12;")
     complaints: list[str] = []
     asked: list[str] = []
     page.on("console", lambda message: complaints.append(message.text))
@@ -110,7 +116,7 @@ def opened(browser, display, size=(1400, 860), scheme="light"):
     page.goto(display.url)
     page.locator("#phase", has_text="watching").wait_for()
     yield page
-    assert complaints == []
+    assert [one for one in complaints if not (gone and "Failed to load resource" in one)] == []
     assert all(url.startswith((display.url, "data:")) for url in asked)
     page.context.close()
 
@@ -169,7 +175,6 @@ def test_the_map_is_to_scale(page, snapshots):
 def test_map_and_plots_show_what_there_is(page):
     for name in (
         "ellipse.ellipse",
-        "polyline.trail",
         "polyline.predicted",
         "path.side",
         "polygon.keep-in",
@@ -177,6 +182,7 @@ def test_map_and_plots_show_what_there_is(page):
     ):
         assert page.locator(f"#map {name}").count() == 1, name
         assert page.locator(f"#map {name}").bounding_box()["width"] > 0, name
+    assert page.locator("#map .trail polyline.a0").bounding_box()["width"] > 0
     page.locator("#engineers summary").click()
     plots = page.locator(":is(#plots, #inner-plots) svg")
     assert plots.count() == 5
@@ -198,18 +204,18 @@ def test_decisions_are_reported_in_plain_words_newest_first(page, snapshots):
     assert all(text in line for text, line in zip(reversed(announced), shown, strict=True))
 
 
-def test_the_range_on_the_tile_is_that_of_the_flight(page, snapshots):
+def test_the_range_of_the_indicator_is_that_of_the_flight(page, snapshots):
     last = snapshots[-1][0]
     range_m = math.hypot(last.aircraft.east_m - last.estimate.east_m, last.aircraft.north_m - last.estimate.north_m)
-    shown = page.locator("#key-tiles div", has_text="range").locator("dd").inner_text()
-    assert float(shown.removesuffix(" m")) == pytest.approx(range_m, abs=4.0)
+    shown = re.search(r"now: (\d+) m", page.locator("#band span").inner_text())[1]
+    assert float(shown) == pytest.approx(range_m, abs=4.0)
 
 
 def test_the_vehicle_s_state_is_on_tiles(page):
     page.locator("#more summary").click()
     for name, text, look in (
         ("battery", "19 %", "bad"),
-        ("must leave in", "18 min", ""),
+        ("fly home in", "18 min", ""),
         ("voltage", "10.9\u00a0V", ""),
         ("GPS", "3D, 11 satellites", ""),
         ("link", "97 %, 120\u00a0ms", ""),
@@ -330,10 +336,16 @@ def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, wi
 
 
 def test_when_the_flight_s_program_ends_the_page_reports_so(browser, snapshots):
-    with display_of(snapshots) as display, opened(browser, display) as page:
+    with display_of(snapshots) as display, opened(browser, display, gone=True) as page:
+        display.show_end([("outcome", "completed"), ("time in band", "98 %")], Path("runs/x"))
         display.__exit__(None, None, None)
-        page.locator("#news", has_text="Reload the page").wait_for()
+        page.locator("#stage h2", has_text="The flight has ended").wait_for()
+        assert "98 %" in page.locator("#summary").inner_text()
+        assert page.locator("#next code").all_inner_texts() == ["sidelong report runs/x", "sidelong replay runs/x --view"]
         assert page.locator("#buttons button:enabled").count() == 0
+        page.locator("#band.unknown").wait_for()
+        assert page.locator(".good").filter(visible=True).count() == 0
+        assert not page.locator("#day").is_visible()
 
 
 def test_the_map_can_be_dragged_and_brought_back(page):
@@ -417,6 +429,107 @@ def test_everybody_can_read_it(browser, display, scheme, size, alarms):
         assert width <= size[0]
 
 
+# -- age ------------------------------------------------------------------------------------------------------------
+
+
+def test_data_become_old_by_their_own_age_and_nothing_old_is_green(browser, display):
+    with opened(browser, display, ages=True) as page:
+        page.clock.install()
+        page.reload()
+        page.locator("#band.good").wait_for()
+        page.clock.run_for(4000)  # no message of the program
+        page.locator("#band.unknown").wait_for()
+        assert page.locator(".good").filter(visible=True).count() == 0
+        assert "No news from sidelong for 0:0" in page.locator("#news").inner_text()
+        page.get_by_role("button", name="Hold", exact=True).click()
+        assert "old: the aircraft may be elsewhere" in page.locator("#question").inner_text()
+        page.keyboard.press("n")
+        good = page.locator("#band.good")
+        while not good.is_visible():  # the request that waited while the clock was set counts as slow
+            display.pump()
+            with suppress(NotYet):
+                good.wait_for(timeout=500.0)
+
+        def late(route):
+            answer = route.fetch()
+            page.clock.run_for(20_000)  # it lies in the line
+            route.fulfill(response=answer)
+
+        page.route("**/state*", late)
+        unknown = page.locator("#band.unknown")
+        while not unknown.is_visible():
+            display.pump()
+            with suppress(NotYet):
+                unknown.wait_for(timeout=500.0)
+        page.unroute("**/state*")
+
+
+def test_what_an_aircraft_sent_long_ago_is_old_however_fast_the_line_is(browser, display):
+    with opened(browser, display) as page:
+        page.locator("#band.good").wait_for()
+        display._received_at_s = time.monotonic() - 4.0
+        display.pump()
+        page.locator("#band.unknown").wait_for()
+        assert "All below is from" in page.locator("#seen").inner_text()
+
+
+# -- before, between and after flights ------------------------------------------------------------------------------
+
+
+def fresh_display(**options):
+    return ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0), **options)
+
+
+def test_before_a_flight_the_page_shows_what_is_prepared_and_how_far_it_is(browser):
+    with fresh_display() as display:
+        display.note("compiling planner and filter: 40 %")
+        page = browser.new_page()
+        page.goto(display.url)
+        page.locator("#stage h2", has_text="Preparing").wait_for()
+        assert page.locator("#stage progress").get_attribute("value") == "40"
+        assert not page.locator("#news").is_visible()
+        display.begin(PLANE, lambda _request: None)
+        display.note("taking off")
+        page.locator("#stage h2", has_text="Taking the aircraft over").wait_for()
+        assert "taking off" in page.locator("#stage-text").inner_text()
+        assert page.locator("#phase").inner_text() == "taking over"
+        page.close()
+
+
+def test_a_service_is_watched_and_released_on_its_page(browser):
+    asked = []
+    with fresh_display(is_service=True) as display:
+        display.service = lambda request, who: asked.append((request, who)) or (True, "the watch begins")
+        checks = [("position", True, "3D fix"), ("home", False, "not known; wait for the GPS")]
+        display.show_stage("waiting", checks=checks)
+        page = browser.new_page()
+        page.goto(display.url)
+        page.locator("#checks .bad", has_text="home: not known; wait for the GPS").wait_for()
+        assert not page.get_by_role("button", name="Watch").is_enabled()
+        display.show_stage("ready", checks=checks[:1])
+        page.get_by_role("button", name="Watch").click()
+        page.locator("#ask").get_by_role("button", name="Yes").click()
+        while not asked:
+            display.pump()
+        assert asked == [("watch", "operator at this machine")]
+        display.pump()
+        page.locator("#answer.accepted", has_text="watch: the watch begins").wait_for()
+        assert not page.get_by_role("button", name="End", exact=True).is_visible()
+        page.close()
+
+
+def test_a_target_that_stands_has_no_side(page, display, snapshots):
+    last = snapshots[-1][0]
+    still = replace(last.estimate, velocity_east_m_s=0.05, velocity_north_m_s=-0.02)
+    display.show(replace(last, estimate=still, course_rad=None))
+    display.pump()
+    page.locator("#side", has_text="NO SIDE YET").wait_for()
+    assert "now: the target stands" in page.locator("#side span").inner_text()
+    assert page.locator("#map path.side").get_attribute("d") == ""
+    assert not page.locator("#map .target-course").is_visible()
+    assert "keeps its range until it moves" in page.locator("#seen").inner_text()
+
+
 # -- what matters first ---------------------------------------------------------------------------------------------
 
 
@@ -474,7 +587,7 @@ def test_anything_not_known_is_grey(page, display, snapshots, unknown):
     display.pump()
     page.locator("#band.unknown").wait_for()
     assert page.locator("#side.unknown strong").inner_text() == "SIDE UNKNOWN"
-    assert page.locator("#phase").get_attribute("class") == ("chip good" if unknown == "unseen" else "chip bad")
+    assert page.locator("#phase").get_attribute("class") == ("chip good" if unknown == "unseen" else "chip ")
 
 
 CONTRAST = """element => {
@@ -572,8 +685,8 @@ def test_an_alarm_sounds_until_it_is_muted_or_acknowledged(page, display):
     page.locator("#map").click()  # a browser makes no sound before
     with alarmed(display, LOST):
         page.wait_for_function("window.tones > 0")
-        page.get_by_role("button", name="Sound on").click()
-        assert page.get_by_role("button", name="Sound off").get_attribute("aria-pressed") == "true"
+        page.get_by_role("button", name="Sound: on").click()
+        assert page.get_by_role("button", name="Sound: off").get_attribute("aria-pressed") == "true"
 
 
 def test_a_yield_is_explained_with_what_to_do_next(page, display, snapshots):
@@ -606,9 +719,19 @@ def test_the_form_knows_the_limits(page):
     page.get_by_role("button", name="Change…").click()
     radius = page.get_by_label("Radius of the circle, m", exact=True)
     assert (radius.get_attribute("min"), radius.get_attribute("max")) == ("10", "2000")
+    refused = page.get_by_role("button", name="Change", exact=True)
     radius.fill("5")
-    page.get_by_role("button", name="Change", exact=True).click()
-    assert page.locator("#change").is_visible()  # the browser refuses it
+    refused.click()
+    assert page.locator("#change").is_visible()
+    radius.fill("50,5")  # a decimal comma is one
+    page.get_by_label("Least range, m").fill("600")
+    refused.click()
+    assert page.locator("#change").is_visible()  # beyond the greatest range
+    page.get_by_label("Least range, m").fill("100")
+    refused.click()
+    page.locator("#question", has_text="radius 50.5 m instead of 50 m?").wait_for()
+    page.keyboard.press("n")
+    page.get_by_role("button", name="Change…").click()
     page.locator("#change").get_by_role("button", name="Leave as it is").click()
 
 
@@ -652,9 +775,9 @@ def test_a_position_is_shown_in_each_format(page, coordinates, text):
 
 
 def test_units_are_chosen_by_key_and_kept(page, display, snapshots):
-    metres = float(page.locator("#key-tiles dd").first.inner_text().split()[0])
+    metres = float(page.locator("#now dd").first.inner_text().split()[0])
     page.keyboard.press("u")
-    feet, unit = page.locator("#key-tiles dd").first.inner_text().split()
+    feet, unit = page.locator("#now dd").first.inner_text().split()
     assert unit == "ft"
     assert float(feet) == pytest.approx(metres / 0.3048, abs=2.0)
     assert "ft" in page.locator("#band span").inner_text()
@@ -662,7 +785,7 @@ def test_units_are_chosen_by_key_and_kept(page, display, snapshots):
     place = page.locator(".place[data-of=target]").inner_text().translate(PRIMES)
     assert re.fullmatch(r"""target 47°\d\d'\d\d\.\d"N 008°\d\d'\d\d\.\d"E""", place)
     page.reload()
-    page.locator("#key-tiles dd", has_text="ft").first.wait_for()
+    page.locator("#now dd", has_text="ft").first.wait_for()
 
 
 def test_a_change_typed_in_feet_is_sent_in_metres(page, display, snapshots):
@@ -703,4 +826,4 @@ def test_help_lists_the_keys_and_the_map_shows_home(browser, display, size):
         page.get_by_label("Units").select_option("imperial")
         assert Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa"]}).violations_count == 0
         page.keyboard.press("Escape")
-        page.locator("#key-tiles dd", has_text="ft").first.wait_for()
+        page.locator("#now dd", has_text="ft").first.wait_for()

@@ -6,7 +6,8 @@ import asyncio
 import json
 import re
 import socket
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from http.client import HTTPConnection
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPCookieProcessor, OpenerDirector, Request, build_opener, urlopen
@@ -90,8 +91,7 @@ def test_the_browser_is_ordered_to_load_nothing_from_elsewhere(shown):
 
 def test_a_page_that_opens_late_is_reported_what_was_before(shown):
     shown.pump()
-    with urlopen(f"{shown.url}events") as stream:
-        update = json.loads(stream.readline().removeprefix(b"data: "))
+    update = json.loads(urlopen(f"{shown.url}state").read())
     assert update["restart"]
     assert update["setting"]["band_m"] == [100.0, 500.0]
     assert len(update["trail"]) == pytest.approx(120, abs=2)
@@ -99,15 +99,28 @@ def test_a_page_that_opens_late_is_reported_what_was_before(shown):
     assert update["state"]["target"]["quality"] == "good"
 
 
+def test_a_page_is_sent_only_what_it_has_not(shown):
+    shown.pump()
+    first = json.loads(urlopen(f"{shown.url}state").read())
+    shown.note("something")
+    second = json.loads(urlopen(f"{shown.url}state?have={first['at']}").read())
+    assert "restart" not in second
+    assert "setting" not in second
+    assert second["trail"] == []
+    assert [text for _, _, text in second["announcements"]] == ["something"]
+
+
 def test_a_client_with_many_open_maps_learns_why_it_sees_no_other():
     with ExitStack() as stack:
         shown = stack.enter_context(display_at("127.0.0.1"))
-        streams = [stack.enter_context(urlopen(f"{shown.url}events")) for _ in range(16)]
-        for stream in streams:
-            assert stream.readline()
-        assert status(shown.url) == 200
+        have = json.loads(urlopen(f"{shown.url}state").read())["at"]
+        host = urlsplit(shown.url)
+        for _ in range(16):  # each waits for news
+            client = stack.enter_context(closing(HTTPConnection(host.hostname, host.port)))
+            client.request("GET", f"/state?have={have}")
         with pytest.raises(HTTPError) as refused:
-            urlopen(f"{shown.url}events")
+            while True:  # the sixteen may not have been taken yet
+                urlopen(f"{shown.url}state?have={have}", timeout=0.2)
         assert (refused.value.code, refused.value.read()) == (
             503,
             b"too many live maps are open; close one and load this page again",
@@ -117,7 +130,7 @@ def test_a_client_with_many_open_maps_learns_why_it_sees_no_other():
 def test_a_foreign_name_for_this_machine_is_refused(shown):
     port = urlsplit(shown.url).port
     assert status(shown.url, headers={"Host": f"evil.example:{port}"}) == 403
-    assert status(f"{shown.url}events", headers={"Host": f"evil.example:{port}"}) == 403
+    assert status(f"{shown.url}state", headers={"Host": f"evil.example:{port}"}) == 403
 
 
 def test_buttons_come_back_as_requests_at_the_vehicle_s_time(shown):
@@ -184,7 +197,7 @@ def test_a_button_before_anything_flies_is_answered_in_words(capsys):
 
 def test_off_loopback_everything_asks_for_the_token(guarded):
     base = guarded.url.partition("?")[0]
-    assert [status(base + name) for name in ("", "page.js", "events")] == [403, 403, 403]
+    assert [status(base + name) for name in ("", "page.js", "state")] == [403, 403, 403]
     assert status(f"{base}?token=guess") == 403
     headers = {"Origin": base.rstrip("/"), "Content-Type": "application/json"}
     assert status(f"{base}press", data=b'{"action":"end"}', headers=headers) == 403

@@ -36,7 +36,7 @@ export class AlarmList {
   }
 
   label() {
-    this.mute.textContent = this.muted ? "Sound off" : "Sound on";
+    this.mute.textContent = this.muted ? "Sound: off" : "Sound: on";
   }
 
   wake() {

@@ -38,10 +38,11 @@ export class Fleet {
     this.select(this.states[(at + 1) % this.states.length].name);
   }
 
-  draw() {
+  // old: what is shown is not of now.
+  draw(old) {
     this.root.hidden = !this.states.length;
     for (const state of this.states) this.row(state);
-    this.drawHeld();
+    this.drawHeld(old);
   }
 
   // Rows are changed in place: a row that is made again moves away from the finger and the focus.
@@ -74,12 +75,13 @@ export class Fleet {
   }
 
   // Which aircraft hold the required side of each target.
-  drawHeld() {
+  drawHeld(old) {
     const targets = [...new Set(this.states.map((one) => one.target?.name))].filter((name, _, all) => name || all.length === 1);
     const lines = targets.map((name) => {
       const own = this.states.filter((one) => one.target?.name === name);
       const holds = own.filter((one) => one.target?.on_side && one.target.in_band && one.side === one.wanted);
       const known = own.some((one) => typeof one.target?.on_side === "boolean");
+      if (old) return [`${name ? `${name}: ` : ""}required side ${own[0].wanted}`, "unknown"];
       const held = holds.length ? `held by ${holds.map((one) => one.name).join(", ")}` : known ? "held by no aircraft" : "unknown";
       return [`${name ? `${name}: ` : ""}required side ${own[0].wanted}, ${held}`, holds.length ? "good" : known ? "bad" : "unknown"];
     });

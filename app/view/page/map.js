@@ -9,6 +9,8 @@ const TRAIL_KEPT = 2400;
 const SCALE_PX = 120;
 const NAME_PX = [130, 17]; // room of a name, width and height
 const AIRCRAFT = "M0 -11 L8 9 L0 4 L-8 9 Z";
+const COURSE = "M0 -17 L6 -7 L-6 -7 Z"; // of the target, ahead of its symbol
+const [AGES, AGE_S] = [8, 60]; // a track fades in so many steps of so many seconds
 const EQUATOR_M_PER_PX = 156543.034; // of zoom 0, at 256 px a tile
 const TILES_MAX = 80;
 const KEY_PAN = 0.15; // of the map's width
@@ -69,8 +71,9 @@ export class FlightMap {
     this.routes = svg("g", {}, this.ground);
     this.side = svg("path", { class: "side" }, this.about);
     this.rings = [0, 1].map(() => svg("circle", { class: "ring" }, this.about));
-    this.trailLine = shape("polyline", "trail");
-    this.targetLine = shape("polyline", "target-trail");
+    const track = (kind) => { const group = shape("g", kind); return [...Array(AGES).keys()].map((k) => svg("polyline", { class: `a${k}` }, group)); };
+    this.trailLines = track("trail");
+    this.targetLines = track("target-trail");
     this.otherCircles = svg("g", {}, this.ground);
     this.circle = shape("circle", "circle");
     this.line = shape("polyline", "line");
@@ -93,6 +96,7 @@ export class FlightMap {
     svg("circle", { r: 9 }, this.home);
     svg("text", { "text-anchor": "middle", y: 5 }, this.home).textContent = "H";
     this.target = svg("circle", { class: "target", r: 5 }, this.symbols);
+    this.course = svg("path", { class: "target-course", d: COURSE }, this.symbols);
     this.aircraft = svg("path", { class: "aircraft", d: AIRCRAFT }, this.symbols);
     this.words = svg("text", { class: "label" }, this.symbols);
     this.followButton = followButton;
@@ -113,12 +117,23 @@ export class FlightMap {
   }
 
   addTrail(samples) {
-    for (const [, east, north, name = ""] of samples) extend(this.trails, name, [east, north]);
+    for (const [time, east, north, name = ""] of samples) extend(this.trails, name, [east, north, time]);
   }
 
-  addTarget({ name, target_m: at }) {
+  addTarget({ name, target_m: at, time_s: time }) {
     const last = this.targetTrails.get(name)?.at(-1);
-    if (at && (!last || Math.hypot(at[0] - last[0], at[1] - last[1]) > 2)) extend(this.targetTrails, name, at);
+    if (at && (!last || Math.hypot(at[0] - last[0], at[1] - last[1]) > 2)) extend(this.targetTrails, name, [...at, time]);
+  }
+
+  // The track in lines by its age, each from where the older one ends.
+  drawTrack(lines, track, now) {
+    const parts = lines.map(() => []);
+    const age = ([, , time]) => Math.min(AGES - 1, Math.max(0, Math.floor((now - time) / AGE_S)));
+    track.forEach((at, k) => {
+      parts[age(at)].push(at);
+      if (k && age(track[k - 1]) !== age(at)) parts[age(track[k - 1])].push(at);
+    });
+    lines.forEach((line, k) => line.setAttribute("points", parts[k].map(([e, n]) => `${e},${n}`).join(" ")));
   }
 
   // -- view ------------------------------------------------------------------------------------------------
@@ -269,8 +284,9 @@ export class FlightMap {
     this.drawUnder(width, height, { east, north, scale });
     this.drawGrid(width, height, { east, north, scale }, x, y);
     const name = this.state?.name ?? "";
-    this.trailLine.setAttribute("points", points(this.trails.get(name) ?? []));
-    this.targetLine.setAttribute("points", points(this.targetTrails.get(name) ?? []));
+    const now = this.state?.time_s ?? 0;
+    this.drawTrack(this.trailLines, this.trails.get(name) ?? [], now);
+    this.drawTrack(this.targetLines, this.targetTrails.get(name) ?? [], now);
     if (!this.measured.length) this.measureLine.setAttribute("points", "");
     const { state } = this;
     this.plan(state?.present, this.circle, this.line);
@@ -329,13 +345,15 @@ export class FlightMap {
   drawTarget(state, x, y) {
     const target = state?.target;
     for (const element of [this.about, this.target, this.words]) element.toggleAttribute("hidden", !target);
+    const course = target && !target.stands && Math.hypot(...target.velocity_m_s) >= 0.3 ? target.course_rad : null;
+    this.course.toggleAttribute("hidden", course === null);
     if (!target) return;
     const [east, north] = target.at_m;
     const [major, minor, bearing] = target.ellipse;
     this.about.setAttribute("transform", `translate(${east} ${north})`);
     const ahead = target.velocity_m_s.map((v, k) => target.at_m[k] + v * PREDICTED_S);
     const line = state.route?.on ? [target.at_m, ...state.route.ahead.slice(1)] : [target.at_m, ahead];
-    this.predicted.setAttribute("points", target.course_rad === null ? "" : points(line));
+    this.predicted.setAttribute("points", course === null ? "" : points(line));
     this.sight.setAttribute("points", state.aircraft ? points([target.at_m, state.aircraft.at_m]) : "");
     this.ellipse.setAttribute("rx", minor);
     this.ellipse.setAttribute("ry", major);
@@ -343,6 +361,7 @@ export class FlightMap {
     this.ellipse.setAttribute("transform", `translate(${east} ${north}) rotate(${(-bearing * 180) / Math.PI})`);
     this.target.setAttribute("cx", x(east));
     this.target.setAttribute("cy", y(north));
+    this.course.setAttribute("transform", `translate(${x(east)} ${y(north)}) rotate(${((course ?? 0) * 180) / Math.PI})`);
     this.words.setAttribute("x", x(east) + 9);
     this.words.setAttribute("y", y(north) + 16);
     const good = target.quality === "good";
@@ -360,6 +379,9 @@ export class FlightMap {
     else if (!either && target.watch_course_rad !== null) {
       from = target.watch_course_rad + ((state.wanted ?? state.side) === "left" ? -Math.PI : 0);
       to = from + Math.PI;
+    } else if (!either) { // a target that has not moved has no side
+      this.side.setAttribute("d", "");
+      return;
     }
     this.side.setAttribute("d", ringSector(band[0], band[1], from, to));
   }

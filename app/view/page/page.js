@@ -1,4 +1,4 @@
-// The page: takes the flight's stream, shows it, and sends the buttons back.
+// The page: asks for what is new, shows it with its age, and sends the buttons back.
 
 import { AlarmList } from "./alarms.js";
 import { Fleet } from "./fleet.js";
@@ -11,10 +11,14 @@ import { showWatch } from "./watch.js";
 const byId = (id) => document.getElementById(id);
 const degrees = (radians) => Math.round(((radians * 180) / Math.PI + 360) % 360);
 const LOG_KEPT = 300;
-const SILENT_MS = 2000;
+const OLD_S = 3; // data of that age is shown in grey
+const AGAIN_MS = 1500;
+const GIVEN_UP_MS = 40000;
 const ANSWER_MS = { accepted: 12000, refused: 60000 };
 const NO_ANSWER_MS = 120000;
 const CHANGES = { radius_m: "radius", range_min_m: "least range", range_max_m: "greatest range", height_m: "height", side: "side" };
+const ANSWERS_KEPT = 6;
+const ALL = { hold: "Hold all", resume: "Resume all", end: "End all" };
 const IN_HAND = new Set(["watching", "holding"]);
 const PHASE_LOOKS = { watching: "good", holding: "warn", yielded: "bad", ended: "bad" };
 const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
@@ -26,41 +30,84 @@ const fleet = new Fleet(byId("fleet"), () => { state = fleet.take(fleet.states);
 const bar = new ReplayBar(byId("replay"), (body) => press(body));
 let state = null;
 let startS = 0;
-let heardAt = performance.now();
-let over = false;
+let stage = { name: "connecting", text: "" }; // where the program stands before, between and after flights
+let have = ""; // what the server knows this page to have
+let took = null; // the exchange that brought what is shown: when it was sent, and ages in it
+let over = false; // the program has ended
 let refusal = ""; // why the server sends this page no states
+let wasOld = false;
 let drawn = true;
 let answered = 0;
+let answers = [];
 let pending = null; // the unanswered request: {text, since}
 
+const minutes = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
+
 // from: when watching began, on the clock of that aircraft.
-function clock(timeS, from = startS) {
-  const since = Math.max(0, timeS - from);
-  return `${Math.floor(since / 60)}:${String(Math.floor(since % 60)).padStart(2, "0")}`;
-}
+const clock = (timeS, from = startS) => minutes(Math.max(0, timeS - from));
+
+// Both clocks: one of them may stand still while the computer sleeps.
+const now = () => [performance.now(), Date.now()];
+const sinceS = (then) => Math.max(performance.now() - then[0], Date.now() - then[1]) / 1000;
+
+// How old what is shown is at most, s: since the program sent it, and since the aircraft did. The whole exchange counts,
+// but not the time for which the server had nothing new.
+const exchangeS = () => (took ? took.ageS + Math.max(0, sinceS(took.sent) - took.heldS) : 0);
+const ageS = () => exchangeS() + Math.max(0, state?.link_age_s ?? 0);
+const flying = () => stage.name === "flying";
+const live = () => !map.setting.replay;
+const isOld = () => live() && (over || !flying() || ageS() > OLD_S);
 
 // -- data from the flight ------------------------------------------------------------------------------------
 
+async function ask() {
+  const sent = now();
+  try {
+    const got = await fetch(`state?have=${have}`, { signal: AbortSignal.timeout(GIVEN_UP_MS) });
+    if (!got.ok) {
+      refusal = await got.text();
+      return false;
+    }
+    const update = await got.json();
+    [refusal, have] = ["", update.at];
+    took = { sent, ageS: update.age_s, heldS: update.held_s };
+    receive(update);
+    return !over;
+  } catch (error) {
+    if (!(error instanceof TypeError || error.name === "TimeoutError" || error.name === "AbortError")) throw error;
+    return false; // the line or the program is down: the age is shown
+  }
+}
+
+// One request at a time: a slow line drops states, and another program at this address is shown when it comes.
+async function follow() {
+  for (;;) {
+    if (!(await ask())) await new Promise((done) => { setTimeout(done, AGAIN_MS); });
+  }
+}
+
 function receive(update) {
-  heardAt = performance.now();
   if (update.restart) {
     map.forget();
     plots.forget();
     byId("log").replaceChildren();
+    state = null;
   }
-  if (update.start_s !== null) startS = update.start_s;
+  over = update.over ?? false;
+  if (update.stage) stage = { ...update.stage, since: now() };
+  else if (update.replay) stage = { name: "flying", text: "" };
+  if (update.start_s !== null && update.start_s !== undefined) startS = update.start_s;
   if (update.setting?.band_m) set(update.setting);
   if (update.replay) bar.show(update.replay);
   map.addTrail(update.trail);
-  for (const sample of update.series ?? []) map.addTarget(sample);
-  plots.add(update.series ?? []);
+  for (const sample of update.series) map.addTarget(sample);
+  plots.add(update.series);
   for (const [timeS, kind, text] of update.announcements) {
     say(timeS, kind, text);
     if (["operator", "refused"].includes(kind) && !update.restart) answer(text);
   }
   if (update.state) state = update.state;
   if (update.fleet) state = fleet.take(update.fleet) ?? state;
-  over ||= update.over ?? false;
   if (drawn) {
     drawn = false;
     requestAnimationFrame(draw);
@@ -76,6 +123,7 @@ function set(setting) {
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
+  for (const button of byId("buttons").querySelectorAll("button")) button.textContent = setting.fleet ? ALL[button.dataset.action] ?? button.textContent : button.textContent;
   if (setting.replay) {
     bar.set(setting.replay, startS);
     document.title = "sidelong: replay";
@@ -92,13 +140,15 @@ function say(timeS, kind, text) {
   while (byId("log").childElementCount > LOG_KEPT) byId("log").lastChild.remove();
 }
 
-// The result of the operator's last request. A new request replaces the answer to an older one at once.
+// The result of the operator's last request, of each aircraft. A new request replaces the answers to an older one.
 function answer(text) {
+  if (pending) answers = [];
   pending = null;
-  const look = /refused|not passed on/.test(text) ? "refused" : "accepted";
-  showAnswer(text, look);
+  answers = [...answers, text].slice(-ANSWERS_KEPT);
+  const look = answers.some((one) => /refused|not passed on/.test(one)) ? "refused" : "accepted";
+  showAnswer(answers.join("\n"), look);
   clearTimeout(answered);
-  answered = setTimeout(() => { byId("answer").hidden = true; }, ANSWER_MS[look]);
+  answered = setTimeout(() => { byId("answer").hidden = true; answers = []; }, ANSWER_MS[look]);
 }
 
 function showAnswer(text, look) {
@@ -139,15 +189,12 @@ const share = (value) => known(value, (v) => `${Math.round(100 * v)} %`);
 
 // [name, text, style] of the most important readings.
 function keyTiles() {
-  const { target, vehicle } = state;
-  const look = (good) => (good === false ? "bad" : "");
+  const { vehicle } = state;
   return [
-    ["range", known(target?.range_m, (v) => length(v)), look(target?.in_band)],
-    ["off abeam", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), look(target?.on_side)],
     ["time on side", share(state.share_on_side), ""],
     ["time in band", share(state.share_in_band), ""],
     ["battery", known(vehicle?.battery_percent, (v) => `${v} %`), vehicle?.battery_percent < 25 ? "bad" : ""],
-    ["must leave in", leaves(vehicle), leaves(vehicle) === "now" ? "bad" : ""],
+    ["fly home in", leaves(vehicle), leaves(vehicle) === "now" ? "bad" : ""],
     ...progress(state),
   ];
 }
@@ -172,15 +219,12 @@ function leaves(vehicle) {
 
 // The other readings.
 function tiles() {
-  const { target, aircraft, vehicle } = state;
+  const { target, vehicle } = state;
   return [
     ["target's speed", target ? speed(Math.hypot(...target.velocity_m_s)) : "–", ""],
     ["target's course", moves(target) ? known(target.course_rad, (v) => `${degrees(v)}°`) : "–", ""],
     ["course made good", known(target?.watch_course_rad, (v) => `${degrees(v)}°`), ""],
     ["known within", target ? length(target.ellipse[0], 1) : "–", ""],
-    ["ground speed", aircraft ? speed(aircraft.ground_speed_m_s) : "–", ""],
-    ["height", known(aircraft?.height_m, (v) => length(v)), ""],
-    ["wind", speed(Math.hypot(...state.wind_m_s)), ""],
     ...(vehicle ? [
       ["voltage", known(vehicle.battery_v, (v) => `${v.toFixed(1)}\u00a0V`), ""],
       ["GPS", known(vehicle.gps, (v) => v), vehicle.gps_good === false ? "bad" : ""],
@@ -191,6 +235,21 @@ function tiles() {
 
 // No line break between a number and its unit.
 const delay = (seconds) => (seconds === null ? "" : `, ${Math.round(seconds * 1000)}\u00a0ms`);
+
+// What a pilot looks at first, above the map.
+function flightRow() {
+  const { aircraft, coming, wind_m_s: [east, north] } = state;
+  const bank = aircraft?.bank_rad;
+  const from = degrees(Math.atan2(-east, -north));
+  return [
+    ["height", known(aircraft?.height_m, (v) => length(v)), ""],
+    ["ground speed", aircraft ? speed(aircraft.ground_speed_m_s) : "–", ""],
+    ["course", aircraft ? `${String(degrees(aircraft.course_rad)).padStart(3, "0")}°` : "–", ""],
+    ["bank", known(bank, (v) => `${Math.abs(Math.round((v * 180) / Math.PI))}° ${v < 0 ? "left" : "right"}`), ""],
+    ["wind", Math.hypot(east, north) < 0.5 ? "calm" : `${speed(Math.hypot(east, north))} from ${String(from).padStart(3, "0")}°`, ""],
+    ["next circle", coming ? `in ${minutes(Math.max(0, coming.in_s ?? 0))}` : "none planned", ""],
+  ];
+}
 
 // Further readings for engineers.
 function innerTiles() {
@@ -226,15 +285,12 @@ function seen() {
   const target = state.target;
   const unseen = target?.unseen_s;
   const line = byId("seen");
-  if (!state.connected) {
-    line.textContent = "No message of the aircraft; all below is from its last message.";
-    line.className = "bad";
-    return;
-  }
-  line.textContent = !target ? "The target has not been seen yet."
-    : unseen < 2 ? "The target is in sight."
-      : `The target was last seen ${ago(unseen)}.`;
-  line.className = !target || unseen < 8 ? "" : unseen < 60 ? "warn" : "bad";
+  const look = (text, kind = "") => { [line.textContent, line.className] = [text, kind]; };
+  if (isOld()) look(`All below is from ${state.time_s === null ? "the last message" : clock(state.time_s, state.start_s ?? startS)}.`);
+  else if (!state.connected) look("No message of the aircraft; all below is from its last message.", "bad");
+  else if (!target) look("The target has not been seen yet.");
+  else if (unseen < 2) look(target.stands ? "The target is in sight. It stands, so it has no left and no right: the aircraft keeps its range until it moves." : "The target is in sight.");
+  else look(`The target was last seen ${ago(unseen)}.`, unseen < 8 ? "" : unseen < 60 ? "warn" : "bad");
 }
 
 function places() {
@@ -249,83 +305,158 @@ function places() {
 // The names of the aircraft and the target, if there are several.
 const called = (what) => (what === "aircraft" ? state.name : state.target?.name) || what;
 
-// The result of the end of the mission, and how to continue.
-function ended() {
+// -- before, between and after flights: where the program stands, and what to do ---------------------------------
+
+const TITLES = {
+  connecting: "Connecting", preparing: "Preparing", waiting: "Not ready yet", ready: "Ready to watch", fault: "The last watch failed",
+  "taking over": "Taking the aircraft over", ended: "The flight has ended",
+};
+const HINTS = {
+  preparing: "Nothing is flown yet. The first start compiles for a minute or two; later starts take seconds.",
+  waiting: "A watch can begin once nothing is missing.",
+  ready: "Press Watch: on the ground the aircraft arms and takes off; in the air sidelong takes it over.",
+  fault: "Press Watch to try again: the vehicle is checked first.",
+  ended: "All that is shown is from the end of the flight.",
+};
+
+function lines(list, texts, kind = "li") {
+  if (list.childElementCount === texts.length && texts.every((text, k) => list.children[k].textContent === text)) return;
+  list.replaceChildren(...texts.map((text) => Object.assign(document.createElement(kind), { textContent: text })));
+}
+
+function showStage() {
+  const ended = over && stage.name !== "ended" ? { name: "ended", text: "The program has ended; this is how things stood last." } : stage;
+  const { name, text, checks = [], summary = [], next = [], last = "" } = ended;
+  const card = byId("stage");
+  card.hidden = !live() || name === "flying";
+  if (card.hidden) return;
+  const find = (selector) => card.querySelector(selector);
+  const waits = ["preparing", "taking over"].includes(name) && stage.since ? `, ${minutes(stage.for_s + sinceS(stage.since))}` : "";
+  find("h2").textContent = `${TITLES[name] ?? name}${waits}`;
+  find("#stage-text").textContent = text;
+  const share = name === "preparing" ? /(\d+) %/.exec(text)?.[1] : undefined;
+  find("progress").hidden = name !== "preparing";
+  if (share === undefined) find("progress").removeAttribute("value");
+  else find("progress").value = share;
+  lines(find("#checks"), checks.map(([what, ready, found]) => `${ready ? "✓" : "✗"} ${what}: ${found}`));
+  find("#checks").querySelectorAll("li").forEach((line, k) => { line.className = checks[k][1] ? "good" : "bad"; });
+  lay(find("#summary"), summary.map(([what, value]) => [what, value, ""]));
+  lines(find("#next"), next, "code");
+  find("#stage-last").textContent = last;
+  find("#stage-hint").textContent = HINTS[name] ?? "";
+}
+
+const NEXT = {
+  yielded: "You fly the aircraft; sidelong commands nothing. Press Resume to let it watch on: the vehicle is checked again first.",
+  holding: "You hold this circle: it is not relocated until you press Resume.",
+};
+
+function explainPhase() {
   const line = byId("over");
-  const next = {
-    yielded: "You fly the aircraft; sidelong commands nothing. Press Resume to let it watch on: the vehicle is checked again first.",
-    ended: "Nothing more is commanded; start launch again to watch on.",
-  }[state.phase];
+  const next = flying() && !over && live() ? NEXT[state.phase] : "";
   line.hidden = !next;
-  line.textContent = next ? `The mission has ${state.phase}${state.over ? `: ${state.over}` : ""}. ${next}` : "";
+  line.className = state.phase === "yielded" ? "bad" : "";
+  line.textContent = next ? `${state.over ? `The mission has ${state.phase}: ${state.over}. ` : ""}${next}` : "";
 }
 
 function draw() {
   drawn = true;
+  const old = wasOld = isOld();
+  document.body.classList.toggle("old", old);
+  showStage();
+  const phase = flying() && !over ? state?.phase ?? "connecting" : over ? "ended" : stage.name;
+  const poor = old || !state?.connected || state.target?.quality === "lost";
+  chip("phase", phase, flying() && !over && !(phase === "watching" && poor) ? PHASE_LOOKS[phase] ?? "" : "");
+  buttons();
+  alarms.show(flying() && !over ? state?.alarms ?? [] : []);
+  for (const id of ["now", "key-tiles", "where-places"]) byId(id)?.toggleAttribute("hidden", !state);
   if (!state) return;
   map.state = state;
   map.draw();
   plots.draw(state.name);
-  fleet.draw();
+  fleet.draw(old);
   byId("whose").hidden = !state.name;
   byId("whose").textContent = state.name;
-  const lost = state.phase === "watching" && (!state.connected || state.target?.quality === "lost");
-  chip("phase", state.phase, lost ? "bad" : PHASE_LOOKS[state.phase] ?? "");
-  chip("quality", state.target ? `track ${state.target.quality}` : "no target yet", QUALITY_LOOKS[state.target?.quality] ?? "");
-  chip("link", state.connected ? "" : "link lost", "bad");
-  chip("inputs", (state.inputs ?? []).join(", "), "warn");
-  byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s, state.start_s ?? startS);
+  const quality = state.target ? (old ? "" : `track ${state.target.quality}`) : "no target yet";
+  chip("quality", quality, QUALITY_LOOKS[state.target?.quality] ?? "");
+  chip("link", state.connected || old ? "" : "link lost", "bad");
+  chip("inputs", old ? "" : (state.inputs ?? []).join(", "), "warn");
+  const lead = fleet.states[0] ?? state;
+  byId("clock").textContent = lead.time_s === null || lead.phase === "waiting" ? "" : `watched ${clock(lead.time_s, lead.start_s ?? startS)}`;
   byId("quality").title = state.target?.why ?? "";
   byId("phase").title = state.reason;
-  chip("mode", state.mode ? `mode ${state.mode}` : "", "");
-  alarms.show(over ? [] : state.alarms ?? []);
-  ended();
-  showWatch(byId("band"), byId("side"), state, map.setting);
+  chip("mode", state.mode && !old ? `mode ${state.mode}` : "", "");
+  explainPhase();
+  showWatch(byId("band"), byId("side"), state, map.setting, old);
+  lay(byId("now"), flightRow());
+  byId("reason").textContent = state.reason ? `Last decision: ${state.reason}` : "";
   lay(byId("key-tiles"), keyTiles());
   lay(byId("tiles"), tiles());
   lay(byId("inner-tiles"), innerTiles());
   seen();
   places();
   byId("legend").querySelector("li.what-if").hidden = !state.what_if;
-  buttons();
 }
+
+const ofFleet = () => (fleet.states.length ? fleet.states : [state]);
+
+// Whether one of the aircraft takes this action now.
+function apt(action, name) {
+  if (over) return false;
+  if (action === "watch") return ["ready", "fault"].includes(stage.name);
+  if (action === "release") return flying() || stage.name === "taking over";
+  if (!flying()) return false;
+  return ofFleet().some((one) => (!name || one?.name === name) && takes(action, one?.phase));
+}
+
+const takes = (action, phase) => (action === "hold" ? phase === "watching"
+  : action === "resume" ? ["holding", "yielded"].includes(phase) : IN_HAND.has(phase));
 
 function buttons() {
   for (const button of document.querySelectorAll("button[data-action]")) {
     const { action, name } = button.dataset;
-    const phase = (name ? fleet.states.find((one) => one.name === name) : state)?.phase;
-    const inHand = IN_HAND.has(phase) && !over;
-    const apt = (action !== "hold" || phase === "watching") && (action !== "resume" || ["holding", "yielded"].includes(phase));
-    const resumes = action === "resume" && phase === "yielded" && !over;
-    button.disabled = !((inHand || resumes) && apt);
-    button.title = inHand || resumes ? "" : `refused: the mission is ${over ? "over" : phase ?? "not begun"}`;
+    if (["watch", "release"].includes(action)) button.hidden = !stage.service;
+    if (action === "end") button.hidden = Boolean(stage.service);
+    button.disabled = !apt(action, name);
+    const phase = ofFleet().find((one) => !name || one?.name === name)?.phase;
+    button.title = button.disabled ? `refused: the mission is ${over ? "over" : flying() ? phase : stage.name}` : "";
   }
 }
 
 setInterval(() => {
   showPending();
-  byId("day").hidden = Boolean(map.setting.replay);
+  byId("day").hidden = !live() || over || stage.name === "ended";
   byId("day").textContent = timeOfDay(new Date());
-  const silent = performance.now() - heardAt;
   const news = byId("news");
-  news.hidden = !over && !refusal && silent < SILENT_MS;
-  news.textContent = over
-    ? "The flight's program has ended; this is how things stood last. Reload the page for another flight."
-    : refusal ? `Nothing is shown here: ${refusal}.`
-    : `No message from the flight's program for ${Math.round(silent / 1000)} s; what is shown is old.`;
-  if (over) buttons();
+  const old = flying() && exchangeS() > OLD_S;
+  news.hidden = !refusal && !(took && old && !over && live());
+  news.textContent = refusal ? `Nothing is shown here: ${refusal}.`
+    : `No news from sidelong for ${minutes(exchangeS())}: the line is slow, or the program has stopped. What is shown in grey is old.`;
+  if (isOld() !== wasOld || stage.name !== "flying") draw();
 }, 250);
 
 // -- buttons -------------------------------------------------------------------------------------------------
 
 function asked(question) {
   const dialog = byId("ask");
-  dialog.querySelector("p").textContent = question;
+  const old = flying() && ageS() > OLD_S ? ` What is shown is ${minutes(ageS())} old: the aircraft may be elsewhere.` : "";
+  dialog.querySelector("p").textContent = question + old;
   dialog.returnValue = "no";
   dialog.showModal();
   return new Promise((answer) => {
     dialog.addEventListener("close", () => answer(dialog.returnValue === "yes"), { once: true });
   });
+}
+
+const numeral = (text) => Number(text.trim().replace(",", "."));
+
+// What is wrong with a typed number; '' if nothing is.
+function fault(form, name) {
+  const value = numeral(form.elements[name].value);
+  const [least, most] = [form.elements[name].min, form.elements[name].max].map(Number);
+  if (!(value >= least && value <= most)) return `A number from ${least} to ${most}.`;
+  const [from, to] = ["range_min_m", "range_max_m"].map((one) => numeral(form.elements[one].value));
+  return name === "range_max_m" && from >= to ? "The greatest range must be above the least one." : "";
 }
 
 // The changed fields of the form, by name; null if unchanged.
@@ -342,13 +473,15 @@ function changed() {
     // A limit that is rounded inwards is never refused afterwards.
     Object.assign(field, { min: Math.ceil(10 * lengthOf(least)) / 10, max: Math.floor(10 * lengthOf(most)) / 10 });
   }
+  form.oninput = () => { for (const field of form.querySelectorAll("[inputmode]")) field.setCustomValidity(fault(form, field.name)); };
+  form.oninput();
   for (const unit of form.querySelectorAll(".unit")) unit.textContent = lengthUnit();
   dialog.returnValue = "no";
   dialog.showModal();
   return new Promise((done) => {
     dialog.addEventListener("close", () => {
       const typed = (name) => form.elements[name].value;
-      const given = (name) => (name === "side" ? typed(name) : Number(metresOfLength(Number(typed(name))).toFixed(3)));
+      const given = (name) => (name === "side" ? typed(name) : Number(metresOfLength(numeral(typed(name))).toFixed(3)));
       const names = Object.keys(CHANGES).filter((name) => typed(name) !== before[name]);
       const values = Object.fromEntries(names.map((name) => [name, given(name)]));
       done(dialog.returnValue === "yes" && names.length ? values : null);
@@ -363,7 +496,7 @@ function described(values) {
   return Object.entries(values).map(([name, value]) => `${CHANGES[name]} ${unit(value)} instead of ${unit(state.asked[name])}`);
 }
 
-const ANSWERED = new Set(["hold", "resume", "side", "change", "end", "relieve"]);
+const ANSWERED = new Set(["hold", "resume", "side", "change", "end", "relieve", "watch", "release"]);
 
 async function press(body) {
   if (ANSWERED.has(body.action)) wait(requested(body));
@@ -378,6 +511,14 @@ function requested({ action, side, values, name }) {
   return { side: `watch from the ${side}`, relieve: `relieve ${name}` }[action] ?? action;
 }
 
+// Which aircraft of a fleet an action is for, and which of them will refuse it.
+function whom(action) {
+  if (!fleet.states.length) return "";
+  if (action === "side") return " The fleet's coordinator assigns it.";
+  const refusing = fleet.states.filter((one) => !takes(action, one.phase)).map((one) => `${one.name} is ${one.phase} and refuses it`);
+  return ` This is for ${fleet.states.map((one) => one.name).join(" and ")}.${refusing.length ? ` ${refusing.join("; ")}.` : ""}`;
+}
+
 async function commanded({ target: button }) {
   const { action, ask, name } = button.dataset;
   if (!action) return;
@@ -387,7 +528,7 @@ async function commanded({ target: button }) {
     return;
   }
   const side = action !== "side" ? null : (state.wanted ?? state.side) === "left" ? "right" : "left";
-  const question = side ? `Watch from the target's ${side} instead?` : ask;
+  const question = `${side ? `Watch from the target's ${side} instead?` : ask}${name ? "" : whom(action)}`;
   if (!(await asked(question))) return;
   press(name ? { action, name } : { action, side });
 }
@@ -437,14 +578,5 @@ byId("places").addEventListener("click", async ({ target: button }) => {
 new ResizeObserver(() => plots.draw(state?.name)).observe(byId("plots"));
 byId("engineers").addEventListener("toggle", () => plots.draw(state?.name));
 
-buttons();
-const stream = new EventSource("events");
-stream.onmessage = (event) => receive(JSON.parse(event.data));
-stream.onerror = async () => {
-  if (over) stream.close(); // the server has ended: do not reconnect
-  else if (stream.readyState === EventSource.CLOSED) { // refused: a stream does not say why
-    const answer = await fetch("events");
-    if (answer.ok) location.reload();
-    else refusal = await answer.text();
-  }
-};
+draw();
+follow();

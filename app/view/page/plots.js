@@ -4,6 +4,7 @@ import { svg } from "./map.js";
 import { lengthOf, lengthUnit } from "./units.js";
 
 const SPAN_S = 180;
+const GAP_S = 10; // no line is drawn over a longer one: nothing is known of what was between
 const LEFT_PX = 34;
 const degrees = (radians) => (radians === null || radians === undefined ? null : (radians * 180) / Math.PI);
 
@@ -102,7 +103,8 @@ class Plot {
     let last = null;
     samples.forEach((sample, k) => {
       const value = line[k];
-      const broken = value === null || value === undefined || (this.kind.wraps && last !== null && Math.abs(value - last) > 180);
+      const gap = k && sample.time_s - samples[k - 1].time_s > GAP_S;
+      const broken = gap || value === null || value === undefined || (this.kind.wraps && last !== null && Math.abs(value - last) > 180);
       if (broken) stretches.push([]);
       if (value !== null && value !== undefined) stretches.at(-1).push(`${x(sample.time_s).toFixed(1)},${y(value).toFixed(1)}`);
       last = value ?? null;

@@ -48,8 +48,8 @@ export class ReplayBar {
     this.endS = end;
     [this.seek.min, this.seek.max] = [begin, end];
     this.decided.replaceChildren(...decided.map((time) => {
-      const mark = document.createElement("option");
-      mark.value = time;
+      const mark = document.createElementNS(this.decided.namespaceURI, "path");
+      mark.setAttribute("d", `M${(1000 * (time - begin)) / Math.max(end - begin, 1)} 0v10`);
       return mark;
     }));
   }

@@ -12,6 +12,7 @@ function indicator(root, known, good, states, facts) {
 
 // Where the aircraft is, seen from the target: left or right of its course, or a bearing where a sector is required.
 function place(target, requirement, sectorRad) {
+  if (target.stands && !sectorRad) return "the target stands";
   if (target.angle_rad === null) return "unknown until the target has moved";
   const off = `${Math.abs(degrees(target.angle_rad))}° off ${sectorRad ? "the middle" : "abeam"}`;
   if (sectorRad) return off;
@@ -19,14 +20,17 @@ function place(target, requirement, sectorRad) {
   return `${Math.abs(target.angle_rad) <= Math.PI / 2 ? requirement : other}, ${off}`;
 }
 
-export function showWatch(band, side, state, setting) {
+// old: what is shown is not of now, so nothing is claimed of now.
+export function showWatch(band, side, state, setting, old) {
   const { target, asked } = state;
-  const inBand = target?.in_band ?? null;
-  const onSide = target?.on_side ?? null;
+  const inBand = old ? null : target?.in_band ?? null;
+  const onSide = old ? null : target?.on_side ?? null;
+  const when = old ? "last" : "now";
   const range = target ? length(target.range_m) : "unknown";
   const why = state.unknown && inBand === null ? ` (${state.unknown})` : "";
   indicator(band, inBand !== null, inBand, ["In band", "Out of band", "Band unknown"],
-    `required: ${Math.round(lengthOf(asked.range_min_m))} to ${length(asked.range_max_m)}; now: ${range}${why}`);
-  const now = target ? place(target, state.side, setting.sector_rad) : "unknown";
-  indicator(side, onSide !== null, onSide, ["On side", "Off side", "Side unknown"], `required: ${asked.side}; now: ${now}`);
+    `required: ${Math.round(lengthOf(asked.range_min_m))} to ${length(asked.range_max_m)}; ${when}: ${range}${why}`);
+  const there = target ? place(target, state.side, setting.sector_rad) : "unknown";
+  const none = target?.stands && !old ? "No side yet" : "Side unknown";
+  indicator(side, onSide !== null, onSide, ["On side", "Off side", none], `required: ${asked.side}; ${when}: ${there}`);
 }
