@@ -69,7 +69,7 @@ def serve(
             resident = Resident(*own) if page is None else Resident(*own, page.decorate, page.draw)
             if page is not None:
                 await page.open(resident)
-            log("`sidelong watch`, the live map or a switch begins a watch; `sidelong status` shows the state")
+            log(f"`sidelong watch`, the live map or a switch begins a watch; control socket: {own_path()}")
             await resident.run(stopped, own_path())
         say_plain("sidelong serve has ended; an aircraft in flight goes on with what it flies")
 

@@ -78,10 +78,8 @@ async def serving(path: Path, answer: Answer) -> AsyncIterator[None]:
         writer.close()
 
     try:
-        if os.environ.get("SIDELONG_SOCKET") and not path.parent.is_dir():
-            raise InputError(
-                f"SIDELONG_SOCKET: there is no folder {path.parent}; create it, or leave SIDELONG_SOCKET out."
-            )
+        if os.environ.get("SIDELONG_SOCKET") and not path.parent.parent.is_dir():
+            raise InputError(f"SIDELONG_SOCKET: there is no folder {path.parent.parent}; create it, or name another.")
         path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
         if not _is_of(path.parent, {0, os.getuid()}):
             raise InputError(f"{path.parent}: others can write there; set SIDELONG_SOCKET to a folder of your own.")

@@ -60,18 +60,6 @@ class PageAddress:
         return self.host in LOOPBACK
 
     @property
-    def obstacle(self) -> str:
-        """Why the page cannot be served now, '' if it can."""
-        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((self.host, self.port))
-                probe.listen()  # two may bind a port, one may listen
-            except OSError as error:
-                return error.strerror or str(error)
-        return ""
-
-    @property
     def scheme(self) -> str:
         return "http" if self.cert is None else "https"
 

@@ -131,7 +131,10 @@ def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
         page.goto(display.url)
         page.locator("#map .tile").first.wait_for(state="attached")
         page.wait_for_function("[...document.querySelectorAll('#map .tile')].every((one) => one.getBBox().width > 0)")
-        names = f"#map .tile[href='map/{ZOOM}/{COLUMN}/{ROW}']", "#map .ring + .ring"  # a ring 1 km across, at the target
+        names = (
+            f"#map .tile[href='map/{ZOOM}/{COLUMN}/{ROW}']",
+            "#map .ring + .ring",
+        )  # the ring is 1 km across
         box, ring = page.evaluate(
             "all => all.map((name) => document.querySelector(name).getBoundingClientRect().toJSON())", names
         )

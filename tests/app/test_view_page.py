@@ -341,7 +341,10 @@ def test_when_the_flight_s_program_ends_the_page_reports_so(browser, snapshots):
         display.__exit__(None, None, None)
         page.locator("#stage h2", has_text="The flight has ended").wait_for()
         assert "98 %" in page.locator("#summary").inner_text()
-        assert page.locator("#next code").all_inner_texts() == ["sidelong report runs/x", "sidelong replay runs/x --view"]
+        assert page.locator("#next code").all_inner_texts() == [
+            "sidelong report runs/x",
+            "sidelong replay runs/x --view",
+        ]
         assert page.locator("#buttons button:enabled").count() == 0
         page.locator("#band.unknown").wait_for()
         assert page.locator(".good").filter(visible=True).count() == 0

@@ -27,6 +27,7 @@ from sidelong.app.cli import app
 from sidelong.app.commands import serve
 from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import FlightError, InputError
+from sidelong.app.flight.preflight import Check
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.shell import Life
 from sidelong.app.records import run_folder
@@ -248,6 +249,18 @@ def path(tmp_path, monkeypatch):
     path = tmp_path / "run" / "serve.sock"
     monkeypatch.setenv("SIDELONG_SOCKET", str(path))
     return path
+
+
+def test_a_socket_in_no_folder_is_refused_and_none_is_made(tmp_path, monkeypatch):
+    monkeypatch.setenv("SIDELONG_SOCKET", str(tmp_path / "wrong" / "run" / "serve.sock"))
+
+    async def serve():
+        async with control_socket.serving(control_socket.own_path(), dict):
+            pytest.fail("it was made")
+
+    with pytest.raises(InputError, match=r"SIDELONG_SOCKET: there is no folder .*wrong; create it"):
+        asyncio.run(serve())
+    assert not (tmp_path / "wrong").exists()
 
 
 def test_the_socket_answers_and_only_its_owner_reaches_it(path):
@@ -573,20 +586,47 @@ def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
     assert str(resident.status) == "watching"
 
 
-def test_a_watch_goes_on_without_a_map_that_cannot_be_served(free_port):
-    announced: list[str] = []
+def test_a_service_goes_on_without_a_map_that_cannot_be_served(free_port, capsys):
     display = ServiceDisplay(print, lambda: None, print)
 
     async def show(address):
-        async with serve._on_map(Config(), address, announced.append, display) as shown:
-            return shown
+        async with contextlib.AsyncExitStack() as stack:
+            page = serve.ServicePage(Config(), address, stack)
+            await page.open()
+            async with page.decorate(display) as shown:
+                shown.note("taking off")
 
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port()))
         taken.listen()
-        assert asyncio.run(show(PageAddress("127.0.0.1", taken.getsockname()[1]))) is display
-    (text,) = announced
-    assert text.startswith("the watch goes on without the live map: the page cannot be shown on 127.0.0.1:")
+        asyncio.run(show(PageAddress("127.0.0.1", taken.getsockname()[1])))
+    printed = capsys.readouterr().out
+    assert printed.count("the service goes on without the live map: the page cannot be shown on 127.0.0.1:") == 2
+    assert "taking off" in printed
+
+
+def test_the_page_of_a_service_is_there_from_the_start_and_shows_what_is_missing(tmp_path, monkeypatch):
+    async def show():
+        async with contextlib.AsyncExitStack() as stack:
+            page = serve.ServicePage(Config(), PageAddress(port=0), stack)
+            resident = Resident(Config(), tmp_path, lambda _text: None, page.decorate, page.draw)
+            await page.open(resident)
+            shown = [dict(page._view._stage)]
+            resident.checks = (Check("home", False, "not known", "wait for the GPS"),)
+            resident._stands("home: not known; wait for the GPS")
+            shown.append(dict(page._view._stage))
+            page._view._pressed({"action": "watch", "who": "operator"})
+            shown.append(page._view._announced[-1])
+            resident.checks = (Check("home", True, "known"),)
+            resident._stands("")
+            shown.append(dict(page._view._stage))
+            return shown
+
+    first, missing, refused, ready = asyncio.run(show())
+    assert (first["name"], first["text"]) == ("waiting", "not connected yet")
+    assert missing["checks"] == [("home", False, "not known; wait for the GPS")]
+    assert refused == [None, "refused", "watch: home: not known; wait for the GPS"]
+    assert ready["name"] == "ready"
 
 
 def test_a_map_that_cannot_be_served_is_reported_at_the_start(monkeypatch):
@@ -594,12 +634,14 @@ def test_a_map_that_cannot_be_served_is_reported_at_the_start(monkeypatch):
         pass
 
     monkeypatch.setattr(Resident, "run", ended)
-    arguments = ["serve", "--connect", "udpin://127.0.0.1:1", "--view", "--set"]
+    arguments = ["serve", "--connect", "udpin://127.0.0.1:1", "--view", "--set", "display.port=0", "--set"]
     far, here = (
         CliRunner().invoke(app, [*arguments, f"display.host={host}"]).output for host in ("192.0.2.1", "127.0.0.1")
     )
-    assert "the live map cannot be served at 192.0.2.1:8420 now (Cannot assign requested address)" in far
+    assert "the page cannot be shown on 192.0.2.1:0: port 0 cannot be opened (Cannot assign requested address)" in far
     assert "192.0.2.1" not in here
+    assert "live map: http://127.0.0.1:" in here
+    assert "`sidelong watch`" in here
 
 
 def test_a_run_that_is_deleted_while_it_is_measured_stops_no_rotation(tmp_path, monkeypatch):
