@@ -266,9 +266,8 @@ def _write_mcap(run: Path) -> None:
 def _announce(ended: FlightEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
     say(f"run folder: {ended.folder.path}")
-    say(
-        f"next: sidelong report {quote(str(ended.folder.path))}, or sidelong replay {quote(str(ended.folder.path))} --view"
-    )
+    folder = quote(str(ended.folder.path))
+    say(f"next: sidelong report {folder}, or sidelong replay {folder} --view")
     try:
         ended.folder.write_summary(ended.summary.as_json())
     except OSError as error:
