@@ -98,7 +98,7 @@ class Watch:
         self._snapshot = snapshot
         self._news.set()
 
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         """Take the local plane, and the receiver of requests."""
         self.plane, self._request = plane, request
 

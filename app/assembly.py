@@ -10,9 +10,10 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config, Polygon, SensorsSection
@@ -32,9 +33,10 @@ from sidelong.mission.control.surroundings import Surroundings
 from sidelong.mission.core.plan import CheckedPlannerFactory, Heights, OneHeight
 from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.mission_controller import MissionController
-from sidelong.mission.upload.fences import FenceError, Fences, Outline
+from sidelong.mission.upload.fences import FenceError, Fences, Outline, intersection
 
 if TYPE_CHECKING:
+    from sidelong.app.link.other_mission import VehicleFences
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight
 
@@ -271,6 +273,56 @@ def fences_of(config: Config, plane: LocalPlane) -> Fences:
         return Fences(*fence_outlines(config, plane), fences.floor_m, fences.ceiling_m, fences.margin_m)
     except FenceError as error:
         raise InputError(f"fences: {error}; correct its corners.") from error
+
+
+def with_vehicle_fences(config: Config, found: VehicleFences, every: bool) -> Config:
+    """Return a configuration that keeps the fences of the vehicle, too.
+
+    Args:
+        config: The configuration.
+        found: What the vehicle stores.
+        every: Whether the autopilot demands to be inside all of its inclusion fences, or inside one.
+
+    Raises:
+        InputError: They are no polygons, or leave no room with those of the configuration or for the circle.
+    """
+    corners = [corner for outline in (*found.inclusion, *found.exclusion) for corner in outline]
+    if not corners:
+        return config
+    plane, fences = LocalPlane(*corners[0]), config.fences
+    keep_in, holes = fences.keep_in, []
+    try:
+        if found.inclusion:
+            own, _ = fence_outlines(config, plane)
+            theirs = [[plane.east_north_m(*corner) for corner in outline] for outline in found.inclusion]
+            keep_in, holes = (
+                [[plane.latitude_longitude_deg(*corner) for corner in outline] for outline in outlines]
+                for outlines in intersection(own, theirs, every)
+            )
+        keep_out = [*fences.keep_out, *map(list, found.exclusion), *holes]
+        both = config.model_copy(
+            update={"fences": fences.model_copy(update={"keep_in": keep_in, "keep_out": keep_out})}
+        )
+        check_room(both)
+    except (FenceError, InputError) as error:
+        raise InputError(
+            f"the vehicle's fences: {error}; correct them in the vehicle, or those in [fences]."
+        ) from error
+    return both
+
+
+def check_room(config: Config) -> None:
+    """Raise InputError if no circle of the aircraft fits into the fences."""
+    corners = [*chain(*config.fences.keep_in, *config.fences.keep_out)]
+    if not corners:
+        return
+    fences, aircraft = fences_of(config, LocalPlane(*corners[0])), cast(Any, config.aircraft)
+    for one in aircraft if isinstance(aircraft, list) else (aircraft,):
+        if not fences.has_room(one.radius_m):
+            raise InputError(
+                f"fences: no circle of aircraft.radius_m = {one.radius_m:g} fits into keep_in with "
+                f"margin_m = {config.fences.margin_m:g}; change one of them."
+            )
 
 
 def surroundings_of(

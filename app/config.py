@@ -342,6 +342,8 @@ class LinkSection(Section):
     """Request only the messages that the mission needs; none: on a serial line of 57,600 baud or less."""
     take_over_from: list[str] = Field(default_factory=list)
     """Further modes from which sidelong may take over a flying aircraft: RTL, LAND and so on, failsafe."""
+    role: Literal["companion", "ground"] | None = None
+    """What sidelong is on the link; none: companion for serve, else ground station unless one is received locally."""
     set_parameters: bool = False
     """Temporarily change conflicting autopilot parameters; restore them at the end."""
 

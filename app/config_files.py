@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Protocol
 
 from sidelong.app.config import Config, RouteSection, check_alone, check_flyable
 from sidelong.app.errors import InputError
 from sidelong.app.link.transport import checked_form
 from sidelong.app.records.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.estimators.frames import LocalPlane
 
 
 class NamedTarget(Protocol):
@@ -52,17 +50,10 @@ def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> list[str
             notes += [f"{field}: {note}"] if note else []
         except InputError as error:
             raise InputError(f"{field}: {error}") from error
-    corners = [*itertools.chain(*config.fences.keep_in, *config.fences.keep_out)]
-    if corners:
-        from sidelong.app.assembly import fences_of  # noqa: PLC0415  # it loads the filter
+    if config.fences.keep_in or config.fences.keep_out:
+        from sidelong.app.assembly import check_room  # noqa: PLC0415  # it loads the filter
 
-        fences, aircraft = fences_of(config, LocalPlane(*corners[0])), cast(Any, config.aircraft)
-        for one in aircraft if isinstance(aircraft, list) else (aircraft,):
-            if not fences.has_room(one.radius_m):
-                raise InputError(
-                    f"fences: no circle of aircraft.radius_m = {one.radius_m:g} fits into keep_in with "
-                    f"margin_m = {config.fences.margin_m:g}; change one of them."
-                )
+        check_room(config)
     if config.sharing.cot is not None:
         from sidelong.app.flight.outputs import tls_of  # noqa: PLC0415  # it loads MAVLink
 

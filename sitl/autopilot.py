@@ -76,13 +76,15 @@ class TelemetryBuilder:
         return max(5, 100 - int(100.0 * self._vehicle.now_s / self._vehicle.settings.endurance_s))
 
     def _heartbeat(self) -> Any:
-        vehicle = self._vehicle
+        vehicle, state = self._vehicle, mavlink.MAV_STATE_STANDBY
+        if self._craft.flying:
+            state = mavlink.MAV_STATE_CRITICAL if vehicle.failsafe else mavlink.MAV_STATE_ACTIVE
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING,
             vehicle.autopilot_id,
             vehicle.base_mode,
             vehicle.mode,
-            mavlink.MAV_STATE_ACTIVE if self._craft.flying else mavlink.MAV_STATE_STANDBY,
+            state,
             3,
         )
 
@@ -282,6 +284,7 @@ class SimulatedAutopilot(ABC):
         self.roll_goal_rad = 0.0
         self.roi: LocalPosition | None = None  # where the payload has been turned to, until it has been
         self.gcs_received_s: float | None = None
+        self.failsafe = False
         self.transfers: dict[int, Transfer] = {}
         self._navigate_s = 0.0
         self._builders: dict[int, Builder] = {}

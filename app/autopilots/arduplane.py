@@ -64,8 +64,9 @@ _PARAMETERS = (
     Parameter(
         "FENCE_ENABLE",
         Purpose.FENCE,
-        notes={1.0: "a fence is active: give it in [fences] too, or it ends the mission"},
+        notes={1.0: "a fence is active: what leaves it ends the mission"},
     ),
+    Parameter("FENCE_OPTIONS", Purpose.FENCE, since=_V4_5),
 )
 
 
@@ -158,6 +159,12 @@ class ArduPlane:
         if not isinstance(report, PositionTargetReported):
             return None
         return CircleOrder(report.x, report.y, 0.0, 0.0, 0.0)
+
+    def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
+        # Only heartbeats of MAV_GCS_SYSID count.
+        action = values.get("FS_GCS_ENABL", 0.0)
+        is_its_own = values.get("MAV_GCS_SYSID") == station_id
+        return f"FS_GCS_ENABL = {action:g} of ground station {station_id}" * (is_its_own and action > 0.0)
 
     def limits(self, values: Mapping[str, float]) -> Limits:
         names = ("ROLL_LIMIT_DEG", "AIRSPEED_MIN", "AIRSPEED_MAX", "AIRSPEED_CRUISE")

@@ -245,5 +245,16 @@ class Autopilot(AutopilotDialect, Protocol):
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
         """Return the parameters whose values prevent a mission, by key."""
 
+    def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
+        """Return which failsafe of the data link the heartbeats of a ground station prevent.
+
+        Args:
+            values: The parameters.
+            station_id: System id of the station.
+
+        Returns:
+            Its parameters in words; '' if none is configured, or if it belongs to another station.
+        """
+
     def limits(self, values: Mapping[str, float]) -> Limits:
         """Return what the parameters allow."""

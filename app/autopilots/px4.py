@@ -144,6 +144,12 @@ class Px4:
             return None
         return CircleOrder(report.x, report.y, 0.0, 0.0, report.signed_radius_m)
 
+    def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
+        # Any heartbeat of MAV_TYPE_GCS renews the clock of the data link, whatever its system id.
+        action = values.get("NAV_DLL_ACT", 0.0)
+        after_s = values.get("COM_DL_LOSS_T", math.nan)
+        return f"NAV_DLL_ACT = {action:g} after COM_DL_LOSS_T = {after_s:g} s" * (action > 0.0)
+
     def limits(self, values: Mapping[str, float]) -> Limits:
         names = ("FW_R_LIM", "FW_AIRSPD_MIN", "FW_AIRSPD_MAX", "FW_AIRSPD_TRIM")
         return Limits(*map(values.get, names))

@@ -127,7 +127,12 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
     link = config.link
     async with (
         connected(
-            urls, link.heartbeat_timeout_s, key=link.signing_key_file, note=console.print, system_id=link.system_id
+            urls,
+            link.heartbeat_timeout_s,
+            key=link.signing_key_file,
+            note=console.print,
+            system_id=link.system_id,
+            role=link.role,
         ) as session,
         payload_input(config, session.vehicle, console.print) as payload,
     ):

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s
+from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s, with_vehicle_fences
 from sidelong.app.autopilots.autopilot import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
@@ -30,6 +30,7 @@ from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import InputHealth, Session
 from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, ask_for_streams, wants_few
+from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
 from sidelong.app.link.queries import (
@@ -40,7 +41,7 @@ from sidelong.app.link.queries import (
     request_pan_limits,
     vehicle_status,
 )
-from sidelong.app.link.vehicle import StatusText
+from sidelong.app.link.vehicle import LinkError, StatusText, Vehicle
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data
@@ -67,6 +68,8 @@ _POLL_S = 0.1
 _RESUMED_WITHIN_S = 4.0
 _SAME_HOME_M, _SAME_HOME_HEIGHT_M = 30.0, 10.0  # arming sets it again, by another GPS fix
 _DELAY_EVERY_S = 1.0
+_FENCES_EVERY_S = 20.0
+_UNION_OF_INCLUSIONS = 2  # of FENCE_OPTIONS
 _READY_WITHIN_S = 60.0  # of the vehicle's time
 _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
 
@@ -131,6 +134,7 @@ class Flight:
         self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
         self._resumption = OneTask()  # after a yield
+        self._fences = VehicleFences()
 
     async def fly(self, stopped: asyncio.Event) -> str:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
@@ -152,6 +156,7 @@ class Flight:
         )
         for sentence in parameters.missing:
             self._display.note(sentence)
+        await self._keep_fences(parameters)
         home, required_parameters = await self._check(parameters, sources, inputs)
         check_takeover(self._vehicle, self._config.link.take_over_from)
         inputs.close()
@@ -162,6 +167,32 @@ class Flight:
         borrowed = required_parameters if self._config.link.set_parameters else ()
         self._ready = _Ready(plane, home, borrowed, parameters)
         self.share_plane(plane)
+
+    async def _keep_fences(self, parameters: ParameterTable) -> None:
+        """Read the vehicle's fences, and fly by those and the configured ones."""
+        try:
+            self._fences = await read_fences(self._vehicle)
+        except LookupError as error:
+            raise InputError(f"the vehicle's fences cannot be read: {error}.") from error
+        every = not int(parameters.values.get("FENCE_OPTIONS", 0.0)) & _UNION_OF_INCLUSIONS
+        self._config = with_vehicle_fences(self._config, self._fences, every)
+        self._prepared = replace(self._prepared, config=self._config)
+        self._display.note(f"the vehicle has {self._fences}")
+
+    async def _watch_fences(self, put: Callable[[AlarmReported], object]) -> None:
+        """Announce once that the vehicle's fences differ from those that are flown by."""
+        vehicle, partial_writes = self._vehicle, self._autopilot.quirks.stores_items_one_by_one
+        known_id = _fence_ids(vehicle)
+        while True:
+            await asyncio.sleep(_FENCES_EVERY_S)
+            # Where the whole list has an id it is compared; only ArduPilot serves a list while another is written.
+            if not (partial_writes if known_id is None else _fence_ids(vehicle) != known_id):
+                continue
+            with contextlib.suppress(LookupError, LinkError):
+                if await read_fences(vehicle) != self._fences:
+                    text = "the vehicle's fences have changed: end this watch and start another one to keep them"
+                    put(AlarmReported(self._telemetry.now_s, "fences", "raised", text))
+                    return
 
     async def watch(
         self,
@@ -229,7 +260,7 @@ class Flight:
         plane, home = ready.plane, ready.home
         home_deg = (home.latitude_deg, home.longitude_deg)
         self._collector.ground = self.controller.surroundings.ground
-        self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m)
+        self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m, self._config)
         core = mission_controller_of(self._config, self.controller, self._autopilot, plane, home)
         shared = contextlib.ExitStack()
         observers = self._observers(plane, home, shared)
@@ -274,13 +305,14 @@ class Flight:
         observers.append(tables)
 
         shared.callback(self._resumption.stop)
-        self._display.begin(plane, partial(self._request, changes, alarms, loop))
+        self._display.begin(plane, partial(self._request, changes, alarms, loop), self._config)
         shared.callback(_without_garbage_searches())
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
         delay = asyncio.create_task(self._announce_delay(loop))
         listening = asyncio.create_task(alarms.run())
+        fences = asyncio.create_task(self._watch_fences(loop.put))
         give_route(self._config.route, self._session, plane, loop.put, self._display.note)
         if not stopped.is_set():
             loop.put(self._takeover(loop.link_s))
@@ -288,7 +320,7 @@ class Flight:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
             loop.stop()
-            await _all_ended(running, over, interrupt, delay, listening)
+            await _all_ended(running, over, interrupt, delay, listening, fences)
             shared.close()
         running.result()
         if loop.failed is not None:
@@ -506,6 +538,17 @@ class Flight:
             outcome=outcome,
         )
         return judged if begin is None or end is None else replace(judged, battery_percent=(begin, end))
+
+
+def _fence_ids(vehicle: Vehicle) -> tuple[int, int] | None:
+    """Return the ids of the stored fences and rally points; None where the autopilot reports none."""
+    message = vehicle.latest.get("MISSION_CURRENT")
+    ids = (
+        (0, 0)
+        if message is None
+        else tuple(message.fields.get(f"{name}_id") or 0 for name in ("fence", "rally_points"))
+    )
+    return (ids[0], ids[1]) if any(ids) else None
 
 
 def _has_moved(home: Home, before: Home, plane: LocalPlane) -> bool:

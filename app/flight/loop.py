@@ -10,9 +10,12 @@ import asyncio
 import itertools
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
+from sidelong.app.config import Config
 from sidelong.app.link.message import Message
+from sidelong.app.link.queries import failsafe_of
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import LinkError, Vehicle
@@ -28,6 +31,7 @@ from sidelong.mission.core.events import (
     HealthChanged,
     LinkReported,
     MissionChange,
+    ModeReported,
     OperatorRequest,
     PlanStatus,
     Yield,
@@ -159,6 +163,8 @@ class ControlLoop:
         self._received_s = time.monotonic()
         event = self._telemetry.event(message)
         report = self._reports.report(message, self._telemetry.now_s, self.link_s) if event is None else event
+        if isinstance(report, ModeReported) and (failsafe := failsafe_of(self._vehicle)):
+            report = replace(report, failsafe=failsafe)
         if report is not None:
             self._queue.put_nowait(report)
 
@@ -269,8 +275,8 @@ class FlightDisplay(Display, Protocol):
     def note(self, text: str) -> None:
         """Show a message about the progress of the connection and preparation."""
 
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        """Receive the position of the local plane, and the receiver of the operator's requests."""
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
+        """Receive the local plane, the receiver of the operator's requests, and the configuration as it is flown."""
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         """Learn that watching has begun, and for how long it is to go on; times are shown since ``start_s``."""

@@ -24,6 +24,7 @@ from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import (
     AUTOPILOT_COMPONENT,
     FAILSAFE,
+    FAILSAFE_STATES,
     RECOVERY_MODES,
     TYPE_FIXED_WING,
     Telemetry,
@@ -192,7 +193,6 @@ _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
-FAILSAFE_STATES = (5, 6, 8)  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY, MAV_STATE_FLIGHT_TERMINATION
 _NAMED = (Purpose.GROUND_STATION, Purpose.MISSION_ITEMS)
 _SENSORS = {
     0x1: "gyroscope",
@@ -310,6 +310,7 @@ def checks(
         *_terrain_checks(config, vehicle),
         *_limit_checks(config, aircraft, autopilot.limits(parameters.values), parameters),
         *(Check(purpose, True, parameters.found_for(purpose)) for purpose in _NAMED),
+        *_link_failsafe_checks(vehicle, autopilot, parameters),
         *(
             Check(
                 need.name,
@@ -333,6 +334,13 @@ def _health_check(vehicle: Vehicle) -> Check:
     used = int(fields["onboard_control_sensors_present"]) & int(fields["onboard_control_sensors_enabled"])
     ill = [name for bit, name in _SENSORS.items() if used & ~int(fields["onboard_control_sensors_health"]) & bit]
     return Check("health", not ill, f"unhealthy: {', '.join(ill)}" if ill else "good", "wait, or see what is wrong")
+
+
+def _link_failsafe_checks(vehicle: Vehicle, autopilot: Autopilot, parameters: ParameterTable) -> tuple[Check, ...]:
+    """Report a failsafe of the data link that our own heartbeats keep from beginning."""
+    failsafe = "" if vehicle.is_companion else autopilot.renewed_failsafe(parameters.values, vehicle.own_id[0])
+    found = f"{failsafe} does not begin while sidelong is connected as a ground station; link.role = companion"
+    return (Check("link failsafe", True, found),) if failsafe else ()
 
 
 def _guidance_check(config: Config, autopilot: Autopilot) -> Check:

@@ -108,16 +108,20 @@ class Recording:
         home_deg: tuple[float, float],
         autopilot: str = "",
         home_altitude_m: float | None = None,
+        config: Config | None = None,
     ) -> None:
         """Open the journal; home is (latitude, longitude). autopilot: where the exchange with it is recorded too.
 
+        config: the configuration as it is flown, if that differs from the one given before.
+
         Raises InputError when it cannot be written: nothing has been commanded yet.
         """
+        config = config or self._config
         header = Header(
             program=f"sidelong {version('sidelong')}",
-            config=self._config.model_dump(mode="json"),
+            config=config.model_dump(mode="json"),
             plane=plane,
-            seeds={"simulation": self._config.simulation.seed},
+            seeds={"simulation": config.simulation.seed},
             home_deg=home_deg,
             autopilot=autopilot,
             home_altitude_m=home_altitude_m,

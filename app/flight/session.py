@@ -22,7 +22,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import Check, autopilot_of, check_release
 from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
 from sidelong.app.link.key_file import KeyInUse
-from sidelong.app.link.mavsdk_link import SETTLING_S, FrameListener, MavsdkLink
+from sidelong.app.link.mavsdk_link import SETTLING_S, FrameListener, MavsdkLink, Role
 from sidelong.app.link.message import Message
 from sidelong.app.link.queries import release_of
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
@@ -105,6 +105,7 @@ async def connected(
     system_id: int | None = None,
     settling_s: float = SETTLING_S,
     open_transport: Callable[[str], Transport] | None = None,
+    role: Role | None = None,
 ) -> AsyncIterator[Session]:
     """Connect to one vehicle over one or several links.
 
@@ -117,6 +118,7 @@ async def connected(
         system_id: Selects the vehicle if there are several.
         settling_s: How long to listen for other vehicles, s.
         open_transport: Opens URLs that other links use as well.
+        role: What sidelong is on the link; see ``MavsdkLink.open``.
 
     Raises:
         InputError: There is no vehicle, none that sidelong supports, or several and none is selected.
@@ -138,8 +140,11 @@ async def connected(
         system_id=system_id,
         settling_s=settling_s,
         open_transport=open_transport,
+        role=role,
     )
     vehicle = Vehicle(link)
+    what, own_id = "companion of the vehicle" if vehicle.is_companion else "ground station", link.own_id
+    note(f"on this link sidelong is a {what} (system {own_id[0]}, component {own_id[1]}); link.role selects it")
     inputs = VehicleInputs(vehicle)
     senders.judge(inputs)
     receiving = asyncio.create_task(vehicle.run())

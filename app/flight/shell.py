@@ -225,7 +225,7 @@ class FlyingAircraft:
 
     def own_frame(self, data: bytes) -> None:
         """Take a frame of a link that is shared, from any thread: the others' are theirs to record."""
-        if Frame(data).source[0] in (self.config.link.system_id, OWN_SYSTEM_ID):
+        if Frame(data).system_id in (self.config.link.system_id, OWN_SYSTEM_ID):
             self.recording.frame(data)
 
     @property
@@ -405,6 +405,7 @@ class Shell:
                         system_id=link.system_id if self._simulated is None else None,
                         settling_s=SETTLING_S if self._simulated is None else 0.0,
                         open_transport=opener if is_shared else None,
+                        role=link.role or ("ground" if self._coordinator or self._simulated else None),
                     )
                 )
             await self._joined(stack, one, control)

@@ -17,11 +17,13 @@ import asyncio
 import contextlib
 import ctypes
 import json
+import re
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mavsdk.logging
 import msgspec
@@ -36,25 +38,29 @@ from sidelong.app.link.frames import Frame
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.message import Message, plain_fields
 from sidelong.app.link.quality import LinkReport
-from sidelong.app.link.raw_links import DO_AUX_FUNCTION, RawLinks, opened_links
+from sidelong.app.link.raw_links import AUTOPILOT_COMPONENT, DO_AUX_FUNCTION, RawLinks, opened_links
 from sidelong.app.link.transport import Transport
 from sidelong.app.link.vehicle import LinkError
 
 _LOOK_FOR_OTHERS_S = 2.0
 # What other systems on the links are received for: their traffic, and an ally's mission.
-_OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
+_OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
 _SEND_S, _PARAMETER_S = 2.0, 4.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
-_OWN_COMPONENT_ID = 190
 OWN_SYSTEM_ID = 245
-"""MAVLink system id that this program speaks as."""
+"""MAVLink system id of this program as a ground station; as a companion it has the vehicle's own."""
+_STATION = (OWN_SYSTEM_ID, int(dialect.MAV_COMP_ID_MISSIONPLANNER)), int(dialect.MAV_TYPE_GCS)
+_COMPANION_TYPE = int(dialect.MAV_TYPE_ONBOARD_CONTROLLER)
+_COMPANION_IDS = range(dialect.MAV_COMP_ID_ONBOARD_COMPUTER, dialect.MAV_COMP_ID_ONBOARD_COMPUTER4 + 1)
+_LOCAL = re.compile(r"serial.*|\w+://(127\.|localhost|0\.0\.0\.0).*")
+Role = Literal["companion", "ground"]
 
 FrameListener = Callable[[bytes], None]
 SETTLING_S = 2.2  # two heartbeat periods: every vehicle present has sent one by then
-_POLL_S = 0.1
+_POLL_S, _EARLY_MAX = 0.1, 10_000
 
 
 @mavsdk.logging.LogCallback  # type: ignore[untyped-decorator]  # MAVSDK has no types; the module keeps it alive
@@ -105,10 +111,11 @@ class MavsdkLink:
         system_id: int | None = None,
         settling_s: float = SETTLING_S,
         open_transport: Callable[[str], Transport] | None = None,
+        role: Role | None = None,
     ) -> MavsdkLink:
         """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one on the link.
 
-        Nothing is sent before the vehicle is selected; messages received until then are kept.
+        Only heartbeats are sent before the vehicle is selected; messages received until then are kept.
 
         Args:
             urls: The links to the vehicle.
@@ -119,32 +126,55 @@ class MavsdkLink:
             system_id: The vehicle to select; None: the only one.
             settling_s: How long to listen for other vehicles.
             open_transport: Opens a URL that other links use as well.
+            role: Companion of the vehicle, or ground station; None: companion where all links are serial or local
+                and a ground station is received, else ground station. PX4 takes a ground station's heartbeat of any
+                system as its data link, so a companion sends none.
 
         Raises:
             InputError: The URL is invalid, the port is busy, the key is unusable, no heartbeat arrives within
                 ``timeout_s``, or several vehicles are received within ``settling_s`` of the first frame and none is
                 selected.
         """
-        own = OWN_SYSTEM_ID, _OWN_COMPONENT_ID
         # The library's own subscription decodes texts of the vehicle as UTF-8; where that fails, MAVSDK prints the
         # bytes itself, escape sequences and all.
         mavsdk.logging._cmavsdk_lib.mavsdk_log_subscribe(_drop_log, None)
-        instance = Mavsdk(Configuration.create_manual(*own, True))
-        ours = contextlib.ExitStack()  # transports of our own
+        local = all(map(_LOCAL.fullmatch, urls))
+        instance, ours = None, contextlib.ExitStack()  # transports of our own
         try:
-            links = opened_links(urls, own, key, on_frame, on_trouble, open_transport)
+            links = opened_links(urls, _STATION[0], key, on_frame, on_trouble, open_transport)
             raw = await asyncio.to_thread(ours.enter_context, links)  # a server may not answer for two seconds
+            is_station = role == "ground" or (role is None and not local)
+            raw.speak_as(*(_STATION if is_station else ((OWN_SYSTEM_ID, _COMPANION_IDS[0]), _COMPANION_TYPE)))
+            early: deque[bytes] = deque(maxlen=_EARLY_MAX)
+            raw.start(early.append)
+            where = " and ".join(map(repr, urls))
+            await _vehicle_received(raw, where, timeout_s, system_id)
+            if system_id is None or (role is None and local):
+                await asyncio.sleep(max(0.0, (raw.received_since_s or 0.0) + settling_s - time.monotonic()))
+            vehicles = _vehicles(raw)
+            if system_id is None and len(vehicles) > 1:
+                found = _described(vehicles)
+                raise InputError(
+                    f"{where}: several vehicles share the link: {found}; select one with --set link.system_id=ID."
+                )
+            chosen = min(vehicles) if system_id is None else system_id
+            if role is None:
+                role = "companion" if local and _has_station(raw) else "ground"
+            own, mav_type = _STATION
+            if role == "companion":
+                free = (one for one in _COMPANION_IDS if (chosen, one) not in raw.heartbeats)
+                own, mav_type = (chosen, next(free, _COMPANION_IDS[0])), _COMPANION_TYPE
+            raw.speak_as(own, mav_type)
+            instance = Mavsdk(Configuration.create_manual(*own, True))
             # The asyncio wrapper does not offer the subscription, the object beneath it does.
             instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
             await instance.add_any_connection("raw://", ForwardingOption.OFF)
-            raw.start(instance._mavsdk.pass_received_raw_bytes)
-            where = " and ".join(map(repr, urls))
-            system = await _the_vehicle(instance, where, timeout_s, system_id)
+            instance._mavsdk.pass_received_raw_bytes(vehicles[chosen].data)
+            system = await instance.first_autopilot(timeout_s)
             if system is None:
                 raise InputError(_not_received(where, timeout_s, raw.reports()))
-            link = cls(instance, system, await system.get_system_id(), own, raw, ours)
-            if system_id is None:
-                await _check_alone(instance, where, (raw.received_since_s or time.monotonic()) + settling_s)
+            link = cls(instance, system, chosen, own, raw, ours)
+            raw.deliver_to(instance._mavsdk.pass_received_raw_bytes, early)
         except BaseException:
             await _ended(instance, ours)
             raise
@@ -281,51 +311,51 @@ def _not_received(what: str, timeout_s: float, reports: Sequence[LinkReport]) ->
     return f"{what}: no autopilot was received within {timeout_s:g} s; check that it runs and sends MAVLink there."
 
 
-async def _ended(instance: Mavsdk, ours: contextlib.ExitStack) -> None:
+async def _ended(instance: Mavsdk | None, ours: contextlib.ExitStack) -> None:
     """End the transports, which call the instance, and then that; what hangs is left alone."""
-    for end in (ours.close, instance.destroy):
+    for end in (ours.close, *(() if instance is None else (instance.destroy,))):
         ending = asyncio.ensure_future(asyncio.to_thread(end))
         _, hanging = await asyncio.wait((ending,), timeout=_STEP_OF_CLOSE_S)
         if hanging:
             return
 
 
-async def _the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: int | None) -> Any | None:
-    """Return the MAVSDK system with ``system_id``, or the first one received; None if no vehicle is received.
-
-    Raises:
-        InputError: Only vehicles with other system ids are received.
-    """
-    first = await instance.first_autopilot(timeout_s)
-    if first is None or system_id is None:
-        return first
+async def _vehicle_received(raw: RawLinks, url: str, timeout_s: float, system_id: int | None) -> None:
+    """Wait for the vehicle with ``system_id``, or the first one. Raises InputError if it is not received in time."""
     deadline_s = time.monotonic() + timeout_s
-    while time.monotonic() < deadline_s:
-        vehicles = await _vehicles(instance)
-        if system_id in vehicles:
-            return vehicles[system_id]
+    while not (vehicles := _vehicles(raw)) or (system_id or min(vehicles)) not in vehicles:
+        if time.monotonic() >= deadline_s:
+            if not vehicles:
+                raise InputError(_not_received(url, timeout_s, raw.reports()))
+            found = _described(vehicles)
+            raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another link.system_id.")
         await asyncio.sleep(_POLL_S)
-    found = await _described(await _vehicles(instance))
-    raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another link.system_id.")
 
 
-async def _check_alone(instance: Mavsdk, url: str, until_s: float) -> None:
-    """Listen for other vehicles until then, on the monotonic clock. Raises InputError when there are several."""
-    await asyncio.sleep(max(0.0, until_s - time.monotonic()))
-    vehicles = await _vehicles(instance)
-    if len(vehicles) > 1:
-        found = await _described(vehicles)
-        raise InputError(f"{url}: several vehicles share the link: {found}; select one with --set link.system_id=ID.")
+def _vehicles(raw: RawLinks) -> dict[int, Frame]:
+    """Return the latest heartbeat of each autopilot's system."""
+    return {
+        frame.system_id: frame
+        for frame in list(raw.heartbeats.values())
+        if frame.component_id == AUTOPILOT_COMPONENT and _kinds(frame)[1] != dialect.MAV_AUTOPILOT_INVALID
+    }
 
 
-async def _vehicles(instance: Mavsdk) -> dict[int, Any]:
-    systems: Sequence[Any] = await instance.get_systems()
-    return {await system.get_system_id(): system for system in systems if await system.has_autopilot()}
+def _has_station(raw: RawLinks) -> bool:
+    return any(_kinds(frame)[0] == dialect.MAV_TYPE_GCS for frame in list(raw.heartbeats.values()))
 
 
-async def _described(vehicles: Mapping[int, Any]) -> str:
+def _kinds(heartbeat: Frame) -> tuple[int, int]:
+    """Return MAV_TYPE and MAV_AUTOPILOT of a heartbeat."""
+    mav_type, mav_autopilot = heartbeat.payload.ljust(9, b"\0")[4:6]
+    return mav_type, mav_autopilot
+
+
+def _described(vehicles: Mapping[int, Frame]) -> str:
     described = []
-    for system_id, vehicle in sorted(vehicles.items()):
-        kinds = [(await vehicle.autopilot_type()).name, (await vehicle.vehicle_type()).name]
+    for system_id, frame in sorted(vehicles.items()):
+        mav_type, mav_autopilot = _kinds(frame)
+        names = (("MAV_AUTOPILOT", mav_autopilot), ("MAV_TYPE", mav_type))
+        kinds = (dialect.enums[enum][value].name.removeprefix(f"{enum}_") for enum, value in names)
         described.append(f"system {system_id} ({', '.join(kind.replace('_', ' ').lower() for kind in kinds)})")
     return ", ".join(described)

@@ -9,16 +9,24 @@ from typing import Any
 from sidelong.app.autopilots.autopilot import Release, release_in
 from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkReport
-from sidelong.app.link.telemetry import ARMED_FLAG, mode_name
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.telemetry import ARMED_FLAG, FAILSAFE_STATES, mode_name
+from sidelong.app.link.vehicle import Vehicle, VehicleMessages
 from sidelong.mission.control.present import VehicleStatus
 from sidelong.mission.exchange.dialect import Home
 
 _FLYING_HEIGHT_M = 25.0
-_ANSWER_S, _TRIES = 0.8, 3
+_ANSWER_S, _TRIES, _WARNED_S = 0.8, 3, 10.0
 _REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID, _GIMBAL_MANAGER_INFORMATION_ID = 512, 242, 148, 280
 _GIMBAL_MANAGER_INFORMATION = "GIMBAL_MANAGER_INFORMATION"
 _INFINITE_YAW = 2048  # GIMBAL_MANAGER_CAP_FLAGS
+
+
+def failsafe_of(vehicle: VehicleMessages) -> str:
+    """Return why the autopilot is in a failsafe, by its latest warning; '' if it reports none."""
+    heartbeat = vehicle.latest.get("HEARTBEAT")
+    if heartbeat is None or int(heartbeat.fields["system_status"]) not in FAILSAFE_STATES:
+        return ""
+    return vehicle.texts.latest_warning(heartbeat.received_s - _WARNED_S) or "it gives no reason"
 
 
 def mode_of(vehicle: Vehicle) -> str:

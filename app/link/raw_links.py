@@ -16,7 +16,7 @@ import struct
 import threading
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -189,10 +189,11 @@ _WATCH_S = 0.1
 _BACK_AFTER_S = 3.0  # after this silence, message rates are requested again on a link that returns
 _SPLITTERS_MAX = 64
 _COMMAND_LONG, _TIMESYNC = dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_TIMESYNC
+_HEARTBEAT, _HEARTBEAT_S = dialect.MAVLINK_MSG_ID_HEARTBEAT, 1.0
 _COMMANDS = message_ids("COMMAND_LONG COMMAND_INT")
 _COMMAND_AT, _TARGET_SYSTEM_AT = 28, 30  # in the payloads of both
 DO_AUX_FUNCTION = int(dialect.MAV_CMD_DO_AUX_FUNCTION)
-_ON_EVERY_LINK = message_ids("HEARTBEAT TIMESYNC")
+_ON_EVERY_LINK = message_ids("TIMESYNC")
 _SET_MESSAGE_INTERVAL = (511).to_bytes(2, "little")
 _MAY_WAIT = message_ids(
     "ATTITUDE GLOBAL_POSITION_INT MISSION_CURRENT CURRENT_MODE DISTANCE_SENSOR GIMBAL_DEVICE_ATTITUDE_STATUS"
@@ -229,7 +230,7 @@ class RawLinks:
 
     on_frame: receives every frame that is accepted or sent, before it is signed. on_trouble: receives a sentence
     when frames are refused or the link in use changes. on_request (an attribute): receives each DO_AUX_FUNCTION of
-    any station to any address. All are called from several threads.
+    any station to any address. All are called from several threads. heartbeats: the latest one of each sender.
     """
 
     def __init__(
@@ -255,6 +256,8 @@ class RawLinks:
         ]
         self._merger = LinkMerger(len(self._links))
         self._packer = dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
+        self.heartbeats: dict[tuple[int, int], Frame] = {}
+        self._heartbeat: Any = None
         self._rates: dict[bytes, Frame] = {}
         self._deliver: Callable[[bytes], object] = lambda _data: None
         self._waiting: list[bytes] = []
@@ -266,12 +269,29 @@ class RawLinks:
         self.measures_delay = False  # by questions to the vehicle, whose answers give the delay of each link
         self._is_signing_noted = False
 
+    def deliver_to(self, deliver: Callable[[bytes], object], first: Iterable[bytes]) -> None:
+        """Deliver to another receiver from now on, and before that what the previous one has kept."""
+        with self._delivering:
+            self._deliver = deliver
+            for data in first:
+                deliver(data)
+
     def start(self, deliver: Callable[[bytes], object]) -> None:
         """Begin to receive; ``deliver`` takes whole frames, one or several, from several threads."""
         self._deliver = deliver
         for index, link in enumerate(self._links):
             link.transport.start(lambda data, peer, index=index: self._received(index, data, peer))  # type: ignore[misc]
         self._watcher.start()
+
+    def speak_as(self, own: tuple[int, int], mav_type: int) -> None:
+        """Send heartbeats of this system, component and MAV_TYPE from now on."""
+        with self._lock:
+            self._own, self._packer = own, dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
+            for link in self._links:
+                if link.signing is not None:
+                    link.signing.own = own
+        none, active = dialect.MAV_AUTOPILOT_INVALID, dialect.MAV_STATE_ACTIVE
+        self._heartbeat = dialect.MAVLink_heartbeat_message(mav_type, none, 0, 0, active, 3)
 
     def close(self) -> None:
         """End all links; safe to call more than once."""
@@ -317,8 +337,8 @@ class RawLinks:
     def send(self, data: bytes) -> None:
         """Send frames on the link in use; send those that every link needs on all links."""
         for frame in FrameSplitter().split(data):  # whole frames, from several threads
-            if not frame.is_v2:
-                continue  # it could not be signed; MAVSDK sends none
+            if not frame.is_v2 or frame.message_id == _HEARTBEAT:
+                continue  # MAVLink 1 could not be signed; a heartbeat of MAVSDK names no companion's type
             self._on_frame(frame.data)
             rate = frame.message_id == _COMMAND_LONG and frame.payload[28:30] == _SET_MESSAGE_INTERVAL
             if rate:
@@ -357,23 +377,26 @@ class RawLinks:
             for trouble in troubles:
                 self._on_trouble(trouble)
             if passed:
+                if frame.message_id == _HEARTBEAT:
+                    self.heartbeats[frame.source] = frame
                 self._on_frame(frame.data)
                 if frame.message_id not in UNREAD and not self._is_taken(frame):
                     self._pass_on(frame)
         return peers
 
     def _is_taken(self, frame: Frame) -> bool:
-        """Hand out a DO_AUX_FUNCTION; return whether it is addressed to us: MAVSDK would refuse it.
+        """Hand out a DO_AUX_FUNCTION; return whether it is addressed to us, too: MAVSDK would refuse it.
 
         MAVSDK passes on no command that is addressed to another system, or from one without heartbeats.
         """
         if frame.message_id not in _COMMANDS:
             return False
-        payload = frame.payload.ljust(_TARGET_SYSTEM_AT + 1, b"\0")
+        payload = frame.payload.ljust(_TARGET_SYSTEM_AT + 2, b"\0")
         if int.from_bytes(payload[_COMMAND_AT:_TARGET_SYSTEM_AT], "little") != DO_AUX_FUNCTION:
             return False
         self.on_request(frame)
-        return payload[_TARGET_SYSTEM_AT] == self._own[0]
+        to_system, to_component = payload[_TARGET_SYSTEM_AT : _TARGET_SYSTEM_AT + 2]
+        return to_system == self._own[0] and to_component in (0, self._own[1])
 
     def _pass_on(self, frame: Frame) -> None:
         with self._delivering:
@@ -451,11 +474,17 @@ class RawLinks:
     # -- other ---------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        ask_s = 0.0
+        ask_s = beat_s = 0.0
         while not self._closing.wait(_WATCH_S):
             if self._has_waited:
                 self.flush()
             now_s = time.monotonic()
+            if self._heartbeat is not None and now_s >= beat_s:
+                beat_s = now_s + _HEARTBEAT_S
+                heartbeat = Frame(self._heartbeat.pack(self._packer))
+                self._on_frame(heartbeat.data)
+                for index in range(len(self._links)):
+                    self._send_on(index, heartbeat)
             if self.measures_delay and now_s >= ask_s:
                 ask_s = now_s + _ASK_DELAY_S
                 for index in range(len(self._links)):

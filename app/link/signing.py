@@ -112,7 +112,7 @@ class LinkSigning:
     """
 
     def __init__(self, key: SigningKey, times: SigningTimes, link_id: int, own: tuple[int, int]) -> None:
-        self._key, self._times, self._link_id, self._own = key, times, link_id, own
+        self._key, self._times, self._link_id, self.own = key, times, link_id, own
         self._link_of: dict[tuple[int, int], tuple[int, int]] = {}  # source: (its link id here, its last time)
 
     def signed(self, unsigned: bytes, now: int) -> bytes:
@@ -130,7 +130,7 @@ class LinkSigning:
             return Refusal.UNSIGNED
         if not self.genuine(frame):
             return Refusal.WRONG_KEY
-        if frame.source == self._own:
+        if frame.source == self.own:
             return Refusal.OWN
         link_id, time = frame.data[-13], int.from_bytes(frame.data[-12:-6], "little")
         if time > latest_time(now):

@@ -34,6 +34,7 @@ TYPE_FIXED_WING = int(dialect.MAV_TYPE_FIXED_WING)
 ARMED_FLAG = int(dialect.MAV_MODE_FLAG_SAFETY_ARMED)
 
 FAILSAFE = "failsafe"
+FAILSAFE_STATES = (5, 6, 8)  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY, MAV_STATE_FLIGHT_TERMINATION
 RECOVERY_MODES = ("RTL", "QRTL", "LAND", "QLAND", "AUTOLAND", "PRECLAND", "DESCEND", "TERMINATION", "AVOID_ADSB")
 """Modes out of which a flying aircraft is not taken without permission."""
 

@@ -73,6 +73,10 @@ class StatusTexts:
             return None
         return self._complete(self._arriving.pop(number))
 
+    def latest_warning(self, since_s: float) -> str:
+        """Return the text of the latest whole warning since then, '' if there is none."""
+        return next((one.text for one in reversed(self._texts) if one.is_warning and one.received_s >= since_s), "")
+
     def warnings(self, since_s: float) -> tuple[str, ...]:
         """Return the warnings since then, each once, in the order in which they came last."""
         for number in list(self._arriving):
@@ -139,7 +143,7 @@ class VehicleMessages:
     """What one vehicle sends, and who listens to it. own_id: system and component id of this end of the link."""
 
     def __init__(self, system_id: int, own_id: tuple[int, int]) -> None:
-        self.system_id, self._own_id = system_id, own_id
+        self.system_id, self.own_id = system_id, own_id
         self.latest: dict[str, Message] = {}
         self.texts = StatusTexts()  # of the autopilot
         self.listeners: list[Listener] = []
@@ -165,6 +169,11 @@ class VehicleMessages:
                 listener(self.latest[name])
         self.listeners.append(listener)
 
+    @property
+    def is_companion(self) -> bool:
+        """Whether this end is a companion of the vehicle, and no ground station."""
+        return self.own_id[0] == self.system_id
+
     def is_for_us(self, message: Message) -> bool:
         """Return whether a message of the autopilot is addressed to this station; answers to others may arrive too.
 
@@ -172,7 +181,7 @@ class VehicleMessages:
         """
         if message.component_id != AUTOPILOT_COMPONENT:
             return False
-        system_id, component_id = self._own_id
+        system_id, component_id = self.own_id
         fields = message.fields
         for_system, for_component = fields.get("target_system") or 0, fields.get("target_component") or 0
         return for_system in (0, system_id) and for_component in (0, component_id)

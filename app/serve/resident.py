@@ -92,7 +92,7 @@ class ServiceDisplay:
     def note(self, text: str) -> None:
         self._log(text)
 
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         self.request = request
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
@@ -106,7 +106,7 @@ class ServiceDisplay:
 
     def show(self, snapshot: Present) -> None:
         before, self.snapshot = self.snapshot, snapshot
-        if before is None or before.phase is not snapshot.phase:
+        if before is None or (before.phase, before.over) != (snapshot.phase, snapshot.over):
             self._changed()
 
 
@@ -298,7 +298,8 @@ class Resident:
         if message.name == "HEARTBEAT" or session is None:
             return
         own_id = session.vehicle.link.own_id
-        if message.fields.get("target_system") == own_id[0]:  # to the autopilot: it answers itself
+        to = message.fields.get("target_system"), message.fields.get("target_component")
+        if to == own_id or (to == (own_id[0], 0) and not session.vehicle.is_companion):  # else the autopilot answers
             result = mavlink.MAV_RESULT_ACCEPTED if accepted else mavlink.MAV_RESULT_TEMPORARILY_REJECTED
             session.begin(session.vehicle.acknowledge(message, result))
 
@@ -350,6 +351,7 @@ class Resident:
             link.signing_key_file,
             self._log,
             link.system_id,
+            role=link.role or "companion",
         ) as session:
             self._join(session)
             try:

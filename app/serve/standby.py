@@ -10,14 +10,14 @@ from typing import Any, Literal
 
 from sidelong.app.config import Config, ControlSection
 from sidelong.app.errors import InputError
-from sidelong.app.flight.preflight import FAILSAFE_STATES, Check, SourceRates, check_takeover, checks
+from sidelong.app.flight.preflight import Check, SourceRates, check_takeover, checks
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.streams import ask_for_streams, wants_few
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, is_flying
 from sidelong.app.link.raw_links import DO_AUX_FUNCTION
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, mode_name
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, FAILSAFE_STATES, mode_name
 
 _LISTEN_S = 1.0
 _SILENT_S = 5.0
@@ -246,8 +246,8 @@ class Triggers:
     def _aux(self, message: Message, function: int) -> Request | None:
         fields = message.fields
         to_system, to_component = int(fields["target_system"]), int(fields["target_component"])
-        components = {0: None, self.system_id: AUTOPILOT_COMPONENT, self._own_id[0]: self._own_id[1]}
-        if to_system not in components or (to_component and components[to_system] not in (None, to_component)):
+        addressees = ((self.system_id, AUTOPILOT_COMPONENT), self._own_id)
+        if to_system and not any(one[0] == to_system and to_component in (0, one[1]) for one in addressees):
             return None
         level = float(fields["param2"])
         if (

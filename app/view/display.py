@@ -73,8 +73,8 @@ class ShownAircraft:
         self._trail_s = -math.inf
         self._request: Callable[[Wish], None] | None = None
 
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        self._inner.begin(plane, request)
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
+        self._inner.begin(plane, request, config)
         self.encoder.plane, self._request = plane, request
         self._page.comes_to("taking over")
 
@@ -245,8 +245,9 @@ class ViewDisplay(ShownAircraft):
 
     # -- from the flight -----------------------------------------------------------------------------------
 
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        super().begin(plane, request)
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
+        super().begin(plane, request, config)
+        self._config = config or self._config
         self._setting = self._set()
         if self._config.terrain.folder is not None and self._shading is None:
             self._shading = Shading(self._config, plane)

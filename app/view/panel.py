@@ -13,6 +13,7 @@ from rich.panel import Panel as Border
 from rich.table import Table
 from rich.text import Text
 
+from sidelong.app.config import Config
 from sidelong.app.flight.loop import Wish
 from sidelong.app.link.message import plain
 from sidelong.app.view.prompt import HELP, Keyboard, Prompt
@@ -131,7 +132,7 @@ class AircraftDisplay:
         self._snapshot: Present | None = None
         self._plain_s = -math.inf
 
-    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         def wish(asked: Wish) -> None:
             if self._snapshot is not None and math.isfinite(self._snapshot.time_s):
                 request(replace(asked, time_s=self._snapshot.time_s))

@@ -9,7 +9,8 @@ Rules
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
    to the transition's circle directly.
-6. Any other flight mode than that of the takeover means that a pilot or another station flies: Yield, latched.
+6. Any other flight mode than that of the takeover means that a pilot, another station or a failsafe of the autopilot
+    flies: Yield, latched.
    Only an operator's request to resume ends it: the aircraft is then taken over again, and the watch goes on with
    the live track.
 7. A target lost for ``give_up_after_s`` ends the mission, and so does a low battery: the aircraft flies home.
@@ -500,9 +501,13 @@ class StandoffController:
         return ()
 
     def _mode_reported(self, event: ModeReported) -> tuple[StepOutput, ...]:
-        self._mode = event.mode
+        self._mode, changed = event.mode, f"the flight mode was changed to {event.mode}"
+        failsafe = f"{changed} by a failsafe of the autopilot: {event.failsafe}" if event.failsafe else ""
         if self.phase.in_control and event.mode != self._own_mode:
-            return self._yield(event.time_s, f"the flight mode was changed to {event.mode}")
+            return self._yield(event.time_s, failsafe or changed)
+        if failsafe and self.phase is Phase.YIELDED and self._over == changed:  # the reason is reported later
+            self._over = failsafe
+            return (Yield(event.time_s, failsafe),)
         if self.phase.in_control and not event.armed:
             return self._yield(event.time_s, "the motors were disarmed")
         return ()

@@ -76,11 +76,16 @@ class NavigationReported:
 
 @dataclass(frozen=True, slots=True)
 class ModeReported:
-    """A heartbeat of the autopilot: its flight mode by name, and whether it is armed."""
+    """A heartbeat of the autopilot: its flight mode by name, and whether it is armed.
+
+    Attributes:
+        failsafe: Why the autopilot is in a failsafe, in its own words; '' if it is in none.
+    """
 
     time_s: float
     mode: str
     armed: bool
+    failsafe: str = ""
 
 
 @dataclass(frozen=True, slots=True)

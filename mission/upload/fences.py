@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from shapely import LineString, Point, Polygon, get_parts, union_all
+from shapely import LineString, Point, Polygon, get_parts, intersection_all, union_all
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
@@ -103,6 +103,31 @@ class Fences:
             if near_m < self._margin_m:
                 return f"{part} comes within {near_m:.0f} m of {name}, less than {self._margin_m:.0f} m"
         return None
+
+
+def intersection(
+    keep_in: Sequence[Outline], inclusion: Sequence[Outline], every: bool
+) -> tuple[list[Outline], list[Outline]]:
+    """Return the area inside both the union of ``keep_in`` and other inclusion fences, as outlines and their holes.
+
+    Args:
+        keep_in: Polygons of which one has to be stayed in; none: anywhere.
+        inclusion: The other fences, at least one.
+        every: Whether all of those have to be stayed in, or one of them.
+
+    Raises:
+        FenceError: One is no polygon, or they have no area in common.
+    """
+    others = [_polygon(outline, f"inclusion fence {number}") for number, outline in enumerate(inclusion, 1)]
+    area = intersection_all(others) if every else union_all(others)
+    if keep_in:
+        own = [_polygon(outline, f"keep_in polygon {number}") for number, outline in enumerate(keep_in, 1)]
+        area = area.intersection(union_all(own))
+    parts = [part for part in get_parts(area) if part.geom_type == "Polygon" and part.area >= _AREA_MIN_M2]
+    if not parts:
+        raise FenceError("the inclusion fences and keep_in have no area in common")
+    outlines, holes = [part.exterior for part in parts], [hole for part in parts for hole in part.interiors]
+    return [list(ring.coords)[:-1] for ring in outlines], [list(ring.coords)[:-1] for ring in holes]
 
 
 def _ring(circle: Circle) -> Any:

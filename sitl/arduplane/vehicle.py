@@ -264,6 +264,7 @@ def arduplane_parameters(settings: Settings) -> Parameters:
         "MAV_GCS_SYSID": (INT16, 255.0),
         "MAV_SYSID": (INT16, settings.system_id),
         "FENCE_ENABLE": (INT8, 0.0),
+        "FENCE_OPTIONS": (INT16, 0.0),
         "FENCE_ACTION": (INT8, 1.0),
         "FENCE_TOTAL": (INT8, 0.0),
         "ARMING_MIS_ITEMS": (INT32, 0.0),
@@ -356,7 +357,6 @@ class SimulatedArduPlane(SimulatedAutopilot):
         self._guided_radius_m = 0.0
         self._ordered_airspeed_m_s: float | None = None
         self._min_ground_speed_m_s = 0.0
-        self._failsafe = False
         self._handlers |= {
             mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self._on_set_current,
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
@@ -428,9 +428,9 @@ class SimulatedArduPlane(SimulatedAutopilot):
             return
         silent_s = self.ground_silent_s
         if silent_s < self.parameters["FS_LONG_TIMEOUT"]:
-            self._failsafe = False
-        elif not self._failsafe:
-            self._failsafe = True
+            self.failsafe = False
+        elif not self.failsafe:
+            self.failsafe = True
             self.say(mavlink.MAV_SEVERITY_WARNING, "GCS Failsafe On")
             action = self.parameters["FS_LONG_ACTN"]
             if action == 1 or (action == 0 and self.mode not in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED)):

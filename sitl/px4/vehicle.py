@@ -291,7 +291,6 @@ class SimulatedPx4(SimulatedAutopilot):
         self._reached: tuple[int, int, float] | None = None  # index, repeats left, next time
         self.relayed_range: Any = None  # the latest range of another component, until it is sent
         self._ordered_airspeed_m_s: float | None = None
-        self._link_lost = False
         self.parameters.on_change = self._on_parameter
         self._handlers |= {
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
@@ -361,9 +360,9 @@ class SimulatedPx4(SimulatedAutopilot):
             return
         lost_for_s = self.ground_silent_s - self.parameters["COM_DL_LOSS_T"]
         if lost_for_s < 0.0:
-            self._link_lost = False
-        elif not self._link_lost:
-            self._link_lost = True
+            self.failsafe = False
+        elif not self.failsafe:
+            self.failsafe = True
             self.say(mavlink.MAV_SEVERITY_WARNING, "Connection to ground station lost\t")
             self.set_mode(Px4Mode.HOLD)
         elif action == 2 and lost_for_s > self.parameters["COM_FAIL_ACT_T"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import random
 from collections import Counter
 from types import SimpleNamespace
@@ -15,9 +16,10 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import load_config
 from sidelong.app.flight.streams import ask_for_streams, is_slow, wants_few
 from sidelong.app.link.message import Message
-from sidelong.app.link.other_mission import mission_of, read_mission
+from sidelong.app.link.other_mission import fences_of, mission_of, read_fences, read_mission
 from sidelong.app.link.parameters import read_parameters
 from sidelong.app.link.vehicle import LinkError, Vehicle
+from sidelong.estimators.frames import LocalPlane
 from sidelong.sitl.protocol.transfer import Item
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
@@ -162,6 +164,64 @@ def test_mission_of_another_vehicle_is_read(flavour, loss):
     found = asyncio.run(main())
     assert found.points_deg == [pytest.approx((lat * 1e-7, lon * 1e-7)) for lat, lon in corners]
     assert not found.lap
+
+
+def random_fences(rng):
+    """Return fence items of some polygons and circles, with the outlines and circles that they mean."""
+    items, outlines, circles = [], {True: [], False: []}, []
+    for _ in range(rng.randint(1, 4)):
+        inside, east, north = rng.random() < 0.5, rng.randint(-50_000, 50_000), rng.randint(-50_000, 50_000)
+        if rng.random() < 0.5:
+            kind = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION + (not inside)
+            circles.append((inside, (473_000_000 + north, 85_000_000 + east), radius_m := rng.uniform(20.0, 900.0)))
+            items.append((kind, radius_m, circles[-1][1]))
+            continue
+        angles = sorted(rng.uniform(0.0, 2.0 * math.pi) for _ in range(rng.randint(3, 9)))
+        corners = [
+            (473_000_000 + north + round(3e4 * math.cos(angle)), 85_000_000 + east + round(4e4 * math.sin(angle)))
+            for angle in angles
+        ]
+        kind = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION + (not inside)
+        items += [(kind, float(len(corners)), corner) for corner in corners]
+        outlines[inside].append(corners)
+    return [Item(kind, 0, (first, 0.0, 0.0, 0.0), *corner, 0.0) for kind, first, corner in items], outlines, circles
+
+
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_fences_and_rally_points_of_a_vehicle_are_read_in_100_of_100(flavour):
+    rng = random.Random(66)
+
+    async def ask(vehicle):
+        transfers = vehicle.link._simulation.vehicle.transfers
+        for _ in range(50):
+            items, outlines, circles = random_fences(rng)
+            rally = [Item(mavlink.MAV_CMD_NAV_RALLY_POINT, 3, (0.0,) * 4, 473_000_000, 85_000_000, 90.0)]
+            for kind, stored in ((mavlink.MAV_MISSION_TYPE_FENCE, items), (mavlink.MAV_MISSION_TYPE_RALLY, rally)):
+                transfers[kind].store.begin(len(stored))
+                for index, item in enumerate(stored):
+                    transfers[kind].store.put(index, item, False)
+                transfers[kind].store.finish()
+            found = await read_fences(vehicle, answer_s=0.01)
+            assert found.rally == ((pytest.approx(47.3), pytest.approx(8.5)),)
+            for inside, read in ((True, found.inclusion), (False, found.exclusion)):
+                polygons = [[(lat * 1e-7, lon * 1e-7) for lat, lon in one] for one in outlines[inside]]
+                assert [list(map(pytest.approx, one)) for one in polygons] == [
+                    list(one) for one in read if len(one) < 64
+                ]
+                wanted = [(centre, radius_m) for kept, centre, radius_m in circles if kept == inside]
+                for (centre, radius_m), outline in zip(wanted, [one for one in read if len(one) == 64], strict=True):
+                    plane = LocalPlane(*(value * 1e-7 for value in centre))
+                    corners_m = [math.hypot(*plane.east_north_m(*corner)) for corner in outline]
+                    assert radius_m * (0.999 if inside else 1.0) <= min(corners_m)
+                    assert max(corners_m) <= radius_m * (1.0 if inside else 1.002) + 0.01
+
+    asked(flavour, 0.0, ask)
+
+
+def test_a_fence_that_is_cut_short_is_refused():
+    vertex = {"command": mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, "param1": 4.0, "x": 1, "y": 2}
+    with pytest.raises(LookupError, match="fewer than its 4 corners"):
+        fences_of([vertex] * 3)
 
 
 def test_mission_that_jumps_back_indefinitely_is_a_lap():

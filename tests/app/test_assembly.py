@@ -7,17 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of, winds_m_s
+from sidelong.app.assembly import controller_of, winds_m_s, with_vehicle_fences
 from sidelong.app.config import load_config
+from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import planner_in_fleet
+from sidelong.app.link.other_mission import VehicleFences
 from sidelong.app.planners import value_cache
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, OperatorRequest
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
 from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.predictive import planner
+
+PLANE = LocalPlane(47.3, 8.5)
 
 
 def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
@@ -32,6 +37,39 @@ def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
     (announced,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
     assert announced.text == "operator: side right"
     assert controller.snapshot().side is Side.RIGHT
+
+
+def square(east_m, north_m, half_m):
+    sides = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    return tuple(PLANE.latitude_longitude_deg(east_m + half_m * e, north_m + half_m * n) for e, n in sides)
+
+
+def test_the_vehicles_fences_are_kept_with_the_configured_ones():
+    own = {"fences": {"keep_in": [square(0, 0, 1000)], "keep_out": [square(0, 0, 10)]}}
+    config, excluded = load_config(None, own), square(500, 500, 50)
+    inclusions = square(800, 0, 600), square(800, 300, 600)
+    for every, north_m in ((True, (-300, 600)), (False, (-600, 900))):
+        both = with_vehicle_fences(config, VehicleFences(inclusions, (excluded,)), every).fences
+        corners = [PLANE.east_north_m(*corner) for outline in both.keep_in for corner in outline]
+        for axis, (least_m, most_m) in enumerate(((200, 1000), north_m)):
+            assert min(corner[axis] for corner in corners) == pytest.approx(least_m, abs=1.0)
+            assert max(corner[axis] for corner in corners) == pytest.approx(most_m, abs=1.0)
+        assert both.keep_out == [list(square(0, 0, 10)), list(excluded)]
+    assert with_vehicle_fences(config, VehicleFences(rally=square(0, 0, 1)), True) is config
+
+
+@pytest.mark.parametrize(
+    ("inclusion", "reason"),
+    [
+        ((square(5000, 0, 100),), "no area in common"),
+        ((square(0, 0, 60),), "no circle of aircraft.radius_m"),
+        ((square(0, 0, 60)[:2],), "has 2 corners"),
+    ],
+)
+def test_vehicles_fences_that_leave_no_room_are_refused(inclusion, reason):
+    config = load_config(None, {"fences": {"keep_in": [square(0, 0, 1000)]}})
+    with pytest.raises(InputError, match=f"the vehicle's fences: .*{reason}"):
+        with_vehicle_fences(config, VehicleFences(inclusion), True)
 
 
 @pytest.mark.parametrize(

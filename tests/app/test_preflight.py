@@ -24,7 +24,7 @@ GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
 class Silent:
     """A vehicle of which nothing but its latest messages matters."""
 
-    system_id, own_id, only_mavlink_1 = 1, (245, 190), False
+    system_id, own_id, only_mavlink_1, is_companion = 1, (245, 190), False, False
 
     def __init__(self, **messages):
         self.latest = latest(**messages)
@@ -52,6 +52,25 @@ def test_what_stands_in_the_way_is_named_with_its_remedy(autopilot, name, presen
     (check,) = (check for check in found if check.name == name)
     assert not check.ready
     assert "link.set_parameters" in str(check)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "values", "hidden"),
+    [
+        (Px4(), {"NAV_DLL_ACT": 2.0, "COM_DL_LOSS_T": 10.0}, "NAV_DLL_ACT = 2 after COM_DL_LOSS_T = 10 s"),
+        (Px4(), {"NAV_DLL_ACT": 0.0, "COM_DL_LOSS_T": 10.0}, None),
+        (ArduPlane(), {"FS_GCS_ENABL": 1.0, "SYSID_MYGCS": 245.0}, "FS_GCS_ENABL = 1 of ground station 245"),
+        (ArduPlane(), {"FS_GCS_ENABL": 1.0, "SYSID_MYGCS": 255.0}, None),
+    ],
+)
+def test_a_failsafe_that_a_ground_station_renews_is_reported(autopilot, values, hidden):
+    table, vehicle = ParameterTable(autopilot.parameters, None, values), Silent()
+    found = [
+        one.found for one in checks(Config(), vehicle, autopilot, table, None, ()) if one.name == "link failsafe"
+    ]
+    assert [one.split(" does not begin")[0] for one in found] == ([hidden] if hidden else [])
+    vehicle.is_companion = True
+    assert "link failsafe" not in {one.name for one in checks(Config(), vehicle, autopilot, table, None, ())}
 
 
 def test_an_unhealthy_sensor_is_named():

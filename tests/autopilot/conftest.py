@@ -35,7 +35,8 @@ PATIENCE_S = 0.3 * LIFE_S
 WIND_UP_S = 60.0  # the application's own bound
 # Runs a program that the kernel ends after this many seconds, should its test not have lived to do it.
 MORTAL = "import os, signal, sys; signal.alarm(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
-OURS = 245  # the application's MAVLink system
+STATION_IDS = range(190, 195)  # MAVLink components of the application: ground station or companion
+ROLE = os.environ.get("LINK_ROLE", "")
 WRITING = {"MISSION_COUNT", "MISSION_WRITE_PARTIAL_LIST", "MISSION_ITEM_INT"}
 COMMANDING = WRITING | {"COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "SET_MODE"}
 
@@ -146,7 +147,7 @@ class Vehicle:
             return
         for message in self._parser.parse_buffer(bytes(data)) or ():
             kind = message.get_type()
-            if message.get_srcSystem() == OURS and kind in COMMANDING:
+            if message.get_srcComponent() in STATION_IDS and kind in COMMANDING:
                 self.commanded.append((self.simulation.time_s, kind))
                 if kind == "MISSION_ITEM_INT" and self.items_until_act:
                     self.items_until_act -= 1
@@ -165,6 +166,7 @@ class Application:
     def __init__(self, url, out, *options, program=(SIDELONG,), stdout=None):
         self.out = out
         arguments = ["launch", "--connect", url, "--duration", "3000", "--out", str(out), *options]
+        arguments += ["--set", f"link.role={ROLE}"] if ROLE else []
         # A pipe that no one empties would stop it: the lines go into a file.
         self._log = out.with_suffix(".log")
         with self._log.open("w") as log:

@@ -10,12 +10,15 @@ from __future__ import annotations
 import json
 import os
 import socket
+import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from tests.autopilot.changing_relay import ChangingRelay
+from tests.autopilot.conftest import COMMANDING
 from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, configured
 from tests.bench.test_service import Service
 
@@ -25,6 +28,12 @@ CYCLES = int(os.environ.get("CYCLES", "3"))
 WATCHED = "watched from now on"
 RESUMED_WITHIN_S = 10.0
 WATCHED_S, PILOTS_S = 20.0, 15.0
+FAILSAFE_WITHIN_S = 20.0  # both time-outs are shorter
+INT32, INT8 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_INT8
+LINK_FAILSAFE = {  # values as they go over the link
+    "arduplane": (("FS_GCS_ENABL", 1.0, INT8), ("FS_LONG_ACTN", 1.0, INT8)),
+    "px4": (("NAV_DLL_ACT", 2.8e-45, INT32), ("COM_DL_LOSS_T", 1.4e-44, INT32)),  # 2, and 10 s
+}
 PILOTS_MODE = {"arduplane": (5, 0), "px4": (4, 3)}  # FBWA; AUTO LOITER: its simulated pilot has no sticks
 
 
@@ -61,6 +70,63 @@ def test_the_watch_is_resumed_after_each_of_three_takeovers(flavour, tmp_path):
         assert service.process.wait(60.0) == 0
         assert "Traceback" not in service.announced
     assert max(took_s) <= RESUMED_WITHIN_S
+
+
+@contextmanager
+def ground_station(relay):
+    """Send heartbeats of a ground station inside the context."""
+    silent, beat = threading.Event(), mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+
+    def talk():
+        while not silent.wait(1.0):
+            relay.say(beat)
+
+    talking = threading.Thread(target=talk)
+    talking.start()
+    try:
+        yield
+    finally:
+        silent.set()
+        talking.join()
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_the_failsafe_of_a_silent_ground_station_takes_the_aircraft(flavour, tmp_path):
+    more = '[requirement]\ntarget_speed_max_m_s = 4\n[link]\ntake_over_from = ["RTL", "failsafe"]\n'
+    config = configured(tmp_path / "mission.toml", flavour, more)
+    with (
+        RealVehicle(flavour, "--target", "circle") as vehicle,
+        ChangingRelay(vehicle.urls[0]) as relay,
+        Service(relay.url, tmp_path, str(config)) as service,
+    ):
+        service.until("ready")
+        with ground_station(relay):
+            assert service.ask("watch").returncode == 0
+            service.wait_for(WATCHED)
+            for name, value, kind in LINK_FAILSAFE[flavour]:
+                relay.set_parameter(name, value, kind)
+            time.sleep(WATCHED_S)
+            assert service.until("watching", None)["state"] == "watching"
+            own_mode = relay.mode
+        silent_s = time.monotonic()
+        while relay.mode == own_mode:
+            assert time.monotonic() < silent_s + FAILSAFE_WITHIN_S, "the failsafe does not begin"
+            time.sleep(0.05)
+        began_s = time.monotonic() - silent_s
+        service.wait_for("by a failsafe of the autopilot: ")
+        print(f"{flavour}: the failsafe began {began_s:.1f} s after the last heartbeat")
+        print(service.until("yielded", None)["reason"])
+        with ground_station(relay):
+            commanded = sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"})
+            time.sleep(PILOTS_S)
+            assert service.until("yielded", None)["state"] == "yielded"
+            assert sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"}) == commanded
+            asked(service, "watch")
+            service.wait_for(WATCHED, times=2)
+            assert relay.mode == own_mode
+        service.process.terminate()
+        assert service.process.wait(60.0) == 0
+        assert "Traceback" not in service.announced
 
 
 def asked(service, request):

@@ -33,3 +33,26 @@ def test_another_station_changes_the_mode(vehicle_of, launch, seed):
     summary = application.end()
     assert summary["outcome"].startswith("yielded")
     assert "changed to LOITER" in summary["outcome"]
+
+
+LINK_FAILSAFE = {"arduplane": {"FS_GCS_ENABL": 1, "FS_LONG_ACTN": 1}, "px4": {"NAV_DLL_ACT": 2}}
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_a_companion_does_not_stand_in_for_a_silent_ground_station(vehicle_of, launch, flavour):
+    vehicle = vehicle_of(flavour, speed=10.0)
+    application = launch(vehicle.url, "--set", "link.role=companion")
+    application.wait_for(WATCHED)
+
+    def hear_a_station_for_the_last_time():
+        for name, value in LINK_FAILSAFE[flavour].items():
+            vehicle.autopilot.parameters.set(name, value)
+        vehicle.autopilot.gcs_received_s = vehicle.autopilot.now_s
+
+    vehicle.do(hear_a_station_for_the_last_time)
+    application.wait_for("commanding nothing more")
+    application.wait_for("by a failsafe of the autopilot: ")
+    announced_s = vehicle.simulation.time_s
+    vehicle.wait(30.0)
+    assert commands_after(vehicle, announced_s) == []
+    assert application.end()["outcome"].startswith("yielded")

@@ -122,7 +122,7 @@ class Alternating:
     def on_page(self) -> bool:
         return int(time.monotonic() / WINDOW_S) % 2 == 0
 
-    def begin(self, plane, request):
+    def begin(self, plane, request, config=None):
         self._view.begin(plane, request)
 
     def engage(self, start_s, duration_s):

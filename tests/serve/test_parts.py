@@ -444,7 +444,7 @@ def test_the_deployment_files_are_valid(tmp_path):
     router = ConfigParser()
     router.read(DEPLOYMENT / "mavlink-router.conf")
     assert config.link.url == f"udpin://127.0.0.1:{router['UdpEndpoint sidelong']['Port']}"
-    assert router["General"]["SnifferSysid"] == "245"
+    assert router["General"]["SnifferSysid"] == "1"
 
 
 @pytest.mark.skipif(which("systemd-analyze") is None, reason="systemd is not installed")

@@ -90,7 +90,7 @@ async def serving(vehicle, out, monkeypatch, **control):
         station.socket.close()
 
 
-TARGETS = ((1, 1), (1, 0), (0, 0), (245, 190), (245, 0))
+TARGETS = ((1, 1), (1, 0), (0, 0), (1, 191))
 SENDERS = ((255, 190), (255, 0), (250, 190), (42, 1))
 
 
@@ -111,7 +111,7 @@ def test_an_auxiliary_function_arrives_in_each_form(vehicle_of, tmp_path, monkey
                     await come(lambda: requested)
                     assert requested == [request], (target, sender)
             requested.clear()
-            for target in ((7, 1), (245, 191), (1, 154)):
+            for target in ((7, 1), (245, 190), (1, 154)):
                 station.press(HIGH, target)
             station.press(HIGH)
             await come(lambda: requested)
@@ -128,7 +128,7 @@ def test_a_command_to_us_is_answered_once_as_accepted(vehicle_of, tmp_path, monk
             parser, answers = mavlink.MAVLink(None), []
             beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 255, 190))
             station.socket.sendto(beat, station._address)
-            station.press(HIGH, (245, 190))
+            station.press(HIGH, (1, 191))
             await come(lambda: watching.lasting)
 
             def answered():
@@ -141,7 +141,7 @@ def test_a_command_to_us_is_answered_once_as_accepted(vehicle_of, tmp_path, monk
                     return bool(answers)
 
             await come(answered)
-            station.press(LOW, (245, 190))
+            station.press(LOW, (1, 191))
             await come(lambda: answered() and len(answers) >= 2)
             assert answers == [(255, mavlink.MAV_RESULT_ACCEPTED)] * 2
 
