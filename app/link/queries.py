@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,15 +19,16 @@ _FLYING_HEIGHT_M = 25.0
 _ANSWER_S, _TRIES, _WARNED_S = 0.8, 3, 10.0
 _REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID, _GIMBAL_MANAGER_INFORMATION_ID = 512, 242, 148, 280
 _GIMBAL_MANAGER_INFORMATION = "GIMBAL_MANAGER_INFORMATION"
+_FAILSAFE_TEXT = re.compile("failsafe|lost|loss|low|breach|fence", re.IGNORECASE)
 _INFINITE_YAW = 2048  # GIMBAL_MANAGER_CAP_FLAGS
 
 
 def failsafe_of(vehicle: VehicleMessages) -> str:
-    """Return why the autopilot is in a failsafe, by its latest warning; '' if it reports none."""
+    """Return why the autopilot is in a failsafe, by its own texts; '' if it is in none."""
     heartbeat = vehicle.latest.get("HEARTBEAT")
     if heartbeat is None or int(heartbeat.fields["system_status"]) not in FAILSAFE_STATES:
         return ""
-    return vehicle.texts.latest_warning(heartbeat.received_s - _WARNED_S) or "it gives no reason"
+    return ", ".join(vehicle.texts.matching(_FAILSAFE_TEXT, heartbeat.received_s - _WARNED_S)) or "no reason is given"
 
 
 def mode_of(vehicle: Vehicle) -> str:

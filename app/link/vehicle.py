@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import re
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -73,9 +74,10 @@ class StatusTexts:
             return None
         return self._complete(self._arriving.pop(number))
 
-    def latest_warning(self, since_s: float) -> str:
-        """Return the text of the latest whole warning since then, '' if there is none."""
-        return next((one.text for one in reversed(self._texts) if one.is_warning and one.received_s >= since_s), "")
+    def matching(self, pattern: re.Pattern[str], since_s: float) -> tuple[str, ...]:
+        """Return the whole texts since then in which a pattern is found, each once."""
+        texts = (one.text for one in self._texts if one.received_s >= since_s and pattern.search(one.text))
+        return tuple(dict.fromkeys(texts))
 
     def warnings(self, since_s: float) -> tuple[str, ...]:
         """Return the warnings since then, each once, in the order in which they came last."""

@@ -102,6 +102,7 @@ _OFTEN, _OFTEN_S = 3, 120.0  # that the aircraft leaves its line: it may not fol
 _BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
+_NAMED_WITHIN_S = 3.0  # an autopilot states the reason of a failsafe this long after it has changed the mode
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
@@ -168,6 +169,7 @@ class StandoffController:
         self._off_track_s: deque[float] = deque(maxlen=_OFTEN)  # when the aircraft had left its line
         self._crossed = 0  # decisions in a row at which another aircraft was too near below the circle
         self._height_m: float | None = None  # the aircraft's, above home
+        self._mode_yield_s = -math.inf  # when another flight mode was last yielded to
         self._over = ""  # why the mission was yielded or has ended
         self.resuming = False  # being taken over again after a yield
         self._acquired_s = -math.inf
@@ -504,8 +506,10 @@ class StandoffController:
         self._mode, changed = event.mode, f"the flight mode was changed to {event.mode}"
         failsafe = f"{changed} by a failsafe of the autopilot: {event.failsafe}" if event.failsafe else ""
         if self.phase.in_control and event.mode != self._own_mode:
+            self._mode_yield_s = event.time_s
             return self._yield(event.time_s, failsafe or changed)
-        if failsafe and self.phase is Phase.YIELDED and self._over == changed:  # the reason is reported later
+        recent = self.phase is Phase.YIELDED and event.time_s - self._mode_yield_s < _NAMED_WITHIN_S
+        if recent and failsafe not in ("", self._over):  # the reason is reported later than the mode
             self._over = failsafe
             return (Yield(event.time_s, failsafe),)
         if self.phase.in_control and not event.armed:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import threading
 import time
@@ -34,6 +35,8 @@ LINK_FAILSAFE = {  # values as they go over the link
     "arduplane": (("FS_GCS_ENABL", 1.0, INT8), ("FS_LONG_ACTN", 1.0, INT8)),
     "px4": (("NAV_DLL_ACT", 2.8e-45, INT32), ("COM_DL_LOSS_T", 1.4e-44, INT32)),  # 2, and 10 s
 }
+LINK_REASON = {"arduplane": "GCS Failsafe On", "px4": "Connection to ground station lost"}
+REASON_WITHIN_S = 3.0
 PILOTS_MODE = {"arduplane": (5, 0), "px4": (4, 3)}  # FBWA; AUTO LOITER: its simulated pilot has no sticks
 
 
@@ -115,7 +118,10 @@ def test_the_failsafe_of_a_silent_ground_station_takes_the_aircraft(flavour, tmp
         began_s = time.monotonic() - silent_s
         service.wait_for("by a failsafe of the autopilot: ")
         print(f"{flavour}: the failsafe began {began_s:.1f} s after the last heartbeat")
-        print(service.until("yielded", None)["reason"])
+        time.sleep(REASON_WITHIN_S)
+        reason = service.until("yielded", None)["reason"]
+        print(reason)
+        assert re.search(LINK_REASON[flavour], reason)
         with ground_station(relay):
             commanded = sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"})
             time.sleep(PILOTS_S)
@@ -123,7 +129,10 @@ def test_the_failsafe_of_a_silent_ground_station_takes_the_aircraft(flavour, tmp
             assert sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"}) == commanded
             asked(service, "watch")
             service.wait_for(WATCHED, times=2)
-            assert relay.mode == own_mode
+            begin_s = time.monotonic()
+            while relay.mode != own_mode:
+                assert time.monotonic() < begin_s + RESUMED_WITHIN_S
+                time.sleep(0.05)  # its heartbeat comes once a second
         service.process.terminate()
         assert service.process.wait(60.0) == 0
         assert "Traceback" not in service.announced

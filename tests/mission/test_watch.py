@@ -294,6 +294,18 @@ def test_a_changed_mode_yields_at_once_and_for_good():
     assert controller.phase is Phase.YIELDED
 
 
+def test_a_failsafe_is_named_when_the_autopilot_states_its_reason():
+    controller = make(Scripted([THERE] * 5))
+    engaged(controller, 3.0)
+    (first,) = controller.step(ModeReported(3.0, "RTL", True))
+    assert first.reason == "the flight mode was changed to RTL"
+    (named,) = controller.step(ModeReported(4.0, "RTL", True, "GCS Failsafe On: RTL"))
+    assert named.reason == "the flight mode was changed to RTL by a failsafe of the autopilot: GCS Failsafe On: RTL"
+    assert controller.snapshot().over == named.reason
+    assert controller.step(ModeReported(5.0, "RTL", True, "GCS Failsafe On: RTL")) == ()
+    assert controller.step(ModeReported(60.0, "RTL", True, "Battery low")) == ()
+
+
 def test_disarmed_motors_yield():
     controller = make(Scripted([THERE] * 5))
     engaged(controller, 3.0)
