@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
-from typing import Protocol, TypeVar
-
-from sidelong.app.errors import InputError
+from typing import Any, Protocol, TypeVar
 
 
 class _Named(Protocol):
@@ -17,33 +16,47 @@ class _Named(Protocol):
 T = TypeVar("T", bound=_Named)
 
 
-def with_plugins(group: str, own: Sequence[T], methods: Sequence[str], taken: Sequence[str] = ()) -> tuple[T, ...]:
-    """Return ``own`` and what the entry points of a group name, made where that is a class without arguments.
+def _made(_name: str, loaded: Any) -> Any:
+    return loaded() if isinstance(loaded, type) else loaded
+
+
+def with_plugins(
+    group: str,
+    own: Sequence[T],
+    methods: Sequence[str],
+    taken: Sequence[str] = (),
+    made: Callable[[str, Any], Any] = _made,
+) -> tuple[T, ...]:
+    """Return ``own`` and what the entry points of a group name, but for those that are faulty, which are reported.
 
     Args:
         group: ``sidelong.planners``, ``sidelong.payloads`` or ``sidelong.autopilots``.
         own: Those of this distribution.
         methods: What each object needs to have, besides a name.
         taken: Names that are taken, besides those of ``own``.
-
-    Raises:
-        InputError: One cannot be loaded, lacks something, or has a name that is taken.
+        made: Makes the object of an entry point's name and what it loads; by default it calls a class.
     """
     objects, names = list(own), {*taken, *(one.name for one in own)}
     for point in entry_points(group=group):
-        origin = f"{point.dist.name if point.dist is not None else 'a distribution'}: entry point {point.name}"
+        fault = ""
         try:
-            loaded = point.load()
-            one = loaded() if isinstance(loaded, type) else loaded
+            one = made(point.name, point.load())
         except Exception as error:
-            raise InputError(
-                f"{origin} of {group} cannot be loaded ({error!r}); repair it or uninstall it."
-            ) from error
-        missing = [name for name in ("name", *methods) if not hasattr(one, name)]
-        if missing:
-            raise InputError(f"{origin} of {group} lacks {', '.join(missing)}; repair it or uninstall it.")
-        if one.name in names:
-            raise InputError(f"{origin} of {group}: the name {one.name!r} is taken; rename it or uninstall it.")
+            fault = f"cannot be loaded ({error!r})"
+        else:
+            missing = [name for name in ("name", *methods) if not hasattr(one, name)]
+            if missing:
+                fault = f"lacks {', '.join(missing)}"
+            elif one.name in names:
+                fault = f"has the name {one.name!r}, which is taken"
+        if fault:
+            origin = point.dist.name if point.dist is not None else "a distribution"
+            print(
+                f"sidelong: {origin}: entry point {point.name} of {group} {fault}; it is left out. "
+                f"Repair it or uninstall it.",
+                file=sys.stderr,
+            )
+            continue
         names.add(one.name)
         objects.append(one)
     return tuple(objects)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.estimate import TargetEstimate
@@ -95,6 +95,49 @@ class Paper:
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
         pass  # it computes as it goes
+
+
+@dataclass(frozen=True, slots=True)
+class PlainKind:
+    """``PlannerKind`` for a class with ``decide`` of another distribution, which computes nothing ahead.
+
+    Attributes:
+        name: What the entry point is called.
+        make: The class.
+    """
+
+    name: str
+    make: Callable[[Aircraft, Requirement], Planner]
+
+    @property
+    def about(self) -> str:
+        """The first line of the class's description."""
+        return (self.make.__doc__ or "of another distribution").strip().splitlines()[0]
+
+    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
+        return unflyable(aircraft, requirement)
+
+    def is_compiled(self) -> bool:
+        return True
+
+    def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
+        self.make(needs.aircraft, needs.requirement)  # refused here, not in flight
+        return lambda aircraft, wanted, _check: self.make(aircraft, wanted)
+
+    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
+        pass  # it computes as it goes
+
+
+def kind_of(name: str, loaded: Any) -> Any:
+    """Return the kind of planner of an entry point.
+
+    Args:
+        name: The entry point's.
+        loaded: A class with ``decide``, or a ``PlannerKind`` or a class of one.
+    """
+    if not isinstance(loaded, type):
+        return loaded
+    return PlainKind(name, loaded) if hasattr(loaded, "decide") else loaded()
 
 
 class Predictive:

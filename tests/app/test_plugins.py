@@ -84,13 +84,18 @@ def test_check_flies_a_planner_of_another_distribution(python):
             "another: entry point lost of sidelong.planners cannot",
         ),
         ("[sidelong.planners]\nnone = another_package:nameless\n", "lacks name, about, unflyable"),
-        ("[sidelong.planners]\ntwice = sidelong.app.planners.planner_kind:Paper\n", "the name 'paper' is taken"),
+        (
+            "[sidelong.planners]\ntwice = sidelong.app.planners.planner_kind:Paper\n",
+            "has the name 'paper', which is taken",
+        ),
     ],
 )
-def test_a_broken_distribution_is_named_in_a_sentence(python, points, words):
-    ran = python(points, "-m", "sidelong.app", "check")
-    assert ran.returncode == 2
+def test_a_broken_distribution_is_named_and_left_out(python, points, words):
+    ran = python(points, "-m", "sidelong.app", "launch", "--help")
+    assert ran.returncode == 0
+    assert "predictive or paper" in ran.stdout
     assert words in ran.stderr
+    assert ran.stderr.count("it is left out. Repair it or uninstall it.") == 1
     assert "Traceback" not in ran.stderr
 
 
