@@ -6,14 +6,13 @@ Source: docs/explanation/filter.md#motion.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 
 from sidelong.estimators.ellipse import Ellipse, confidence_ellipse
-from sidelong.estimators.numbers import convert_to_floats
+from sidelong.estimators.numbers import convert_to_floats, value_type
 
 
 class TrackQuality(StrEnum):
@@ -24,7 +23,7 @@ class TrackQuality(StrEnum):
     LOST = "lost"  # too old or too uncertain to plan by
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@value_type(frozen=True, slots=True, eq=False)
 class TargetEstimate:
     """The target's state at ``time_s``: state = (east, north, velocity east, velocity north), m and m/s.
 

@@ -1,10 +1,23 @@
-"""Conversion of a value type's numbers into floats. Source: docs/decisions/0005-compiled-kernels.md."""
+"""Value types, and their numbers as floats. Source: docs/decisions/0005-compiled-kernels.md."""
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from operator import attrgetter
-from typing import SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
+
+if TYPE_CHECKING:
+    from dataclasses import dataclass as value_type
+else:
+
+    def value_type(*, frozen: bool, **options: Any) -> Any:
+        """Make a dataclass that is frozen for type checkers alone.
+
+        Of values that come with each reading: one with seven fields is made in 0.1 us in place of 0.5 us.
+        """
+        return dataclasses.dataclass(unsafe_hash=frozen and options.get("eq", True), **options)
+
 
 _FLOAT = {float}
 

@@ -286,7 +286,9 @@ class SimulatedAutopilot(ABC):
         self.gcs_received_s: float | None = None
         self.failsafe = False
         self.transfers: dict[int, Transfer] = {}
+        self._transfers: tuple[Transfer, ...] = ()
         self._navigate_s = 0.0
+        self._limited_at, self._roll_limit_rad = -1, 0.0
         self._builders: dict[int, Builder] = {}
         self._handlers: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
@@ -302,6 +304,7 @@ class SimulatedAutopilot(ABC):
             self.transfers[mission_type] = Transfer(
                 mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
             )
+        self._transfers = tuple(self.transfers.values())
         self._builders = builders
 
     # What a flavour adds.
@@ -357,8 +360,9 @@ class SimulatedAutopilot(ABC):
 
     def step(self, now_s: float, dt_s: float) -> None:
         self.now_s = now_s
-        for transfer in self.transfers.values():
-            transfer.step(now_s)
+        for transfer in self._transfers:
+            if transfer.upload is not None or transfer.downloads:
+                transfer.step(now_s)
         if now_s >= self._navigate_s:
             self._navigate_s += self.navigation_period_s
             self.watch_links()
@@ -366,8 +370,11 @@ class SimulatedAutopilot(ABC):
                 self._home_sent = True
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             lateral_m_s2 = self.navigate(self.navigation_period_s)
-            limit_rad = math.radians(self.parameters.within(self.roll_limit_parameter, 5.0, 80.0))
-            self.roll_goal_rad = max(-limit_rad, min(limit_rad, math.atan(lateral_m_s2 / GRAVITY_M_S2)))
+            if self._limited_at != self.parameters.changes:
+                self._limited_at = self.parameters.changes
+                self._roll_limit_rad = math.radians(self.parameters.within(self.roll_limit_parameter, 5.0, 80.0))
+            roll_rad, limit_rad = math.atan(lateral_m_s2 / GRAVITY_M_S2), self._roll_limit_rad
+            self.roll_goal_rad = roll_rad if -limit_rad < roll_rad < limit_rad else math.copysign(limit_rad, roll_rad)
         craft = self.craft
         if craft.flying:
             climb_m_s = _ALTITUDE_GAIN_PER_S * (self.height_goal_m - craft.height_m) if self.armed else -math.inf

@@ -11,6 +11,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from sidelong.app.link.message import Message
+from sidelong.app.simulation.kinematic import KinematicVehicle
 from sidelong.app.simulation.loop import ClosedLoop, SimulatedVehicle
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 
@@ -135,3 +137,27 @@ class FaultyLoop(ClosedLoop[P]):
 
     def transmit(self, frame: bytes) -> None:
         self.up.put(frame, self.link_s, len(frame))
+
+
+class MessagingVehicle(KinematicVehicle):
+    """A kinematic vehicle whose position and attitude come as messages, too, so that faults can change them."""
+
+    def position(self, boot_ms):
+        craft, home = self.craft, self._start.home
+        latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(craft.east_m, craft.north_m)
+        fields = {
+            "time_boot_ms": boot_ms,
+            "lat": round(latitude_deg * 1e7),
+            "lon": round(longitude_deg * 1e7),
+            "alt": round((home.altitude_m + craft.height_m) * 1000.0),
+            "relative_alt": round(craft.height_m * 1000.0),
+            "vx": round(craft.velocity_north_m_s * 100.0),
+            "vy": round(craft.velocity_east_m_s * 100.0),
+            "vz": round(craft.climb_m_s * -100.0),
+        }
+        return Message("GLOBAL_POSITION_INT", self.system_id, 1, fields, 0.0)
+
+    def attitude(self, boot_ms):
+        own = super().attitude(boot_ms)
+        fields = {"time_boot_ms": boot_ms, "roll": own.roll_rad, "pitch": own.pitch_rad, "yaw": own.yaw_rad}
+        return Message("ATTITUDE", self.system_id, 1, fields, 0.0)

@@ -9,9 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.link.message import Message
-from sidelong.app.simulation.payload import Payload, PayloadErrors
+from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM, Message
+from sidelong.app.simulation.payload import PAYLOAD_COMPONENT, Payload, PayloadErrors
+from sidelong.estimators.rotations import from_roll_pitch_yaw
 
+_SYSTEM = 1
+_LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
+_DISTANCE_MIN_CM = 100
+_ORIENTATION_CUSTOM, _COVARIANCE_UNKNOWN, _GOOD_QUALITY = 100, 255, 90
 _REMEMBERED = 128  # lines of sight that a late reading may be made of
 
 
@@ -43,7 +48,7 @@ class PayloadFaults(PayloadErrors):
 
 
 class FaultyPayload(Payload):
-    """Laser and gimbal, or a camera, both looking at the target."""
+    """Laser and gimbal, or a camera, both looking at the target; what they measure comes as MAVLink messages."""
 
     def __init__(self, faults: PayloadFaults, rng: np.random.Generator) -> None:
         super().__init__(faults, rng)
@@ -66,8 +71,35 @@ class FaultyPayload(Payload):
         if faults.outliers and self._rng.random() < faults.outliers:
             wrong_m += self._rng.uniform(-faults.outlier_max_m, faults.outlier_max_m)
         if range_m is None or not faults.has_laser or self._is_dropped(time_s):
-            return super().readings(time_s, boot_ms, yaw_rad, pitch_rad, None)
-        return super().readings(time_s, boot_ms, yaw_rad, pitch_rad, range_m + wrong_m)
+            return [self.gimbal(boot_ms, yaw_rad, pitch_rad)]
+        range_cm = round(100.0 * (range_m + wrong_m))
+        if not _DISTANCE_MIN_CM <= range_cm <= DISTANCE_SENSOR_MAX_CM:
+            return [self.gimbal(boot_ms, yaw_rad, pitch_rad)]
+        laser = self.message(
+            "DISTANCE_SENSOR",
+            time_boot_ms=boot_ms,
+            min_distance=_DISTANCE_MIN_CM,
+            max_distance=DISTANCE_SENSOR_MAX_CM,
+            current_distance=range_cm,
+            id=1,
+            orientation=_ORIENTATION_CUSTOM,
+            covariance=_COVARIANCE_UNKNOWN,
+            signal_quality=_GOOD_QUALITY,
+            quaternion=[1.0, 0.0, 0.0, 0.0],
+        )
+        return [self.gimbal(boot_ms, yaw_rad, pitch_rad), laser]
+
+    def gimbal(self, boot_ms, yaw_rad, pitch_rad):
+        return self.message(
+            "GIMBAL_DEVICE_ATTITUDE_STATUS",
+            time_boot_ms=boot_ms,
+            q=list(from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad)),
+            flags=_LOCKED_IN_EARTH_FRAME,
+            gimbal_device_id=0,
+        )
+
+    def message(self, name: str, **fields: object) -> Message:
+        return Message(name, _SYSTEM, PAYLOAD_COMPONENT, fields, 0.0)
 
     def _tracked(self, time_s: float, boot_ms: int, yaw_rad: float, pitch_rad: float) -> list[Message]:
         """Return a gimbal that follows the target loosely, and where the target is in its image."""

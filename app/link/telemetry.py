@@ -24,6 +24,7 @@ from sidelong.estimators.sensing.readings import (
     GimbalReading,
     PositionReading,
     RangeReading,
+    Reading,
     Source,
     TargetFixReading,
 )
@@ -135,6 +136,12 @@ class Telemetry:
         if message.name in _AUTOPILOT_ALONE and message.component_id != AUTOPILOT_COMPONENT:
             return None
         return None if message.name in _UNSTAMPED and self.now_s == -math.inf else decoder(message)
+
+    def decoded(self, reading: Reading) -> Reading:
+        """Take a reading that came without a message, in the plane; a position moves the clock."""
+        if isinstance(reading, PositionReading):
+            self._clock.take(reading.time_s)
+        return reading
 
     # -- the vehicle ---------------------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 """A vehicle of :mod:`sidelong.sitl` in a closed loop: its modes, missions and guidance, without bytes and streams.
 
-Telemetry and payload are handed over decoded, at fixed rates; only what the exchange sends passes as frames. The
+Readings are handed over decoded and status as messages, at fixed rates; only what the exchange sends passes as
+frames. The
 vehicle flies by the simulator's own guidance (:mod:`sidelong.sitl.arduplane.navigator`,
 :mod:`sidelong.sitl.px4.navigator`), not by the model with which the way points are laid out.
 """
@@ -17,6 +18,7 @@ from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import STEP_S, Target
 from sidelong.app.simulation.wire import Decoder
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
@@ -160,7 +162,7 @@ class KinematicVehicle:
             [rate_hz > 0 and tick % (tick_hz // rate_hz) == 0 for rate_hz in each_hz] for tick in range(tick_hz)
         ]
         self._tick, self.time_s, self.flown_s = 0, 0.0, 0.0
-        self._sent: list[Message] = []
+        self._sent: list[Message | Reading] = []
         self._decoder = Decoder()
         self.simulated = self._in_flight(body, wind)
         self.craft = self.simulated.craft
@@ -236,15 +238,15 @@ class KinematicVehicle:
                 simulated.step(boot_s + self.flown_s, step_s)
                 self.flown()
 
-    def take(self) -> list[Message]:
+    def take(self) -> list[Message | Reading]:
         """Return what was sent since the last call."""
         if self.simulated.radio.outbox:
             self._take_answers()
         taken, self._sent = self._sent, []
         return taken
 
-    def messages(self, packet: Message, received_s: float) -> tuple[Message]:
-        """Decode a packet of :meth:`take`: here they are messages already."""
+    def messages(self, packet: Message | Reading, received_s: float) -> tuple[Message | Reading]:
+        """Return a packet of :meth:`take`, which needs no decoding."""
         return (packet,)
 
     def receive(self, frame: bytes) -> None:
@@ -268,25 +270,25 @@ class KinematicVehicle:
     def _say(self, name: str, **fields: object) -> None:
         self._sent.append(Message(name, self.system_id, _AUTOPILOT, fields, 0.0))
 
+    def position(self, boot_ms: int) -> Message | Reading:
+        """Return the report of the position."""
+        craft = self.craft
+        place_m = craft.east_m, craft.north_m, craft.height_m
+        velocity_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s, craft.climb_m_s
+        return PositionReading(1e-3 * boot_ms, *place_m, *velocity_m_s)
+
+    def attitude(self, boot_ms: int) -> Message | Reading:
+        """Return the report of the attitude."""
+        craft, yaw_rad = self.craft, math.remainder(self.craft.heading_rad, math.tau)
+        return AttitudeReading(1e-3 * boot_ms, craft.roll_rad, craft.pitch_rad, yaw_rad)
+
     def _send_due(self) -> None:
         craft, boot_ms = self.craft, self.boot_ms
         position, attitude, gimbal, laser, status, current = self._due[self._tick % len(self._due)]
         if attitude:
-            yaw_rad = math.remainder(craft.heading_rad, math.tau)
-            self._say("ATTITUDE", time_boot_ms=boot_ms, roll=craft.roll_rad, pitch=craft.pitch_rad, yaw=yaw_rad)
+            self._sent.append(self.attitude(boot_ms))
         if position:
-            latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(craft.east_m, craft.north_m)
-            self._say(
-                "GLOBAL_POSITION_INT",
-                time_boot_ms=boot_ms,
-                lat=round(latitude_deg * 1e7),
-                lon=round(longitude_deg * 1e7),
-                alt=round((self._start.home.altitude_m + craft.height_m) * 1000.0),
-                relative_alt=round(craft.height_m * 1000.0),
-                vx=round(craft.velocity_north_m_s * 100.0),
-                vy=round(craft.velocity_east_m_s * 100.0),
-                vz=round(craft.climb_m_s * -100.0),
-            )
+            self._sent.append(self.position(boot_ms))
         if status:
             self._send_status()
         if current:

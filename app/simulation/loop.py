@@ -11,6 +11,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import VehicleMessages
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import Reading
 from sidelong.mission.core.events import ClockTick
 from sidelong.mission.exchange.mission_controller import InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage
@@ -47,8 +48,8 @@ class SimulatedVehicle(Protocol[P]):
     def take(self) -> Sequence[P]:
         """Return what it has sent since the last call."""
 
-    def messages(self, packet: P, received_s: float) -> Iterable[Message]:
-        """Decode what it sent, after the link."""
+    def messages(self, packet: P, received_s: float) -> Iterable[Message | Reading]:
+        """Return what it sent, after the link: messages, and readings that need no decoding."""
 
 
 class ClosedLoop(Generic[P]):
@@ -122,10 +123,11 @@ class ClosedLoop(Generic[P]):
 
     def step(self) -> None:
         """Move the clock by one tick, and hand over all that is due."""
-        simulated, sent = self.simulated, self._sent
-        self._sent = []
-        for frame in sent:
-            simulated.receive(frame)
+        simulated = self.simulated
+        if self._sent:
+            sent, self._sent = self._sent, []
+            for frame in sent:
+                simulated.receive(frame)
         simulated.advance(simulated.time_s + simulated.tick_s)
         link_s = self.link_s
         for packet in self.arriving():
@@ -140,13 +142,18 @@ class ClosedLoop(Generic[P]):
         """Return what has come through from the vehicle."""
         return self.simulated.take()
 
-    def on_message(self, message: Message) -> None:
-        """Take a message that has arrived."""
-        self.vehicle.take(message)
-        event: InboundEvent | None = self.telemetry.event(message)
+    def on_message(self, message: Message | Reading) -> None:
+        """Take a message or reading that has arrived."""
+        event: InboundEvent | None
+        if isinstance(message, Message):
+            self.vehicle.take(message)
+            event = self.telemetry.event(message)
+        else:
+            event = self.telemetry.decoded(message)
         if self.core is None:
             return
         if event is None:
+            assert isinstance(message, Message)
             event = self.reports.report(message, self.telemetry.now_s, self.link_s)
         if event is not None:
             self.put(event)

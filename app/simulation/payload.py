@@ -1,4 +1,4 @@
-"""The simulated payload: readings of laser and gimbal with noise, as MAVLink messages."""
+"""The simulated payload: readings of laser and gimbal with noise."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM, Message
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.readings import GimbalReading, RangeReading, Reading, Source
 
 PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
-_SYSTEM = 1
-_LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
-_DISTANCE_MIN_CM = 100
-_ORIENTATION_CUSTOM, _COVARIANCE_UNKNOWN, _GOOD_QUALITY = 100, 255, 90
+RANGE_MIN_M, RANGE_MAX_M = 1.0, 655.35  # as a DISTANCE_SENSOR of one metre and more states them
+_GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", PAYLOAD_COMPONENT)
+_LASER = Source("DISTANCE_SENSOR", PAYLOAD_COMPONENT, 1, 100)  # of custom orientation
+_QUALITY = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Payload:
         *,
         heading_rad: float = 0.0,
         with_range: bool = True,
-    ) -> list[Message]:
+    ) -> list[Reading]:
         """Return the readings of one moment.
 
         Args:
@@ -75,36 +75,14 @@ class Payload:
 
     def readings(
         self, _time_s: float, boot_ms: int, yaw_rad: float, pitch_rad: float, range_m: float | None
-    ) -> list[Message]:
-        """Return the messages of measured angles and, in the laser's reach, a measured range."""
+    ) -> list[Reading]:
+        """Return measured angles and, in the laser's reach, a measured range."""
         gimbal = self.gimbal(boot_ms, yaw_rad, pitch_rad)
-        range_cm = 0 if range_m is None else round(100.0 * range_m)
-        if not _DISTANCE_MIN_CM <= range_cm <= DISTANCE_SENSOR_MAX_CM:
+        if range_m is None or not RANGE_MIN_M <= range_m <= RANGE_MAX_M:
             return [gimbal]
-        laser = self.message(
-            "DISTANCE_SENSOR",
-            time_boot_ms=boot_ms,
-            min_distance=_DISTANCE_MIN_CM,
-            max_distance=DISTANCE_SENSOR_MAX_CM,
-            current_distance=range_cm,
-            id=1,
-            orientation=_ORIENTATION_CUSTOM,
-            covariance=_COVARIANCE_UNKNOWN,
-            signal_quality=_GOOD_QUALITY,
-            quaternion=[1.0, 0.0, 0.0, 0.0],
-        )
-        return [gimbal, laser]
+        stamp_s, level = boot_ms * 1e-3, (1.0, 0.0, 0.0, 0.0)
+        return [gimbal, RangeReading(stamp_s, range_m, _LASER, None, _QUALITY, RANGE_MIN_M, RANGE_MAX_M, level)]
 
-    def gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Message:
-        """Return the report of the line of sight, relative to north."""
-        return self.message(
-            "GIMBAL_DEVICE_ATTITUDE_STATUS",
-            time_boot_ms=boot_ms,
-            q=list(from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad)),
-            flags=_LOCKED_IN_EARTH_FRAME,
-            gimbal_device_id=0,
-        )
-
-    def message(self, name: str, **fields: object) -> Message:
-        """Return a message of the payload."""
-        return Message(name, _SYSTEM, PAYLOAD_COMPONENT, fields, 0.0)
+    def gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Reading:
+        """Return the line of sight, relative to north."""
+        return GimbalReading(boot_ms * 1e-3, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", _GIMBAL)

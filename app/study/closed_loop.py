@@ -27,6 +27,7 @@ from sidelong.app.study.settings import (
     StudyTerrain,
 )
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import Reading
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
@@ -66,7 +67,7 @@ class OnTicks:
         return self._truths[round(time_s * RATES.tick_hz)]
 
 
-class StudiedAircraft(ClosedLoop[Message]):
+class StudiedAircraft(ClosedLoop[Message | Reading]):
     """One aircraft of a run, taken over on its first circle.
 
     Args:

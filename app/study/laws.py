@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.simulation.kinematic import Body, put_in_flight
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import STEP_S
@@ -22,9 +21,7 @@ from sidelong.app.study.settings import CONTROLLER, LVFG, ORBIT, PARK, StudySett
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.readings import (
     AttitudeReading,
-    GimbalReading,
     PositionReading,
-    RangeReading,
     Reading,
 )
 from sidelong.estimators.sensing.sighting import AnySighting
@@ -72,7 +69,7 @@ class SteeredAircraft:
         self._craft = airframe.SimulatedAirframe(body.build, airframe.WindVector(wind.east_m_s, wind.north_m_s))
         put_in_flight(self._craft, start_on(settings, flown, circle), height_m)
         errors, assumed = payload_of(settings)
-        self._payload, self._telemetry = Payload(errors, noise_rng), Telemetry(1)
+        self._payload = Payload(errors, noise_rng)
         self.tracker = Tracker(replace(assumed, latency_sigma_s=0.0))  # its stamps are right
         self.command: Command = circle.curvature_per_m, own.airspeed_m_s
         self.rows: list[tuple[float, float, float]] = []
@@ -104,9 +101,7 @@ class SteeredAircraft:
             AttitudeReading(time_s, craft.roll_rad, 0.0, craft.heading_rad),
         ]
         to_m = target_east_m - here_m[0], target_north_m - here_m[1], -here_m[2]
-        measured = self._payload.measure(time_s, round(1e3 * time_s), *to_m, heading_rad=craft.heading_rad)
-        seen = map(self._telemetry.event, measured)
-        readings += [one for one in seen if isinstance(one, GimbalReading | RangeReading)]
+        readings += self._payload.measure(time_s, round(1e3 * time_s), *to_m, heading_rad=craft.heading_rad)
         return [outcome.sighting for reading in readings for outcome in self.tracker.add(reading)]
 
     def fly(self, time_s: float) -> None:

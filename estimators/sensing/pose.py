@@ -5,6 +5,7 @@ Source: piecewise cubic Hermite interpolation, de Boor, *A Practical Guide to Sp
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right, insort
 from dataclasses import replace
 from operator import attrgetter
@@ -21,33 +22,32 @@ class ReadingHistory(Generic[T]):
     """Readings of one kind in the order of their times (vehicle's clock), of the last ``span_s`` seconds at least.
 
     A second reading of the same time is a duplicate and is dropped.
+
+    Attributes:
+        newest_s: Time of the newest reading, minus infinity while there is none.
     """
 
     def __init__(self, span_s: float) -> None:
-        self._span_s = span_s
+        self._span_s, self.newest_s = span_s, -math.inf
         self._items: list[T] = []
 
     def __len__(self) -> int:
         return len(self._items)
 
-    @property
-    def newest_s(self) -> float:
-        """Time of the newest reading, minus infinity while there is none."""
-        return self._items[-1].time_s if self._items else float("-inf")
-
     def add(self, item: T) -> bool:
         """Store a reading; return False for a duplicate."""
         items = self._items
-        if not items or item.time_s > items[-1].time_s:
+        if item.time_s > self.newest_s:
             items.append(item)
+            self.newest_s = item.time_s
         else:
             at = bisect_right(items, item.time_s, key=_time_s)
             if at > 0 and items[at - 1].time_s == item.time_s:
                 return False
             insort(items, item, key=_time_s)
         # Cut rarely and much: the cost of a cut is spread over many readings.
-        if len(items) > 64 and items[0].time_s < items[-1].time_s - 2 * self._span_s:
-            del items[: bisect_right(items, items[-1].time_s - self._span_s, key=_time_s)]
+        if len(items) > 64 and items[0].time_s < self.newest_s - 2 * self._span_s:
+            del items[: bisect_right(items, self.newest_s - self._span_s, key=_time_s)]
         return True
 
     def around(self, time_s: float) -> tuple[T, T] | None:

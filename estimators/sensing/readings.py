@@ -6,8 +6,9 @@ meets NaN drops the reading.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
+
+from sidelong.estimators.numbers import value_type
 
 IMAGE_TRACKER = "CAMERA_TRACKING_IMAGE_STATUS"  # of a camera that tracks the target off its gimbal's axis
 BEACON_MESSAGES = (
@@ -16,7 +17,7 @@ BEACON_MESSAGES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class Source:
     """Which device spoke: the MAVLink message, its component, and the device's own id and orientation."""
 
@@ -26,7 +27,7 @@ class Source:
     orientation: int = 0  # MAV_SENSOR_ORIENTATION; 25 looks down, 100 is a custom quaternion
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class PositionReading:
     """The aircraft's position and ground velocity. Height is above home."""
 
@@ -39,7 +40,7 @@ class PositionReading:
     velocity_up_m_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class AttitudeReading:
     """The aircraft's attitude: ned_from_body as roll, pitch, yaw (aerospace order)."""
 
@@ -49,7 +50,7 @@ class AttitudeReading:
     yaw_rad: float
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class RangeReading:
     """A slant range along the line of sight. quality is 0..1, None when the sensor does not report it.
 
@@ -66,7 +67,7 @@ class RangeReading:
     sensor_quaternion_wxyz: tuple[float, float, float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class GimbalReading:
     """The line of sight: sight frame relative to ``frame``.
 
@@ -81,7 +82,7 @@ class GimbalReading:
     source: Source
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class TargetFixReading:
     """A target position in the plane: from a camera's own tracker (CAMERA_TRACKING_GEO_STATUS), or from a beacon.
 

@@ -16,12 +16,12 @@ Source: docs/explanation/filter.md#measurement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from sidelong.estimators.numbers import value_type
 from sidelong.estimators.rotations import (
     Quaternion,
     Vector,
@@ -36,7 +36,7 @@ from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class Sighting:
     """The target as seen from the aircraft at ``time_s``. Sigmas are those of the three measured numbers.
 
@@ -106,15 +106,24 @@ class Sighting:
 
     def without(self, yaw_rad: float, pitch_rad: float, range_m: float) -> Sighting:
         """Return what a payload without these errors would have measured."""
-        return replace(
-            self,
-            slant_range_m=self.slant_range_m - range_m,
-            bearing_rad=self.bearing_rad - yaw_rad,
-            depression_rad=self.depression_rad + pitch_rad,
+        return Sighting(
+            self.time_s,
+            self.slant_range_m - range_m,
+            self.bearing_rad - yaw_rad,
+            self.depression_rad + pitch_rad,
+            self.range_sigma_m,
+            self.bearing_sigma_rad,
+            self.depression_sigma_rad,
+            self.aircraft_east_m,
+            self.aircraft_north_m,
+            self.aircraft_height_m,
+            self.quality,
+            self.payload,
+            self.has_range,
         )
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class Fix:
     """The target's place as a camera's own tracker gives it: no calibration applies. It measures (east, north, -).
 
@@ -169,7 +178,7 @@ _BY_BIASES.setflags(write=False)
 _BY_NO_BIASES.setflags(write=False)
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class SightingOutcome:
     """What became of a sighting. nis is its normalised innovation squared, NaN where it was not compared."""
 
@@ -205,7 +214,7 @@ class BeaconErrors:
         return sigma_m * math.sqrt(max(2.0 * _CORRELATION_S / step_s, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class LineOfSight:
     """bearing_rad is a compass angle, depression_rad positive below the horizon."""
 

@@ -146,6 +146,7 @@ _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
 _SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
 _GROWN_SHARE = 0.5  # of a drifting error has to grow within the window: else it is constant, and corrected
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
+_WORTH_SHARE = 0.3  # of the evidence that is asked for: with less in sight a drift is not fitted
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _DRIFTING_SIGMA_M = 35.0, 45.0, 1.0
@@ -990,7 +991,11 @@ class PayloadFit:
             return "sector", sector
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
-        eased, by_yaw, by_range = 0.5 if self._drift else 1.0, fit(4), fit(5)
+        eased = 0.5 if self._drift else 1.0
+        by_yaw, by_range = (
+            fit(rate) if _gain_of_freeing(sound, sigmas, rate) > _WORTH_SHARE * eased * evidence else sound
+            for rate, evidence in ((4, _YAW_EVIDENCE), (5, _RANGE_EVIDENCE))
+        )
         pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings, bearing_rad, down_rad)
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
@@ -1095,6 +1100,21 @@ def _between(log: FloatArray, first_s: float, last_s: float, gaps_s: list[tuple[
 
 def _scaled(readings: Readings, factor: float) -> Readings:
     return readings if factor == 1.0 else readings._replace(ranges=readings.ranges * (1.0, factor))
+
+
+def _gain_of_freeing(found: Fit, sigmas: FloatArray, rate: int) -> float:
+    """Return about how much less the cost is without the priors of a rate and of its constant, to second order.
+
+    Args:
+        found: the best fit with the priors.
+        sigmas: of the priors.
+        rate: index of the rate among the shared numbers.
+    """
+    prior = 1.0 / np.square(sigmas)
+    freed = np.isin(np.arange(SHARED), (rate - 2, rate))
+    pull = np.where(freed, prior * found.shared, 0.0)  # of the readings, against the prior
+    step = np.linalg.solve(found.information + np.diag(np.where(freed, 1e-9, prior)), pull)
+    return 0.5 * float(pull @ step + pull @ found.shared)
 
 
 def _sector(readings: Readings, bearing_rad: FloatArray, off_m: FloatArray) -> str:

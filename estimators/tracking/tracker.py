@@ -78,7 +78,7 @@ class Pairing:
         self.parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
         self._paired_s, self._begun_s = -math.inf, math.inf
         self._has_image = False  # a camera's tracker reports the target's place in the image
-        self._alone: list[float] = []  # times of lines of sight that go without a range
+        self.alone: list[float] = []  # times of lines of sight that go without a range
         self.ground: Ground | None = None
         self.waiting: list[RangeReading] = []
 
@@ -95,10 +95,10 @@ class Pairing:
         self._begun_s = min(self._begun_s, gimbal.time_s)
         if gimbal.time_s - self._begun_s < _BEGINNING_S:
             return True
-        last_s = self._alone[-1] if self._alone else self._paired_s
+        last_s = self.alone[-1] if self.alone else self._paired_s
         if gimbal.time_s - self._ranges.newest_s > _SILENT_S and gimbal.time_s - last_s >= _ALONE_EVERY_S:
-            self._alone.append(gimbal.time_s)
-            del self._alone[:-_WAITING_MAX]
+            self.alone.append(gimbal.time_s)
+            del self.alone[:-_WAITING_MAX]
         return True
 
     def change_gimbals(self, changed: Callable[[GimbalReading], GimbalReading]) -> None:
@@ -117,8 +117,9 @@ class Pairing:
     def completed(self) -> list[Sighting]:
         """Return the sightings that can be made now, oldest first."""
         made: list[Sighting] = []
-        newest_s = max(self._poses.positions.newest_s, self._gimbals.newest_s, self._ranges.newest_s)
-        known_s = min(self._poses.positions.newest_s, self._gimbals.newest_s - self.gimbal_delay_s)
+        position_s, gimbal_s = self._poses.positions.newest_s, self._gimbals.newest_s
+        newest_s = max(position_s, gimbal_s, self._ranges.newest_s)
+        known_s = min(position_s, gimbal_s - self.gimbal_delay_s)
         if self._needs_attitude:
             known_s = min(known_s, self._poses.attitudes.newest_s)
         # A gimbal that is later than the laser is waited for.
@@ -130,8 +131,8 @@ class Pairing:
             if sighting is not None:
                 made.append(sighting)
         known_s += self.gimbal_delay_s - self.range_delay_s
-        while self._alone and known_s >= self._alone[0]:
-            sighting = self._sighting(self._alone.pop(0) - self.gimbal_delay_s)
+        while self.alone and known_s >= self.alone[0]:
+            sighting = self._sighting(self.alone.pop(0) - self.gimbal_delay_s)
             if sighting is not None:
                 made.append(sighting)
         return made
@@ -155,11 +156,6 @@ class Pairing:
         readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]
         made = (self._sighting(reading.time_s - self.range_delay_s, reading) for reading in readings)
         return [sighting for sighting in made if sighting is not None]
-
-    @property
-    def due(self) -> bool:
-        """Whether anything waits to be completed."""
-        return bool(self.waiting or self._alone)
 
     @property
     def _needs_attitude(self) -> bool:
@@ -227,7 +223,8 @@ class Pairing:
         gap_s = b.time_s - a.time_s
         if gap_s == 0.0:
             return a, 0.0
-        if gap_s > _GIMBAL_GAP_MAX_S or a.source != b.source or a.frame != b.frame:
+        other = a.source is not b.source and a.source != b.source  # nearly always the same object
+        if gap_s > _GIMBAL_GAP_MAX_S or other or a.frame != b.frame:
             return None
         quaternion = interpolated(a.quaternion_wxyz, b.quaternion_wxyz, (time_s - a.time_s) / gap_s)
         return GimbalReading(time_s, quaternion, a.frame, a.source), gap_s
@@ -294,26 +291,27 @@ class Tracker:
         made: list[AnySighting] = []
         match reading:
             case PositionReading():
-                self._poses.add(reading)
+                self._poses.positions.add(reading)
                 self.payload.position(reading)
-            case AttitudeReading():
-                self._poses.add(reading)
-                self.payload.attitude(reading)
-            case GimbalReading():
-                self._add_gimbal(reading)
             case RangeReading():
                 self._add_range(reading)
+            case GimbalReading():
+                self._add_gimbal(reading)
+            case AttitudeReading():
+                self._poses.attitudes.add(reading)
+                self.payload.attitude(reading)
             case TargetFixReading():
                 made += self._usable_fix(reading)
-        if self._pairing.due:
+        if self._pairing.waiting or self._pairing.alone:
             made += self._pairing.completed()
             if self.ends_on_ground:
                 self._fit_on_ground(made)
         if not made:
             return ()
-        outcomes = tuple(map(self._track.add, made))
-        self.sightings += len(outcomes)
-        self.rejected += sum(not one.accepted for one in outcomes)
+        outcomes = tuple([self._track.add(one) for one in made])
+        for outcome in outcomes:
+            self.sightings += 1
+            self.rejected += not outcome.accepted
         return outcomes
 
     def _fit_on_ground(self, made: Iterable[AnySighting]) -> None:
@@ -410,7 +408,7 @@ class Tracker:
 
     def _add_gimbal(self, given: GimbalReading) -> None:
         reading, payload, used = self.corrected(given), self.payload, self.gimbals.chosen
-        if used is None or reading.source == used:
+        if used is None or reading.source is used or reading.source == used:
             payload.gimbal(reading, self.ends_on_ground)
             if payload.is_changed:
                 self._follow_payload(reading.time_s)
@@ -429,7 +427,7 @@ class Tracker:
         frame = self._settings.gimbal_frame
         if frame is not None and reading.frame != frame:
             reading = replace(reading, frame=frame)
-        error_rad = self._yaw_errors_rad.get(reading.source)
+        error_rad = self._yaw_errors_rad.get(reading.source) if self._yaw_errors_rad else None
         return reading if error_rad is None else self._turned_back(reading, error_rad)
 
     def _turned_back(self, reading: GimbalReading, yaw_error_rad: float) -> GimbalReading:

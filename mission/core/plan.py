@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.estimators.numbers import convert_to_floats, require_type
+from sidelong.estimators.numbers import convert_to_floats, require_type, value_type
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
@@ -19,7 +19,7 @@ from sidelong.mission.core.sight import Sight
 _SAME_HEIGHT_M = 10.0  # an autopilot is seldom farther from what it holds
 
 
-@dataclass(frozen=True, slots=True)
+@value_type(frozen=True, slots=True)
 class AircraftState:
     """The aircraft over the ground at ``time_s``. curvature_per_m: of its flown line, positive to the right."""
 
@@ -102,7 +102,7 @@ def settled_m(height_m: float, plan: Plan | None) -> float:
     return plan.heights.to_m
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@value_type(frozen=True, slots=True, eq=False)
 class Decision:
     """What a planner decided at ``time_s``: a new plan, or None to fly on as it is, and why in plain words.
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, RangeReading
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Phase
-from sidelong.mission.core.events import End, LinkReported, MissionChange, Yield
+from sidelong.mission.core.events import ClockTick, End, LinkReported, MissionChange, Yield
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.exchange.outbox import ExternalControl
+from sidelong.mission.exchange.reports import TimerExpired
 from sidelong.mission.fleet.events import (
     FleetEvent,
     PayloadReported,
@@ -20,6 +22,7 @@ from sidelong.mission.fleet.events import (
     VehicleReported,
 )
 
+_READ = frozenset((AttitudeReading, GimbalReading, RangeReading, ClockTick, TimerExpired))
 _EVERY_S = 0.5
 _ONE_PROGRAM = "make sure that only one program commands the fleet"
 
@@ -34,13 +37,15 @@ class FleetReporter:
         self._payload = "", False, False, 0  # as of PayloadReported
 
     def after(
-        self, controller: StandoffController, event: object, outputs: Iterable[object], mission_time_s: float
+        self, controller: StandoffController, event: object, outputs: Sequence[object], mission_time_s: float
     ) -> tuple[FleetEvent, ...]:
         """Return the fleet's events of one step: ``event`` went in, ``outputs`` came out.
 
         Args:
             mission_time_s: Mission time, s; the vehicle's own clock may stand still.
         """
+        if type(event) in _READ and not outputs and not controller.sighted:
+            return ()  # as most: what it may have changed is reported with the next position
         found: list[FleetEvent] = []
         tracker, health = controller.tracker, controller.health
         fault, jumped = health.unknown or controller.door.doubt or "", health.payload.is_suspect(controller.time_s)
@@ -51,7 +56,6 @@ class FleetReporter:
         found += [
             SightingReported(self._name, tracker.without_found(outcome.sighting)) for outcome in controller.sighted
         ]
-        outputs = tuple(outputs)
         external = any(isinstance(output, ExternalControl) for output in outputs)
         for output in outputs:
             if isinstance(output, Yield | End):

@@ -44,7 +44,7 @@ class CourseHold:
     """The course to watch from: the target's while it moves; None until it has moved."""
 
     def __init__(self) -> None:
-        self._memory = kernel.fresh_memory(1.0)[0]
+        self._memories = kernel.fresh_memory(1.0)
 
     def update(self, target: TargetEstimate) -> float | None:
         """Process an estimate.
@@ -52,13 +52,14 @@ class CourseHold:
         Returns:
             Course to watch from, rad; None until the target has moved.
         """
-        course_rad = kernel.held_course_rad(known(target), self._memory)
+        now = known(target)
+        course_rad, _ = kernel.courses_of(Estimates(now, now), 0.0, self._memories)
         return None if math.isnan(course_rad) else course_rad
 
     @property
     def standing(self) -> bool:
         """Whether the target stands."""
-        return bool(self._memory.standing)
+        return bool(self._memories[0].standing)
 
 
 class TargetCourse:
@@ -72,15 +73,13 @@ class TargetCourse:
     def __init__(self) -> None:
         self.made_good_rad: float | None = None
         self.present_rad: float | None = None
-        self._memory = kernel.fresh_memory(1.0)[0]
+        self._memories = kernel.fresh_memory(1.0)
 
     def update(self, target: TargetEstimate, horizon_s: float) -> None:
         """Process an estimate."""
         if math.hypot(target.velocity_east_m_s, target.velocity_north_m_s) >= STANDING_M_S:
             self.present_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
-        estimates = estimates_of(target)
-        kernel.held_course_rad(estimates.seen, self._memory)
-        made_good_rad, _ = kernel.made_good(estimates, horizon_s, self._memory, math.inf)
+        _, made_good_rad = kernel.courses_of(estimates_of(target), horizon_s, self._memories)
         if horizon_s == 0.0:
             self.made_good_rad = self.present_rad
         elif not math.isnan(made_good_rad):
@@ -109,4 +108,4 @@ def courses_made_good_rad(
     time_s, place_m, velocity_m_s, horizon_s = (
         np.ascontiguousarray(values, np.float64) for values in (time_s, place_m, velocity_m_s, horizon_s)
     )
-    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s, kernel.fresh_memory(1.0)[0])
+    return kernel.courses_made_good(time_s, place_m, velocity_m_s, horizon_s, gap_max_s, kernel.fresh_memory(1.0))

@@ -465,16 +465,24 @@ def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s:
 
 
 @compiled
+def courses_of(estimates: Estimates, horizon_s: float, memories: Record) -> tuple[float, float]:
+    """Take an estimate and return the held course and the course made good; memories: an array of one."""
+    memory = memories[0]
+    held_rad = held_course_rad(estimates.seen, memory)
+    return held_rad, made_good(estimates, horizon_s, memory, math.inf)[0]
+
+
+@compiled
 def courses_made_good(
     time_s: FloatArray,
     place_m: FloatArray,
     velocity_m_s: FloatArray,
     horizon_s: FloatArray,
     gap_max_s: float,
-    memory: Record,
+    memories: Record,
 ) -> FloatArray:
-    """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`; memory: a fresh one."""
-    exact, courses_rad = np.zeros((4, 4)), np.empty(time_s.size)
+    """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`; memories: a fresh one in an array."""
+    exact, courses_rad, memory = np.zeros((4, 4)), np.empty(time_s.size), memories[0]
     for i in range(time_s.size):
         east_m_s, north_m_s = velocity_m_s[i, 0], velocity_m_s[i, 1]
         target = TargetState(time_s[i], place_m[i, 0], place_m[i, 1], east_m_s, north_m_s, exact)

@@ -16,6 +16,7 @@ from sidelong.sitl.world.airframe import LocalPosition, SimulatedAirframe, true_
 _CAPTURE_MAX = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
 _INTEGRAL_MAX_RAD = 0.1
 _PASSED_S = 3.0
+_RIGHT_ANGLE_RAD = math.pi / 2
 
 
 class L1Guidance:
@@ -33,8 +34,7 @@ class L1Guidance:
     ) -> float:
         """Return the acceleration that joins and follows the line from start to end (east, north)."""
         self.on_circle = False
-        speed_m_s = max(0.1, craft.ground_speed_m_s)
-        course_rad = craft.course_rad
+        speed_m_s, course_rad = max(0.1, craft.ground_speed_m_s), craft.course_rad
         self.length_m = self.damping * self.period_s * speed_m_s / math.pi
         line_east_m, line_north_m = end_m[0] - start_m[0], end_m[1] - start_m[1]
         line_m = math.hypot(line_east_m, line_north_m)
@@ -86,12 +86,11 @@ class L1Guidance:
 
     def _pursue(self, angle_rad: float, speed_m_s: float) -> float:
         angle_rad = math.remainder(angle_rad, math.tau)
-        angle_rad = max(-math.pi / 2, min(math.pi / 2, angle_rad))
-        return 4.0 * self.damping**2 * speed_m_s**2 / self.length_m * math.sin(angle_rad)
+        sine = math.sin(angle_rad) if abs(angle_rad) < _RIGHT_ANGLE_RAD else math.copysign(1.0, angle_rad)
+        return 4.0 * self.damping**2 * speed_m_s**2 / self.length_m * sine
 
 
 _LINE_RADII = 3.0  # a circle further away than this many radii is approached along the leg to its centre
-_RIGHT_ANGLE_RAD = math.pi / 2
 
 
 @dataclass(slots=True)
@@ -114,6 +113,7 @@ class ArduPlaneNavigator:
         self.guidance = L1Guidance()
         self.goal = self._origin = LocalPosition(0.0, 0.0, 0.0)
         self.loiter = Loiter(clockwise=True)
+        self._tuned_at = -1  # changes of parameters when the guidance was tuned
         self._on_track = False  # the line from the origin is to be followed, not just its end reached
         self._track_next = False
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
@@ -161,23 +161,26 @@ class ArduPlaneNavigator:
         return "Passed" if self._behind_goal() else None, lateral_m_s2
 
     def fly_line(self, dt_s: float) -> float:
-        self._tune()
-        origin = self._origin if self._on_track else LocalPosition.of(self._craft)
-        return self.guidance.towards_line(self._craft, origin.ground_m, self.goal.ground_m, dt_s)
+        if self._tuned_at != self._parameters.changes:
+            self._tune()
+        craft, goal, origin = self._craft, self.goal, self._origin
+        start_m = (origin.east_m, origin.north_m) if self._on_track else (craft.east_m, craft.north_m)
+        return self.guidance.towards_line(craft, start_m, (goal.east_m, goal.north_m), dt_s)
 
     def fly_circle(self, radius_m: float, now_s: float, dt_s: float, by_line: bool) -> float:
         """by_line: a far circle is approached along its leg."""
-        loiter = self.loiter
+        loiter, craft, goal, guidance = self.loiter, self._craft, self.goal, self.guidance
         radius_m *= self._thin_air_factor
-        far = by_line and self._on_track and self.goal.distance_m(self._craft) > _LINE_RADII * radius_m
-        if far and loiter.reached_s is None:
+        approaches = by_line and self._on_track and loiter.reached_s is None
+        if approaches and goal.distance_m(craft) > _LINE_RADII * radius_m:
             return self.fly_line(dt_s)
-        self._tune()
-        lateral_m_s2 = self.guidance.towards_circle(self._craft, self.goal.ground_m, radius_m, loiter.clockwise)
-        if loiter.reached_s is None and (self.guidance.on_circle or self._behind_goal()):
+        if self._tuned_at != self._parameters.changes:
+            self._tune()
+        lateral_m_s2 = guidance.towards_circle(craft, (goal.east_m, goal.north_m), radius_m, loiter.clockwise)
+        if loiter.reached_s is None and (guidance.on_circle or self._behind_goal()):
             loiter.reached_s = now_s
-        if self.guidance.on_circle or loiter.last_bearing_rad is not None:
-            bearing_rad = LocalPosition.of(self._craft).bearing_rad(self.goal)
+        if guidance.on_circle or loiter.last_bearing_rad is not None:
+            bearing_rad = math.atan2(goal.east_m - craft.east_m, goal.north_m - craft.north_m)
             if loiter.last_bearing_rad is not None:
                 step_rad = math.remainder(bearing_rad - loiter.last_bearing_rad, math.tau)
                 loiter.turned_rad += step_rad if loiter.clockwise else -step_rad
@@ -185,6 +188,7 @@ class ArduPlaneNavigator:
         return lateral_m_s2
 
     def _tune(self) -> None:
+        self._tuned_at = self._parameters.changes
         self.guidance.period_s = self._parameters.within("NAVL1_PERIOD", 1.0, 60.0)
         self.guidance.damping = self._parameters.within("NAVL1_DAMPING", 0.1, 2.0)
         self.guidance.integral_gain = self._parameters["NAVL1_XTRACK_I"]

@@ -20,14 +20,17 @@ _NO_INDEX = 65535
 _TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
 
 
-class Parameters:
-    """Values by name, each with the MAVLink type the real autopilot gives it.
+class Parameters(dict[str, float]):
+    """Values by name, in the order of the table, each with the MAVLink type the real autopilot gives it.
 
     Args:
         table: MAVLink type and value of each name.
         bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float.
         reports_errors: Whether PARAM_ERROR answers a request that is wrong.
         former: Name and unit, in those of the newest release, of the parameters that this release names otherwise.
+
+    Attributes:
+        changes: How often a value was set.
     """
 
     def __init__(
@@ -37,20 +40,16 @@ class Parameters:
         reports_errors: bool = False,
         former: Mapping[str, tuple[str, float]] = MappingProxyType({}),
     ) -> None:
+        super().__init__((name, value) for name, (_, value) in table.items())
         self._kinds = {name: kind for name, (kind, _) in table.items()}
-        self._values = {name: value for name, (_, value) in table.items()}
+        self.changes = 0
         self._names = sorted(table)
         self._bytewise, self._reports_errors, self._former = bytewise, reports_errors, former
         self.on_change: Callable[[str, float], None] = lambda _name, _value: None
 
-    def __getitem__(self, name: str) -> float:
-        if name in self._values:
-            return self._values[name]
+    def __missing__(self, name: str) -> float:
         own, unit = self._former[name]
-        return self._values[own] * unit
-
-    def __contains__(self, name: str) -> bool:
-        return self._former.get(name, (name, 1.0))[0] in self._values
+        return self[own] * unit
 
     def within(self, name: str, least: float, greatest: float) -> float:
         """Return a value as the airframe can bear it, whatever a station has set."""
@@ -61,10 +60,11 @@ class Parameters:
         """Set a known parameter, by its own name or by that of the newest release; KeyError if there is none."""
         name, unit = self._former.get(name, (name, 1.0))
         value /= unit
-        if name not in self._values:
+        if name not in self:
             raise KeyError(name)
-        self._values[name] = value if self._kinds[name] == REAL32 else float(round(value))
-        self.on_change(name, self._values[name])
+        self[name] = value if self._kinds[name] == REAL32 else float(round(value))
+        self.changes += 1
+        self.on_change(name, self[name])
 
     def handle(self, station: Station, message: Any, radio: Radio) -> None:
         match message.get_type():
@@ -75,13 +75,13 @@ class Parameters:
                 index, name = message.param_index, message.param_id
                 if 0 <= index < len(self._names):
                     radio.send(station, self._value_message(self._names[index], index))
-                elif index < 0 and name in self._values:
+                elif index < 0 and name in self:
                     radio.send(station, self._value_message(name, self._index(name)))
                 else:
                     self._refuse(station, message, radio, index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
             case "PARAM_SET":
                 name = message.param_id
-                if name not in self._values:
+                if name not in self:
                     self._refuse(station, message, radio, -1, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
                     return
                 if self._bytewise and message.param_type != self._kinds[name]:
@@ -102,7 +102,7 @@ class Parameters:
         return self._names.index(name) if self._bytewise else _NO_INDEX
 
     def _value_message(self, name: str, index: int) -> Any:
-        kind, value = self._kinds[name], self._values[name]
+        kind, value = self._kinds[name], self[name]
         if self._bytewise and kind != REAL32:
             value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), index)

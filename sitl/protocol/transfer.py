@@ -207,27 +207,27 @@ class Transfer:
         self._retry_s = quirks.retry_s * link_rate
         self._timeout_s = quirks.timeout_s * link_rate
         self._announce, self._transfers = announce, transfers
-        self._upload: _Upload | None = None
+        self.upload: _Upload | None = None
         self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
-        self._downloads: dict[Station, _Download] = {}  # the in-order downloads
+        self.downloads: dict[Station, _Download] = {}  # the in-order downloads
 
     def is_busy_with(self, station: Station) -> bool:
         """Return whether it serves only the list that this station reads or writes."""
         return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
 
     def _is_written_by(self, station: Station) -> bool:
-        uploads = (one._upload for one in self._transfers.values())
+        uploads = (one.upload for one in self._transfers.values())
         return any(upload is not None and upload.station is station for upload in uploads)
 
     def _read_by(self, station: Station) -> Transfer | None:
-        return next((one for one in self._transfers.values() if station in one._downloads), None)
+        return next((one for one in self._transfers.values() if station in one.downloads), None)
 
     def step(self, now_s: float) -> None:
-        for station, download in list(self._downloads.items()) if self._downloads else ():
+        for station, download in list(self.downloads.items()):
             if now_s - download.received_s > self._timeout_s:
-                del self._downloads[station]
+                del self.downloads[station]
                 self._announce(self._quirks.timeout_severity, self._quirks.timeout_text)
-        upload = self._upload
+        upload = self.upload
         if upload is None:
             return
         if now_s - upload.received_s > self._timeout_s:
@@ -250,19 +250,19 @@ class Transfer:
             case "MISSION_REQUEST_LIST" if self._quirks.reads_in_order:
                 self._on_list_in_order(station, sender, now_s)
             case "MISSION_REQUEST_LIST":
-                if self._upload is not None:
+                if self.upload is not None:
                     self._acknowledge(station, sender, self._quirks.busy_result)
                 else:
                     self._send_count(station, sender, now_s)
-            case "MISSION_REQUEST_INT" | "MISSION_REQUEST" if self._quirks.reads_in_order and self._upload is None:
+            case "MISSION_REQUEST_INT" | "MISSION_REQUEST" if self._quirks.reads_in_order and self.upload is None:
                 self._on_request_in_order(station, sender, message, now_s)
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
                 self._on_request(station, sender, message)
             case "MISSION_CLEAR_ALL":
                 self._on_clear(station, sender)
             case "MISSION_ACK":
-                self._downloads.pop(station, None)
-                upload = self._upload
+                self.downloads.pop(station, None)
+                upload = self.upload
                 breaks_off = message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED
                 if upload is not None and upload.sender == sender and breaks_off:
                     self._abandon(upload)
@@ -282,7 +282,7 @@ class Transfer:
     def _on_partial(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         if not self._quirks.partial_writes:
             return
-        if self._upload is not None:
+        if self.upload is not None:
             self._acknowledge(station, sender, self._quirks.busy_result)
             return
         first, last, count = message.start_index, message.end_index, len(self.store.items())
@@ -292,7 +292,7 @@ class Transfer:
         self._start(_Upload(station, sender, first, last, now_s, now_s), now_s)
 
     def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
-        upload = self._upload
+        upload = self.upload
         if self._read_by(station) is not None:
             self._announce(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN MISSION_COUNT: Busy\t")
             self._acknowledge(station, sender, self._quirks.busy_result)
@@ -306,7 +306,7 @@ class Transfer:
         return True
 
     def _start(self, upload: _Upload, now_s: float) -> None:
-        self._upload = upload
+        self.upload = upload
         self._ask(upload, now_s)
 
     def _ask(self, upload: _Upload, now_s: float) -> None:
@@ -319,9 +319,9 @@ class Transfer:
         upload.asked_s = now_s
 
     def _on_item(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
-        upload, quirks = self._upload, self._quirks
+        upload, quirks = self.upload, self._quirks
         if upload is None:
-            latest = self._latest if quirks.repeats_final_ack and station not in self._downloads else None
+            latest = self._latest if quirks.repeats_final_ack and station not in self.downloads else None
             if latest is not None and latest[:2] == (sender, message.seq):
                 self._acknowledge(station, sender, mavlink.MAV_MISSION_ACCEPTED, latest[2])
             else:
@@ -345,24 +345,24 @@ class Transfer:
         if upload.next_index <= upload.last_index:
             self._ask(upload, now_s)
             return
-        self._upload = None
+        self.upload = None
         result = self.store.finish()
         self._latest = (sender, upload.last_index, self.store.opaque_id())
         self._acknowledge(station, sender, result)
 
     def _abandon(self, upload: _Upload) -> None:
-        self._upload = None
+        self.upload = None
         self._latest = (upload.sender, upload.next_index - 1, self.store.abandon())
 
     def _send_count(self, station: Station, sender: tuple[int, int], now_s: float) -> None:
         count = len(self.store.items())
         if self._quirks.reads_in_order:
-            self._downloads[station] = _Download(sender, count, 0, now_s)
+            self.downloads[station] = _Download(sender, count, 0, now_s)
         message = mavlink.MAVLink_mission_count_message(*sender, count, self.mission_type)
         self._radio.send(station, Extended(message, self._list_id()))
 
     def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
-        if self._upload is not None:
+        if self.upload is not None:
             self._acknowledge(station, sender, self._quirks.busy_result)
             return
         items = self.store.items()
@@ -376,14 +376,14 @@ class Transfer:
 
     def _on_request_in_order(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         """Send the next item, or the one before again; any other ends the reading."""
-        download = self._downloads.get(station)
+        download = self.downloads.get(station)
         if download is None or download.sender != sender:
             return
         download.received_s = now_s
         if message.seq == download.next_index and download.next_index < download.count:
             download.next_index += 1
         elif message.seq != download.next_index - 1:
-            del self._downloads[station]
+            del self.downloads[station]
             self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
             self._announce(mavlink.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
             return
@@ -393,9 +393,9 @@ class Transfer:
         """Begin to be read, unless another list is; one whose last item was sent is taken for read."""
         reading = self._read_by(station)
         if reading is not None:
-            download = reading._downloads[station]
+            download = reading.downloads[station]
             if download.next_index == download.count:
-                del reading._downloads[station]
+                del reading.downloads[station]
             elif reading is not self or download.sender != sender:
                 self._announce(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
                 return

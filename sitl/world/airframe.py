@@ -13,10 +13,6 @@ def true_over_equivalent_airspeed(altitude_m: float) -> float:
     return float((1.0 - 2.25577e-5 * altitude_m) ** -2.128)
 
 
-def _bounded(value: float, least: float, greatest: float) -> float:
-    return least if value < least else greatest if value > greatest else value
-
-
 @dataclass(frozen=True, slots=True)
 class WindVector:
     """The air's motion over the ground (where it blows *to*)."""
@@ -74,23 +70,30 @@ class SimulatedAirframe:
     def fly(self, dt_s: float, roll_rad: float, airspeed_m_s: float, climb_m_s: float) -> None:
         """Step with commanded roll, true airspeed and climb rate; touches the ground at ``ground_m``."""
         build = self.build
-        rate_rad_s = (roll_rad - self.roll_rad) / build.roll_time_constant_s
-        limit_rad_s = build.roll_rate_max_rad_s
-        self.roll_rate_rad_s = rate_rad_s = _bounded(rate_rad_s, -limit_rad_s, limit_rad_s)
+        # Comparisons in place of min() and max(): a study makes ten steps for each second.
+        rate_rad_s, limit_rad_s = (roll_rad - self.roll_rad) / build.roll_time_constant_s, build.roll_rate_max_rad_s
+        if not -limit_rad_s <= rate_rad_s <= limit_rad_s:
+            rate_rad_s = math.copysign(limit_rad_s, rate_rad_s)
+        self.roll_rate_rad_s = rate_rad_s
         self.roll_rad += rate_rad_s * dt_s
-        climb_m_s = _bounded(climb_m_s, -build.sink_max_m_s, build.climb_max_m_s)
+        least_m_s, most_m_s = -build.sink_max_m_s, build.climb_max_m_s
+        climb_m_s = least_m_s if climb_m_s < least_m_s else most_m_s if climb_m_s > most_m_s else climb_m_s
         self.climb_m_s += (climb_m_s - self.climb_m_s) * dt_s / build.climb_time_constant_s
-        step_m_s = build.acceleration_max_m_s2 * dt_s
-        self.airspeed_m_s += _bounded((airspeed_m_s - self.airspeed_m_s) * dt_s, -step_m_s, step_m_s)
+        gain_m_s, step_m_s = (airspeed_m_s - self.airspeed_m_s) * dt_s, build.acceleration_max_m_s2 * dt_s
+        if not -step_m_s <= gain_m_s <= step_m_s:
+            gain_m_s = math.copysign(step_m_s, gain_m_s)
+        self.airspeed_m_s += gain_m_s
         lateral_m_s2 = build.turn_efficiency * GRAVITY_M_S2 * math.tan(self.roll_rad)
-        self.yaw_rate_rad_s = lateral_m_s2 / self.airspeed_m_s
+        self.yaw_rate_rad_s = yaw_rate_rad_s = lateral_m_s2 / self.airspeed_m_s
         # The middle of the turn made in this step keeps a circle closed.
-        middle_rad = self.heading_rad + 0.5 * self.yaw_rate_rad_s * dt_s
-        self.heading_rad = (self.heading_rad + self.yaw_rate_rad_s * dt_s) % math.tau
-        level_m_s = math.sqrt(max(1.0, self.airspeed_m_s**2 - self.climb_m_s**2))
-        self.velocity_east_m_s = level_m_s * math.sin(middle_rad) + self.wind.east_m_s
-        self.velocity_north_m_s = level_m_s * math.cos(middle_rad) + self.wind.north_m_s
-        self._move(dt_s)
+        middle_rad = self.heading_rad + 0.5 * yaw_rate_rad_s * dt_s
+        self.heading_rad = (self.heading_rad + yaw_rate_rad_s * dt_s) % math.tau
+        level_m2_s2 = self.airspeed_m_s**2 - self.climb_m_s**2
+        level_m_s = math.sqrt(level_m2_s2) if level_m2_s2 > 1.0 else 1.0
+        self.velocity_east_m_s = east_m_s = level_m_s * math.sin(middle_rad) + self.wind.east_m_s
+        self.velocity_north_m_s = north_m_s = level_m_s * math.cos(middle_rad) + self.wind.north_m_s
+        self.east_m += east_m_s * dt_s
+        self.north_m += north_m_s * dt_s
         self.height_m += self.climb_m_s * dt_s
         if self.height_m <= self.ground_m:
             self.flying = False
@@ -104,7 +107,8 @@ class SimulatedAirframe:
         speed_m_s = max(0.0, speed_m_s - step_m_s) if lift_off_m_s is None else speed_m_s + step_m_s
         self.velocity_east_m_s = speed_m_s * math.sin(self.heading_rad)
         self.velocity_north_m_s = speed_m_s * math.cos(self.heading_rad)
-        self._move(dt_s)
+        self.east_m += self.velocity_east_m_s * dt_s
+        self.north_m += self.velocity_north_m_s * dt_s
         if lift_off_m_s is None:
             self.airspeed_m_s = speed_m_s
             return
@@ -114,10 +118,6 @@ class SimulatedAirframe:
         if speed_m_s > 0.5 * lift_off_m_s and self.airspeed_m_s >= lift_off_m_s:
             self.heading_rad = math.atan2(through_air_east_m_s, through_air_north_m_s) % math.tau
             self.flying = True
-
-    def _move(self, dt_s: float) -> None:
-        self.east_m += self.velocity_east_m_s * dt_s
-        self.north_m += self.velocity_north_m_s * dt_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.planners.planner_kind import PlannerKind
-from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Rates, Start
+from sidelong.app.simulation.kinematic import Body, Rates, Start
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
@@ -32,7 +32,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from tests.faults.flight_faults import Fault
-from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link
+from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link, MessagingVehicle
 from tests.faulty_payload import FaultyPayload, PayloadFaults
 
 STEP_S = 0.1
@@ -130,7 +130,7 @@ class FaultedFlight(FaultyLoop[Message]):
         )
         body = Body(limits.airspeed_m_s, limits.bank_max_rad)
         start = Start(_PLANE, _HOME, circle, config.aircraft.height_m, state, self._boot_s)
-        vehicle = KinematicVehicle(autopilot, body, wind, start, self.payload(noise_rng), self._target, _RATES)
+        vehicle = MessagingVehicle(autopilot, body, wind, start, self.payload(noise_rng), self._target, _RATES)
         super().__init__(vehicle, Link(NO_FAULTS, self._fault_rng, change=self._change))
         self.telemetry.plane = _PLANE
         self._states = [state]
