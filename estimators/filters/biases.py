@@ -81,7 +81,7 @@ class Biases:
     @property
     def calibration(self) -> Calibration:
         """The same for people: each bias with one standard deviation, rad and m."""
-        return Calibration(*self.mean.tolist(), *np.sqrt(np.diag(self.covariance)).tolist())
+        return Calibration(*self.mean.tolist(), *np.sqrt(self.covariance.diagonal()).tolist())
 
 
 def prior_sigmas(settings: TrackerSettings) -> tuple[float, float, float]:

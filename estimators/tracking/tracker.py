@@ -586,6 +586,8 @@ class Tracker:
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
         known = self._track.calibration
+        if not self._yaw_errors_rad:
+            return known
         return replace(known, yaw_bias_rad=wrap_rad(self._known_yaw_error_rad + known.yaw_bias_rad))
 
     @property

@@ -315,9 +315,9 @@ class StandoffController:
             jumps_s = tracker.payload.jumps_s
             self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
             self._jump_news.note(self.sighted)
-            self._nis = next(
-                (outcome.nis for outcome in reversed(self.sighted) if math.isfinite(outcome.nis)), self._nis
-            )
+            for outcome in self.sighted:
+                if math.isfinite(outcome.nis):
+                    self._nis = outcome.nis
         match reading:
             case AttitudeReading():
                 self._attitude = reading

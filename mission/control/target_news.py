@@ -99,7 +99,8 @@ class JumpNews:
 
     def note(self, outcomes: Sequence[SightingOutcome]) -> None:
         """Process the outcomes of sightings."""
-        self._restarted |= any(outcome.reason == RESTARTED for outcome in outcomes)
+        for outcome in outcomes:
+            self._restarted |= outcome.reason == RESTARTED
 
     def announce(
         self, time_s: float, before: TargetEstimate | None, estimate: TargetEstimate | None
