@@ -24,7 +24,6 @@ from sidelong.estimators.sensing.readings import (
     GimbalReading,
     PositionReading,
     RangeReading,
-    Reading,
     Source,
     TargetFixReading,
 )
@@ -137,11 +136,9 @@ class Telemetry:
             return None
         return None if message.name in _UNSTAMPED and self.now_s == -math.inf else decoder(message)
 
-    def decoded(self, reading: Reading) -> Reading:
-        """Take a reading that came without a message, in the plane; a position moves the clock."""
-        if isinstance(reading, PositionReading):
-            self._clock.take(reading.time_s)
-        return reading
+    def tick(self, time_s: float) -> None:
+        """Move the clock by the stamp of a position that came without a message."""
+        self._clock.take(time_s)
 
     # -- the vehicle ---------------------------------------------------------------------------------------
 

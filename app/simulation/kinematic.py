@@ -133,8 +133,8 @@ class KinematicVehicle:
         time_s: since the start of the simulation.
         simulated: the simulator's vehicle.
         flown: called after each step of the airframe.
-        sees: whether the payload can see the target from where the aircraft is, by its place (east, north, height).
-        target_height_m: height of the target's ground above home at (east, north).
+        seen_at_m: returns the height of the target's ground above home, from the aircraft's place (east, north,
+            height) and the target's (east, north); None where the ground hides it. None: flat ground.
     """
 
     system_id = _SYSTEM
@@ -151,8 +151,7 @@ class KinematicVehicle:
     ) -> None:
         self.target = target
         self.flown: Callable[[], object] = lambda: None
-        self.target_height_m: Callable[[float, float], float] = lambda _east_m, _north_m: 0.0
-        self.sees: Callable[[tuple[float, float, float], tuple[float, float, float]], bool] = lambda *_: True
+        self.seen_at_m: Callable[[tuple[float, float, float], float, float], float | None] | None = None
         self._autopilot, self._start = autopilot, start
         self._payload, self._rates = payload, rates
         tick_hz, *each_hz = astuple(rates)
@@ -295,9 +294,11 @@ class KinematicVehicle:
             self._send_current()
         if self._payload is not None and gimbal:
             truth = self.target.at(self.time_s)
-            ground_m = self.target_height_m(truth.east_m, truth.north_m)
-            here_m, there_m = (craft.east_m, craft.north_m, craft.height_m), (truth.east_m, truth.north_m, ground_m)
-            if self.sees(here_m, there_m):
+            ground_m: float | None = 0.0
+            if self.seen_at_m is not None:
+                here_m = craft.east_m, craft.north_m, craft.height_m
+                ground_m = self.seen_at_m(here_m, truth.east_m, truth.north_m)
+            if ground_m is not None:
                 self._sent += self._payload.measure(
                     self.time_s,
                     boot_ms,

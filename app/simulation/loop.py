@@ -11,7 +11,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import VehicleMessages
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.readings import Reading
+from sidelong.estimators.sensing.readings import PositionReading, Reading
 from sidelong.mission.core.events import ClockTick
 from sidelong.mission.exchange.mission_controller import InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage
@@ -149,7 +149,9 @@ class ClosedLoop(Generic[P]):
             self.vehicle.take(message)
             event = self.telemetry.event(message)
         else:
-            event = self.telemetry.decoded(message)
+            event = message
+            if isinstance(message, PositionReading):
+                self.telemetry.tick(message.time_s)
         if self.core is None:
             return
         if event is None:

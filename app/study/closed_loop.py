@@ -225,14 +225,12 @@ def _first_height_m(config: Config, circle: Circle, ground: Ground | None) -> fl
 def _put_over(vehicle: KinematicVehicle, ground: Ground) -> None:
     """Let hills hide the target, which stands on its ground: at the height of home where that is not known."""
 
-    def height_m(east_m: float, north_m: float) -> float:
+    def seen_at_m(here_m: tuple[float, float, float], east_m: float, north_m: float) -> float | None:
         known_m = ground.height_m(east_m, north_m)
-        return 0.0 if math.isnan(known_m) else known_m
+        target_m = 0.0 if math.isnan(known_m) else known_m
+        return target_m if ground.sees(here_m, (east_m, north_m, target_m + TARGET_M)) else None
 
-    def sees(here_m: tuple[float, float, float], target_m: tuple[float, float, float]) -> bool:
-        return ground.sees(here_m, (target_m[0], target_m[1], target_m[2] + TARGET_M))
-
-    vehicle.target_height_m, vehicle.sees = height_m, sees
+    vehicle.seen_at_m = seen_at_m
 
 
 def _over_ground(settings: StudySettings, ground: Ground, log: FloatArray) -> tuple[float, float, float]:
