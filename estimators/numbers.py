@@ -19,6 +19,8 @@ else:
         return dataclasses.dataclass(unsafe_hash=frozen and options.get("eq", True), **options)
 
 
+__all__ = ["convert_to_floats", "require_type", "value_type"]
+
 _FLOAT = {float}
 
 
