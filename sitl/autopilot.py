@@ -340,6 +340,10 @@ class SimulatedAutopilot(ABC):
     def airspeed_goal_m_s(self) -> float:
         """Equivalent airspeed."""
 
+    def add_handler(self, command_id: int, handler: Handler) -> None:
+        """Let a part of the vehicle take a command."""
+        self._handlers[command_id] = handler
+
     # Time.
 
     @property

@@ -82,6 +82,30 @@ class PayloadSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """A gimbal camera in place of laser and gimbal.
+
+    Attributes:
+        url: where its video goes, such as udp://127.0.0.1:5600; "": nowhere.
+        view_deg: horizontal field of view.
+        rate_deg_s, lag_s: of the gimbal.
+        pan_limit_deg: how far the gimbal pans to each side of the nose.
+        trees, lookalikes: along the target's path, times the usual number.
+    """
+
+    url: Annotated[str, Field(pattern=r"^(udp://127\.0\.0\.1:\d{1,5})?$")] = ""
+    width_px: Annotated[int, Field(ge=160, le=1280)] = 640
+    height_px: Annotated[int, Field(ge=90, le=720)] = 360
+    rate_hz: Annotated[float, Field(gt=0.0, le=60.0)] = 15.0
+    view_deg: Annotated[float, Field(gt=1.0, lt=120.0)] = 12.0
+    rate_deg_s: Annotated[float, Field(gt=0.0)] = 60.0
+    lag_s: Annotated[float, Field(gt=0.0)] = 0.1
+    pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
+    trees: Annotated[float, Field(ge=0.0)] = 1.0
+    lookalikes: Annotated[float, Field(ge=0.0)] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Quirks:
     """Deviations of a device from its manual, and its transmission errors.
 
@@ -142,6 +166,7 @@ class Settings:
         looks_at: index of the target that its payload sees first, from 0.
         device: protocol of a payload with a port of its own, and that port: KIND@HOST:PORT; "": it sends MAVLink.
         quirks: of the device.
+        camera: in place of laser and gimbal; needs PyAV and OpenCV.
         stations: where it sends to, HOST:PORT.
         logs: folder for the files of another simulator's program; None: they are deleted at the end.
         truth: file for the true tracks.
@@ -169,6 +194,7 @@ class Settings:
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
     device: str = ""
     quirks: Quirks = field(default_factory=Quirks)
+    camera: CameraSettings | None = None
     stations: tuple[str, ...] = DEFAULT_STATIONS
     logs: Path | None = None
     truth: Path | None = None

@@ -7,9 +7,10 @@ from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.arduplane.vehicle import SimulatedArduPlane
 from sidelong.sitl.autopilot import SimulatedAutopilot
@@ -24,6 +25,9 @@ from sidelong.sitl.world.motion import MOTIONS, Motion, built_in_motion
 from sidelong.sitl.world.track import TrackMotion, read_track
 from sidelong.sitl.world.truth import TruthRow
 
+if TYPE_CHECKING:
+    from sidelong.sitl.payload.camera import GimbalCamera
+
 STEP_S = 0.02
 _OBSERVE_EVERY = round(PERIOD_S / STEP_S)
 _HEARTBEAT_EVERY = round(1.0 / STEP_S)
@@ -33,6 +37,7 @@ _SILENT_S = 60.0  # of the stations' clock: after this silence, a station that w
 _EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
+_PATH_S = 3600.0  # of the target, along which the rendered world is furnished
 
 
 class Simulation(Wired):
@@ -53,6 +58,7 @@ class Simulation(Wired):
         self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = SimulatedPayload(settings.payload, sensor_seed) if settings.payload is not None else None
+        self.camera = None if settings.camera is None else self._camera(settings, seed)
         self._latency_s = 0.0 if settings.payload is None else settings.payload.latency_s
         super().__init__(device_of(settings), round(self._latency_s / STEP_S))
         self._measured: Measurement | None = None
@@ -112,6 +118,25 @@ class Simulation(Wired):
         """Move the sticks: the flight mode changes without any station's command."""
         self.vehicle.set_mode(self.vehicle.taken_over_mode)
 
+    def _camera(self, settings: Settings, seed: int) -> GimbalCamera:
+        from sidelong.sitl.payload.camera import GimbalCamera, VideoServer  # noqa: PLC0415  # PyAV and OpenCV
+        from sidelong.sitl.world.picture import Scenery  # noqa: PLC0415
+
+        assert settings.camera is not None
+        motion = target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
+        scenery = Scenery(
+            np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)]),
+            self.hills.height_m,
+            seed,
+            trees=settings.camera.trees,
+            lookalikes=settings.camera.lookalikes,
+        )
+        camera = GimbalCamera(settings.camera, scenery)
+        self.vehicle.add_handler(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, camera.on_command)
+        if settings.camera.url:
+            camera.on_picture = VideoServer(settings.camera.url, settings.camera).put
+        return camera
+
     def _step(self) -> None:
         self._steps += 1
         if self.time_s >= self.lost_s:
@@ -133,6 +158,9 @@ class Simulation(Wired):
                 vehicle.handle(station, message)
         if self._steps % _OBSERVE_EVERY == 0:
             self._observe()
+        if self.camera is not None:
+            target_m = self.hills.standing(self.camera.scenery.target_m(self.time_s))
+            self.camera.step(self.time_s, STEP_S, vehicle.craft, target_m)
         if self.device is not None:
             self._see(self.device)
         if self._in_flight and self._in_flight[0][0] <= self.time_s:
@@ -150,7 +178,12 @@ class Simulation(Wired):
         sight = TargetGeometry.between(aircraft_m, target_m, in_sight or not craft.flying)
         valid = outlier = False
         self._measured = None
-        if self.payload is not None:
+        if self.camera is not None:
+            messages = [self.camera.attitude(vehicle.boot_ms)]
+            if self._steps % _HEARTBEAT_EVERY == 0:
+                messages.append(SimulatedPayload.heartbeat())
+            self._in_flight.append((self.time_s, [m for m in messages if m.get_type() not in self.muted]))
+        elif self.payload is not None:
             self._measured = measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
             messages = measured.messages if self.device is None else []
             if self._steps % _HEARTBEAT_EVERY == 0:
@@ -184,6 +217,8 @@ class Simulation(Wired):
 
     def _target_seen(self) -> tuple[float, float]:
         """Return where the target is that the payload looks at; turned to a place it takes what is nearest there."""
+        if self.camera is not None:
+            return self.camera.scenery.target_m(self.time_s)
         places_m = [motion.at(self.time_s) for motion in self.motions]
         roi, self.vehicle.roi = self.vehicle.roi, None
         if roi is not None:

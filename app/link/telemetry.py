@@ -19,6 +19,7 @@ from sidelong.app.link.message import Message
 from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing.clock import VehicleClock
+from sidelong.estimators.sensing.pose import ReadingHistory, gimbal_at
 from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
@@ -97,6 +98,7 @@ class Telemetry:
         self._wrapped_s = 0.0
         self._yaw_rad: float | None = None
         self._sight: GimbalReading | None = None
+        self._sights: ReadingHistory[GimbalReading] = ReadingHistory(_SIGHT_AGE_MAX_S)
         self._half_view: dict[int, tuple[float, float]] = {}  # tangents of half the angles, by camera component
         self._near_origin = 0  # consecutive fixes, up to the number that settles the plane
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
@@ -285,6 +287,7 @@ class Telemetry:
             # The gimbal's own heading, of the moment of the measurement: the aircraft's need not be interpolated.
             quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
         self._sight = GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
+        self._sights.add(self._sight)
         return self._sight
 
     def _camera_fov(self, message: Message) -> Event | None:
@@ -305,9 +308,12 @@ class Telemetry:
     def _image_target(self, message: Message) -> Event | None:
         """Add the target's place in the image to the gimbal's attitude.
 
-        The message has no stamp, so the gimbal's latest attitude is taken as that of the image.
+        The message has no stamp, so the gimbal's latest attitude is taken as that of the image. A camera of this
+        program knows when the image was taken, and adds it as ``capture_s``.
         """
-        fields, sight, half_view = message.fields, self._sight, self._half_view.get(message.component_id)
+        fields, half_view = message.fields, self._half_view.get(message.component_id)
+        known = gimbal_at(self._sights, fields["capture_s"]) if "capture_s" in fields else None
+        sight = self._sight if known is None else known[0]
         if fields["tracking_status"] != _TRACKING_ACTIVE or sight is None or half_view is None:
             return None
         if fields["tracking_mode"] == _TRACKS_RECTANGLE:

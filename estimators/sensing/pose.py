@@ -12,7 +12,8 @@ from operator import attrgetter
 from typing import Generic, TypeVar
 
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
+from sidelong.estimators.rotations import Quaternion, from_roll_pitch_yaw, interpolated, multiply
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, Reading
 
 T = TypeVar("T", bound=Reading)
 _time_s = attrgetter("time_s")
@@ -161,3 +162,35 @@ class PoseHistory:
             a.pitch_rad + u * (b.pitch_rad - a.pitch_rad),
             wrap_rad(a.yaw_rad + u * wrap_rad(b.yaw_rad - a.yaw_rad)),
         )
+
+
+_GIMBAL_GAP_MAX_S = 1.0  # between two attitudes of a gimbal: across more, it may have turned anywhere
+
+
+def gimbal_at(gimbals: ReadingHistory[GimbalReading], time_s: float) -> tuple[GimbalReading, float] | None:
+    """Return the gimbal's attitude at a time, and the time between the readings that it lies between.
+
+    Returns:
+        None outside the readings, in a long gap, and between readings of two devices or frames.
+    """
+    pair = gimbals.around(time_s)
+    if pair is None:
+        return None
+    a, b = pair
+    gap_s = b.time_s - a.time_s
+    if gap_s == 0.0:
+        return a, 0.0
+    other = a.source is not b.source and a.source != b.source  # nearly always the same object
+    if gap_s > _GIMBAL_GAP_MAX_S or other or a.frame != b.frame:
+        return None
+    quaternion = interpolated(a.quaternion_wxyz, b.quaternion_wxyz, (time_s - a.time_s) / gap_s)
+    return GimbalReading(time_s, quaternion, a.frame, a.source), gap_s
+
+
+def parent_of_gimbal(gimbal: GimbalReading, attitude: AttitudeReading, mount: Quaternion) -> Quaternion:
+    """Return the rotation from what a gimbal's attitude is relative to, with its mount, to north-east-down."""
+    if gimbal.frame == "earth":
+        return 1.0, 0.0, 0.0, 0.0
+    level = gimbal.frame == "vehicle"
+    roll_rad, pitch_rad = (0.0, 0.0) if level else (attitude.roll_rad, attitude.pitch_rad)
+    return multiply(from_roll_pitch_yaw(roll_rad, pitch_rad, attitude.yaw_rad), mount)

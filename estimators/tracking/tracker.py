@@ -15,8 +15,8 @@ import numpy as np
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.rotations import Quaternion, from_roll_pitch_yaw, interpolated, multiply
-from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory
+from sidelong.estimators.rotations import Quaternion, from_roll_pitch_yaw, multiply
+from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory, gimbal_at
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
     IMAGE_TRACKER,
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 _SPAN_S = 12.0
 _WAIT_S = 1.5
-_GIMBAL_GAP_MAX_S = 1.0
 _WAITING_MAX = 32  # so that what has waited is never long to take in
 # Timeout of the laser. After it one line of sight per interval is used, with an uninformative range.
 _BEGINNING_S = 3.0
@@ -166,7 +165,7 @@ class Pairing:
         """Return the sighting at a time, with a range or where the line of sight meets the ground."""
         settings = self._settings
         position = self._poses.position_at(time_s)
-        found = self._gimbal_at(time_s)
+        found = gimbal_at(self._gimbals, time_s + self.gimbal_delay_s)
         if position is None or found is None:
             return None
         gimbal, gap_s = found
@@ -212,22 +211,6 @@ class Pairing:
             quality=None if reading is None else reading.quality,
             has_range=reading is not None,
         )
-
-    def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:
-        """Return the gimbal's direction, and the gap between the readings that it is interpolated from."""
-        time_s += self.gimbal_delay_s
-        pair = self._gimbals.around(time_s)
-        if pair is None:
-            return None
-        a, b = pair
-        gap_s = b.time_s - a.time_s
-        if gap_s == 0.0:
-            return a, 0.0
-        other = a.source is not b.source and a.source != b.source  # nearly always the same object
-        if gap_s > _GIMBAL_GAP_MAX_S or other or a.frame != b.frame:
-            return None
-        quaternion = interpolated(a.quaternion_wxyz, b.quaternion_wxyz, (time_s - a.time_s) / gap_s)
-        return GimbalReading(time_s, quaternion, a.frame, a.source), gap_s
 
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]

@@ -1,0 +1,1 @@
+"""A gimbal camera as the payload: pictures in, tracking status and pointing out. Needs the extra ``video``."""

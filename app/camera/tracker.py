@@ -1,0 +1,515 @@
+"""Follow one object from picture to picture; after an occlusion, find it again and not one that looks like it.
+
+The tracker is OpenCV's (KCF by default, CSRT by choice). It works in a window that is cut out around the expected
+position and resampled to a constant size of the object, so that neither the motion of the gimbal nor the range shows in it.
+Each picture is compared with how the object looked lately, by colour and by correlation: below a threshold it is hidden.
+Then the surroundings of the expected position are searched. Objects that looked alike before, or that stand while the
+target moved, are left out; one that is left over is accepted when it is seen repeatedly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sidelong.app.camera.view import View
+
+Picture = npt.NDArray[np.uint8]
+TrackerKind = Literal["kcf", "csrt"]
+TrackingState = Literal["idle", "object", "lost"]
+
+_SIDE_PX = 36  # of the object in the window
+_WINDOW_PX, _SEARCH_MAX_PX = 180, 480
+_HIDDEN_BELOW, _LEARNT_FROM, _ALIKE_FROM = 0.45, 0.75, 0.65  # shares of how much it looks like itself
+_HIDDEN_PICTURES = 3
+_LEARN_EVERY_S = 0.25
+_SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
+_CANDIDATES_MAX = 6
+_REMEMBERED_S, _SAME_SIZES = 60.0, 0.9
+_SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
+_FRESH_S, _NEAR_M, _STOPPED_S = 2.0, 3.0, 9.0  # after this long hidden, one that stands may be the target, which has stopped
+_MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
+_SLACK_M, _SLACK_M_S, _SEARCH_MAX_M = 4.0, 1.0, 45.0  # how far it may be from where it was seen, and how this grows
+_OBJECT_M = 4.5
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """Part of a picture: its middle and its size, pixels."""
+
+    x_px: float
+    y_px: float
+    width_px: float
+    height_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """What is known of the object in one picture.
+
+    Attributes:
+        state: ``idle`` before a start, ``lost`` while it is hidden.
+        box: where it is seen; where it is expected while it is hidden.
+        confidence: 0 to 1; it falls before a loss.
+    """
+
+    state: TrackingState
+    box: Box | None = None
+    confidence: float = 0.0
+
+
+_HUES, _LEARN, _COLOUR_MIN = 24, 0.1, 0.35
+_TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 1.5
+_TURNED_DEG = (0.0, -20.0, 20.0)
+_CORRELATION = 0.8  # of an object with itself some seconds before
+
+
+class _Look:
+    """How the object looks: the colours that it has and its surroundings have not, and some of its recent pictures.
+
+    Colours are shares of blue and red in the sum of the three, which changing light leaves alone.
+    """
+
+    def __init__(self) -> None:
+        self._inside = np.zeros((_HUES, _HUES))
+        self._outside = np.zeros((_HUES, _HUES))
+        self._colour = 0.0  # mean share of the object's own colours in its box
+        self._templates: deque[Picture] = deque(maxlen=_TEMPLATES)
+        self._unproved: deque[tuple[float, Picture]] = deque()
+
+    def learn(self, window: Picture, x_px: float, y_px: float, size_px: tuple[int, int], time_s: float) -> None:
+        """Take what the object looks like at a place of the window."""
+        patch: Picture = cv2.getRectSubPix(window, size_px, (x_px, y_px))  # type: ignore[assignment]
+        hues, (width, height) = _hues(window), size_px
+        left, top = round(x_px - 0.5 * width), round(y_px - 0.5 * height)
+        around = np.ones(window.shape[:2], bool)
+        around[max(top - 4, 0) : top + height + 4, max(left - 4, 0) : left + width + 4] = False
+        inner = _hues(patch)[height // 4 : -height // 4, width // 4 : -width // 4]
+        first = not self._templates
+        for known, seen in ((self._inside, inner.reshape(-1, 2)), (self._outside, hues[around])):
+            share, *_ = np.histogram2d(seen[:, 0], seen[:, 1], _HUES, ((0, _HUES), (0, _HUES)))
+            known += (1.0 if first else _LEARN) * (share / max(len(seen), 1) - known)
+        colour = float(self._own_colour(_hues(patch)).mean())
+        self._colour += (1.0 if first else _LEARN) * (colour - self._colour)
+        if first:
+            self._templates.append(patch)
+        elif not self._unproved or time_s - self._unproved[-1][0] > _TEMPLATE_EVERY_S:
+            self._unproved.append((time_s, patch))
+        while self._unproved and time_s - self._unproved[0][0] > _PROVED_AFTER_S:
+            self._templates.append(self._unproved.popleft()[1])
+
+    def forget_lately(self) -> None:
+        """Drop what was learnt just now: it may show what hides the object."""
+        self._unproved.clear()
+
+    @property
+    def has_colour(self) -> bool:
+        """Whether its colours tell it from its surroundings."""
+        return self._colour > _COLOUR_MIN
+
+    def by_colour(self, window: Picture, size_px: tuple[int, int]) -> npt.NDArray[np.float32]:
+        """Return how much each box of the window has the object's colours, 1 being as much as itself.
+
+        Returns:
+            Shape (height - object's height + 1, width - object's width + 1), by upper left corner.
+        """
+        width, height = size_px
+        own = self._own_colour(_hues(window)).astype(np.float32)
+        mean = cv2.boxFilter(own, -1, size_px, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+        alike: npt.NDArray[np.float32] = mean[: window.shape[0] - height + 1, : window.shape[1] - width + 1]
+        return alike / np.float32(max(self._colour, 1e-3))
+
+    def by_pictures(self, window: Picture, size_px: tuple[int, int], *, turned: bool) -> npt.NDArray[np.float32]:
+        """Return the same by correlation with recent pictures of the object; turned: also as it turns."""
+        width, height = size_px
+        alike = np.full((window.shape[0] - height + 1, window.shape[1] - width + 1), -1.0, np.float32)
+        for template in self._templates:
+            sized = cv2.resize(template, size_px, interpolation=cv2.INTER_AREA)
+            for angle_deg in _TURNED_DEG if turned else (0.0,):
+                rotation = cv2.getRotationMatrix2D((0.5 * width, 0.5 * height), angle_deg, 1.0)
+                one = cv2.warpAffine(sized, rotation, size_px, borderMode=cv2.BORDER_REPLICATE)
+                np.maximum(alike, cv2.matchTemplate(window, one, cv2.TM_CCOEFF_NORMED), out=alike)
+        return alike / np.float32(_CORRELATION)
+
+    def likeness(self, window: Picture, size_px: tuple[int, int], *, turned: bool) -> npt.NDArray[np.float32]:
+        """Return the same by both: without its colours nothing is the object."""
+        alike = self.by_pictures(window, size_px, turned=turned)
+        if not self.has_colour:
+            return alike
+        colour = self.by_colour(window, size_px)
+        return np.where(colour < _HIDDEN_BELOW, colour, 0.5 * (np.maximum(alike, 0.6) + colour))
+
+    def _own_colour(self, hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+        share = self._inside / (self._inside + self._outside + 1e-3)
+        return share[hues[..., 0], hues[..., 1]]
+
+
+def _hues(picture: Picture) -> npt.NDArray[np.intp]:
+    """Return the cells of blue and red for each pixel, shape (..., 2)."""
+    levels = picture.astype(np.float32) + 8.0  # dark pixels have no colour
+    share = levels[..., (0, 2)] / levels.sum(axis=2, keepdims=True)
+    return np.clip(share * (1.5 * _HUES), 0, _HUES - 1).astype(np.intp)
+
+
+@dataclass(slots=True)
+class _Candidate:
+    """Something that may be the object: where it was seen, and when."""
+
+    seen: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=40))  # s, m, m
+
+    @property
+    def latest(self) -> tuple[float, float, float]:
+        return self.seen[-1]
+
+    def speed_m_s(self, over_s: float) -> float | None:
+        """Return its mean speed over the last ``over_s``; None where it has not been seen for so long."""
+        end_s, east_m, north_m = self.latest
+        past = [one for one in self.seen if one[0] <= end_s - over_s]
+        if not past:
+            return None
+        begin_s, east0_m, north0_m = past[-1]
+        return math.hypot(east_m - east0_m, north_m - north0_m) / (end_s - begin_s)
+
+
+@dataclass(slots=True)
+class _Trial:
+    """What was found after a loss, until it has moved as the object did.
+
+    Attributes:
+        lost: where and when the object was seen last: time s, east m, north m.
+        found: as it is followed now.
+    """
+
+    lost: tuple[float, float, float]
+    found: _Candidate
+
+
+class ObjectTracker:
+    """Follows one object. Pictures are BGR, shape (height, width, 3); times are of one clock, s."""
+
+    def __init__(self, kind: TrackerKind = "kcf") -> None:
+        self._kind = kind
+        self._tracker: Any = None
+        self._size_m = (_OBJECT_M, _OBJECT_M)
+        self._look = _Look()
+        self._state: TrackingState = "idle"
+        self._confidence = 0.0
+        self._at_m = (0.0, 0.0)  # where it was last seen
+        self._velocity_m_s = (0.0, 0.0)
+        self._seen_s = self._learnt_s = self._searched_s = self._surveyed_s = -math.inf
+        self._doubts = 0
+        self._candidates: list[_Candidate] = []
+        self._trial: _Trial | None = None
+        self._alike: list[tuple[float, float, float]] = []  # time s, east m, north m of what looks like it
+
+    @property
+    def state(self) -> TrackingState:
+        """Whether an object is followed."""
+        return self._state
+
+    def is_fresh(self, time_s: float) -> bool:
+        """Whether it, or what may be it, was seen so lately that its last motion says where it is."""
+        return time_s - self._seen_s < _FRESH_S
+
+    def expected_m(self, time_s: float) -> tuple[float, float]:
+        """Return where it is by its last motion (east, north), which is held for some seconds."""
+        ahead_s = min(time_s - self._seen_s, _STOPPED_S)
+        return self._at_m[0] + ahead_s * self._velocity_m_s[0], self._at_m[1] + ahead_s * self._velocity_m_s[1]
+
+    def start(self, picture: Picture, time_s: float, view: View, x_px: float, y_px: float, box: Box | None) -> bool:
+        """Follow what is at a pixel, or in a box; return whether the ground is seen there."""
+        at = view.ground(x_px, y_px)
+        if at is None:
+            return False
+        scale = view.scale_px_m(*at)
+        self._size_m = (
+            (_OBJECT_M, _OBJECT_M) if box is None else (box.width_px / scale, box.height_px / scale)
+        )
+        self._velocity_m_s, self._alike, self._candidates, self._trial = (0.0, 0.0), [], [], None
+        self._look, self._learnt_s = _Look(), -math.inf
+        self._follow(picture, time_s, view, at)
+        return True
+
+    def stop(self) -> None:
+        """Follow nothing."""
+        self._state, self._tracker, self._confidence = "idle", None, 0.0
+
+    def update(
+        self,
+        picture: Picture,
+        time_s: float,
+        view: View,
+        velocity_m_s: tuple[float, float] | None = None,
+        predicted: tuple[float, float, float] | None = None,
+    ) -> Tracked:
+        """Take a picture.
+
+        Args:
+            picture: The picture.
+            time_s: When it was taken.
+            view: From where and which way.
+            velocity_m_s: The target's velocity (east, north) by the estimate, None where it is not known.
+            predicted: The target's position (east, north) by the estimate and its standard deviation, m.
+        """
+        if self._state == "idle":
+            return Tracked("idle")
+        if self._state == "object":
+            if velocity_m_s is not None and self._trial is None:
+                self._velocity_m_s = velocity_m_s
+            box = self._followed(picture, time_s, view)
+            if box is not None and self._trial is not None:
+                self._judge(self._trial, time_s)
+            if box is not None and self._state == "object":
+                return Tracked("object" if self._trial is None else "lost", box, self._confidence)
+        return Tracked("lost", self._sought(picture, time_s, view, predicted), 0.0)
+
+    # -- while it is seen ----------------------------------------------------------------------------------
+
+    def _follow(self, picture: Picture, time_s: float, view: View, at_m: tuple[float, float]) -> None:
+        """Begin to follow what is on the ground there."""
+        window = _Window.around(picture, view, at_m, self._size_m, _WINDOW_PX)
+        if window is None:
+            return
+        self._tracker = cv2.TrackerCSRT_create() if self._kind == "csrt" else cv2.TrackerKCF_create()
+        self._tracker.init(window.picture, window.middle_box(self._size_m))
+        self._state, self._at_m, self._seen_s, self._doubts = "object", at_m, time_s, 0
+        self._candidates, self._confidence = [], 1.0
+        if self._learnt_s == -math.inf:
+            self._learn(window, 0.5 * _WINDOW_PX, 0.5 * _WINDOW_PX, time_s)
+
+    def _followed(self, picture: Picture, time_s: float, view: View) -> Box | None:
+        """Return where it is seen; None where it is not, and then it is lost or about to be."""
+        expected_m = self.expected_m(time_s)
+        window = _Window.around(picture, view, expected_m, self._size_m, _WINDOW_PX)
+        if window is None:
+            self._lose()
+            return None
+        ok, (x, y, w, h) = self._tracker.update(window.picture)
+        middle = x + 0.5 * w, y + 0.5 * h
+        likeness = self._likeness(window, *middle) if ok else 0.0
+        self._confidence += 0.3 * (max(likeness, 0.0) - self._confidence)
+        if likeness < _HIDDEN_BELOW:
+            self._doubts += 1
+            if self._doubts >= _HIDDEN_PICTURES or not ok:
+                self._lose()
+            return None
+        self._doubts = 0
+        pixel = window.pixel(*middle)
+        at = view.ground(*pixel)
+        if at is None:
+            return None
+        self._at_m, self._seen_s = at, time_s
+        if likeness > _LEARNT_FROM and time_s - self._learnt_s > _LEARN_EVERY_S:
+            self._learn(window, *middle, time_s)
+        if time_s - self._surveyed_s > _SURVEY_EVERY_S:
+            self._surveyed_s = time_s
+            self._remember_alike(picture, time_s, view)
+        scale = view.scale_px_m(*at)
+        return Box(*pixel, scale * self._size_m[0], scale * self._size_m[1])
+
+    def _learn(self, window: _Window, x_px: float, y_px: float, time_s: float) -> None:
+        self._learnt_s = time_s
+        self._look.learn(window.picture, x_px, y_px, _size_px(self._size_m), time_s)
+
+    def _likeness(self, window: _Window, x_px: float, y_px: float) -> float:
+        """Return how much a place of the window, or one next to it, looks like the object."""
+        width, height = size = _size_px(self._size_m)
+        near: Picture = cv2.getRectSubPix(window.picture, (width + 6, height + 6), (x_px, y_px))  # type: ignore[assignment]
+        return float(self._look.likeness(near, size, turned=False).max())
+
+    def _judge(self, trial: _Trial, time_s: float) -> None:
+        """End a trial: what stands, unlike the object before, is another one."""
+        trial.found.seen.append((time_s, *self._at_m))
+        speed_m_s = trial.found.speed_m_s(_TRIED_S)
+        if speed_m_s is None:
+            return
+        if speed_m_s < _STANDING_SHARE * math.hypot(*self._velocity_m_s) and time_s - trial.lost[0] < _STOPPED_S:
+            self._alike.append((time_s, *self._at_m))
+            self._lose()
+        self._trial = None
+
+    def _lose(self) -> None:
+        if self._trial is not None:  # it was not the object: that was last seen before
+            self._seen_s, self._at_m, self._trial = self._trial.lost[0], self._trial.lost[1:], None
+        self._state, self._tracker, self._doubts = "lost", None, 0
+        self._candidates, self._searched_s = [], -math.inf
+        self._look.forget_lately()
+
+    def _remember_alike(self, picture: Picture, time_s: float, view: View) -> None:
+        """Note what else looks like the object now."""
+        self._alike = [one for one in self._alike if time_s - one[0] < _REMEMBERED_S]
+        for east_m, north_m in self._matches(picture, view, self._at_m, _SURVEY_M):
+            here = east_m, north_m
+            if not self._is_same(view, here, self._at_m):
+                self._alike = [one for one in self._alike if not self._is_same(view, one[1:], here)]
+                self._alike.append((time_s, *here))
+
+    def _is_same(self, view: View, one_m: tuple[float, float], other_m: tuple[float, float]) -> bool:
+        """Whether two places are one as they are seen: along a low line of sight an error of the gimbal is far."""
+        one_px, other_px = view.pixel(*one_m), view.pixel(*other_m)
+        if one_px is None or other_px is None:
+            return False
+        return math.dist(one_px, other_px) < _SAME_SIZES * max(self._size_m) * view.scale_px_m(*one_m)
+
+    # -- while it is hidden --------------------------------------------------------------------------------
+
+    def _sought(
+        self, picture: Picture, time_s: float, view: View, predicted: tuple[float, float, float] | None
+    ) -> Box | None:
+        """Search for it; return where it is expected."""
+        hidden_s = time_s - self._seen_s
+        expected_m, around_m = self.expected_m(time_s), self._at_m
+        radius_m = _SLACK_M + (_SLACK_M_S + 1.5 * math.hypot(*self._velocity_m_s)) * hidden_s
+        if predicted is not None and hidden_s > _STOPPED_S:  # by then the estimate knows more than its last motion
+            expected_m = around_m = predicted[:2]
+            radius_m = min(radius_m, _SLACK_M + 3.0 * predicted[2])
+        radius_m = min(radius_m, _SEARCH_MAX_M)
+        if time_s - self._searched_s >= _SEARCH_EVERY_S:
+            self._searched_s = time_s
+            found_m = self._matches(picture, view, around_m, radius_m)
+            self._take_candidates(time_s, found_m)
+            chosen = self._chosen(view, time_s, hidden_s, expected_m)
+            if chosen is not None:
+                trial = _Trial((self._seen_s, *self._at_m), _Candidate(deque(maxlen=100)))
+                self._follow(picture, time_s, view, chosen.latest[1:])
+                if hidden_s > _FRESH_S and math.hypot(*self._velocity_m_s) > _MOVES_M_S:
+                    self._trial = trial
+        pixel = view.pixel(*expected_m)
+        if pixel is None:
+            return None
+        scale = view.scale_px_m(*expected_m)
+        return Box(*pixel, scale * self._size_m[0], scale * self._size_m[1])
+
+    def _matches(
+        self, picture: Picture, view: View, around_m: tuple[float, float], radius_m: float
+    ) -> list[tuple[float, float]]:
+        """Return where something looks like the object, within a radius, the most alike first."""
+        share = 1.0 if self._look.has_colour else 0.5  # correlation is slow: at half the resolution
+        scale = share * _SIDE_PX / max(self._size_m)
+        side_px = min(round(2.0 * scale * radius_m) + 2 * _SIDE_PX, _SEARCH_MAX_PX)
+        window = _Window.around(picture, view, around_m, self._size_m, side_px, share)
+        if window is None:
+            return []
+        width, height = size = _size_px(self._size_m, share)
+        look = self._look
+        alike = (
+            look.by_colour(window.picture, size)
+            if look.has_colour
+            else look.by_pictures(window.picture, size, turned=True)
+        )
+        found = []
+        for _ in range(_CANDIDATES_MAX):
+            _, value, _, (x, y) = cv2.minMaxLoc(alike)
+            if value < _ALIKE_FROM:
+                break
+            alike[max(y - height // 2, 0) : y + height // 2 + 1, max(x - width // 2, 0) : x + width // 2 + 1] = -1.0
+            at = view.ground(*window.pixel(x + 0.5 * width, y + 0.5 * height))
+            near = None if at is None else _Window.around(picture, view, at, self._size_m, 2 * _SIDE_PX)
+            if near is None:
+                continue
+            exact = look.likeness(near.picture, _size_px(self._size_m), turned=True)
+            _, value, _, (x, y) = cv2.minMaxLoc(exact)
+            full_width, full_height = _size_px(self._size_m)
+            at = view.ground(*near.pixel(x + 0.5 * full_width, y + 0.5 * full_height))
+            if value < _ALIKE_FROM or at is None or math.dist(at, around_m) > radius_m:
+                continue
+            if not any(self._is_same(view, at, other) for other in found):
+                found.append(at)
+        return found
+
+    def _take_candidates(self, time_s: float, found_m: list[tuple[float, float]]) -> None:
+        for at in found_m:
+            near = [
+                one
+                for one in self._candidates
+                if math.dist(one.latest[1:], at) < 1.5 + 8.0 * (time_s - one.latest[0])
+            ]
+            candidate = min(near, key=lambda one: math.dist(one.latest[1:], at), default=None)
+            if candidate is None:
+                candidate = _Candidate()
+                self._candidates.append(candidate)
+            candidate.seen.append((time_s, *at))
+        self._candidates = [one for one in self._candidates if time_s - one.latest[0] < 1.0]
+
+    def _chosen(
+        self, view: View, time_s: float, hidden_s: float, expected_m: tuple[float, float]
+    ) -> _Candidate | None:
+        """Return the candidate that is the object; None while that is not clear."""
+        speed_m_s, left = math.hypot(*self._velocity_m_s), []
+        for one in self._candidates:
+            seen_for_s = time_s - one.seen[0][0]
+            if len(one.seen) < _SEEN_TIMES or seen_for_s < _SEEN_FOR_S or time_s - one.latest[0] > 0.3:
+                continue
+            if any(self._is_same(view, known[1:], one.latest[1:]) for known in self._alike):
+                continue  # it stood there before, next to the object
+            off_m = math.dist(one.latest[1:], expected_m)
+            if speed_m_s > _MOVES_M_S and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
+                moved_m_s = one.speed_m_s(_STANDS_FOR_S)
+                if moved_m_s is None:
+                    continue
+                if moved_m_s < _STANDING_SHARE * speed_m_s and hidden_s < _STOPPED_S:
+                    continue  # what stands may have been hidden before, too
+            left.append((off_m, one))
+        left.sort(key=lambda pair: pair[0])
+        if len(left) > 1 and left[0][0] > 0.5 * left[1][0]:
+            return None
+        return left[0][1] if left else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """A square of a picture, resampled.
+
+    Attributes:
+        picture: BGR, shape (side, side, 3).
+        corner_px: its upper left corner in the picture.
+        scale: pixels of the window in one of the picture.
+    """
+
+    picture: Picture
+    corner_px: tuple[float, float]
+    scale: float
+
+    @staticmethod
+    def around(
+        picture: Picture,
+        view: View,
+        at_m: tuple[float, float],
+        size_m: tuple[float, float],
+        side_px: int,
+        share: float = 1.0,
+    ) -> _Window | None:
+        """Cut a window in whose middle a point on the ground is; None where that is outside the picture."""
+        pixel = view.pixel(*at_m)
+        if pixel is None:
+            return None
+        scale = share * _SIDE_PX / (max(size_m) * view.scale_px_m(*at_m))
+        half = 0.5 * side_px / scale
+        x, y = pixel
+        height, width = picture.shape[:2]
+        if not (-half < x < width + half and -half < y < height + half):
+            return None
+        affine = np.array([[scale, 0.0, 0.5 * side_px - scale * x], [0.0, scale, 0.5 * side_px - scale * y]])
+        cut = cv2.warpAffine(picture, affine, (side_px, side_px), borderMode=cv2.BORDER_REPLICATE)
+        return _Window(cut, (x - half, y - half), scale)  # type: ignore[arg-type]
+
+    def pixel(self, x_px: float, y_px: float) -> tuple[float, float]:
+        """Return the place in the picture of one in the window."""
+        return self.corner_px[0] + x_px / self.scale, self.corner_px[1] + y_px / self.scale
+
+    def middle_box(self, size_m: tuple[float, float]) -> tuple[int, int, int, int]:
+        """Return the object's box in the middle of the window, as OpenCV takes it."""
+        side = self.picture.shape[0]
+        width, height = _size_px(size_m)
+        return (side - width) // 2, (side - height) // 2, width, height
+
+
+def _size_px(size_m: tuple[float, float], share: float = 1.0) -> tuple[int, int]:
+    scale = share * _SIDE_PX / max(size_m)
+    return max(round(scale * size_m[0]), 8), max(round(scale * size_m[1]), 8)

@@ -1,0 +1,158 @@
+"""A gimbal camera without a laser: a gimbal that turns as it is told, and its pictures as a video stream.
+
+The pictures are MPEG-TS with H.264 over UDP. Needs PyAV and OpenCV (the extra ``video``).
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from fractions import Fraction
+from queue import Empty, Full, Queue
+from typing import Any
+
+import av
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, Command
+from sidelong.sitl.settings import CameraSettings
+from sidelong.sitl.world.airframe import SimulatedAirframe, quaternion
+from sidelong.sitl.world.picture import CameraPose, Image, Scenery
+
+_LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
+_PITCH_RAD = (-0.5 * math.pi, math.radians(30.0))
+_LOCKED = (
+    mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
+)
+
+
+class GimbalCamera:
+    """Turns towards what it is told, within its rate; until then an operator keeps it on the target by hand.
+
+    Attributes:
+        on_picture: receives time and picture.
+        commanded: whether something else than the operator has pointed it.
+    """
+
+    def __init__(self, settings: CameraSettings, scenery: Scenery) -> None:
+        self.settings, self.scenery = settings, scenery
+        self.on_picture: Callable[[float, Image], object] = lambda _time_s, _picture: None
+        self.commanded = False
+        self.yaw_rad, self.pitch_rad, self._roll_rad = 0.0, -0.3, 0.0
+        self._goal_rad: tuple[float, float] = (self.pitch_rad, self.yaw_rad)
+        self._goal_is_of_earth = True
+        self._rates_rad_s = (0.0, 0.0)
+        self._off_rad, self._slip_rad_s = 0.0, 0.0  # of what is looked at, from the axis
+        self._next_s = 0.0
+
+    def on_command(self, command: Command) -> int:
+        """Take MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: angles, or rates where these are not numbers."""
+        pitch_deg, yaw_deg, *rates_deg_s = (command.param(number) for number in (1, 2, 3, 4))
+        is_of_earth = bool(int(command.number(5)) & mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
+        if math.isfinite(pitch_deg) and math.isfinite(yaw_deg):
+            self.point(math.radians(pitch_deg), math.radians(yaw_deg), is_of_earth=is_of_earth)
+        elif all(math.isfinite(rate) for rate in rates_deg_s):
+            self.point(self.pitch_rad, self.yaw_rad, is_of_earth=True)
+            self._rates_rad_s = (math.radians(rates_deg_s[0]), math.radians(rates_deg_s[1]))
+        else:
+            return DENIED
+        return ACCEPTED
+
+    def point(self, pitch_rad: float, yaw_rad: float, *, is_of_earth: bool) -> None:
+        """Turn there; yaw is clockwise from north, or from the aircraft's nose."""
+        self.commanded, self._rates_rad_s = True, (0.0, 0.0)
+        self._goal_rad, self._goal_is_of_earth = (pitch_rad, yaw_rad), is_of_earth
+
+    def step(self, time_s: float, dt_s: float, craft: SimulatedAirframe, seen_m: tuple[float, float, float]) -> None:
+        """Turn for a step, and take a picture if one is due. seen_m: the target (east, north, height)."""
+        here_m = craft.east_m, craft.north_m, craft.height_m
+        east_m, north_m, up_m = (there - here for there, here in zip(seen_m, here_m, strict=True))
+        if not self.commanded:
+            self._goal_rad = math.atan2(up_m, math.hypot(east_m, north_m)), math.atan2(east_m, north_m)
+        pitch_goal_rad, yaw_goal_rad = self._goal_rad = (
+            self._goal_rad[0] + self._rates_rad_s[0] * dt_s,
+            self._goal_rad[1] + self._rates_rad_s[1] * dt_s,
+        )
+        if not self._goal_is_of_earth:
+            yaw_goal_rad += craft.heading_rad
+        turn_rad_s = self._rate_rad_s(math.remainder(yaw_goal_rad - self.yaw_rad, math.tau))
+        self.yaw_rad = math.remainder(self.yaw_rad + turn_rad_s * dt_s, math.tau)
+        off_rad = math.remainder(self.yaw_rad - craft.heading_rad, math.tau)
+        limit_rad = math.radians(self.settings.pan_limit_deg)
+        if abs(off_rad) > limit_rad:  # at its stop
+            self.yaw_rad = math.remainder(craft.heading_rad + math.copysign(limit_rad, off_rad), math.tau)
+        self.pitch_rad += self._rate_rad_s(pitch_goal_rad - self.pitch_rad) * dt_s
+        self.pitch_rad = min(max(self.pitch_rad, _PITCH_RAD[0]), _PITCH_RAD[1])
+        self._roll_rad = _LEAN * craft.roll_rad
+        off_rad = math.remainder(math.atan2(east_m, north_m) - self.yaw_rad, math.tau)
+        self._off_rad, self._slip_rad_s = off_rad, (off_rad - self._off_rad) / dt_s
+        if time_s >= self._next_s - 1e-9:
+            self._next_s = max(self._next_s + 1.0 / self.settings.rate_hz, time_s)
+            self.on_picture(time_s, self.picture(time_s, craft))
+
+    def picture(self, time_s: float, craft: SimulatedAirframe) -> Image:
+        """Return what the camera sees from the aircraft now."""
+        pose = CameraPose(
+            (craft.east_m, craft.north_m, craft.height_m), self.yaw_rad, self.pitch_rad, self._roll_rad
+        )
+        size = self.settings.width_px, self.settings.height_px
+        return self.scenery.picture(time_s, pose, math.radians(self.settings.view_deg), size, self._slip_rad_s)
+
+    def attitude(self, boot_ms: int) -> Any:
+        """Return GIMBAL_DEVICE_ATTITUDE_STATUS, relative to north and the horizon."""
+        turned = list(quaternion(self._roll_rad, self.pitch_rad, self.yaw_rad))
+        return mavlink.MAVLink_gimbal_device_attitude_status_message(
+            0, 0, boot_ms, _LOCKED, turned, *(math.nan,) * 3, 0
+        )
+
+    def _rate_rad_s(self, off_rad: float) -> float:
+        rate_rad_s, limit_rad_s = off_rad / self.settings.lag_s, math.radians(self.settings.rate_deg_s)
+        return min(max(rate_rad_s, -limit_rad_s), limit_rad_s)
+
+
+class VideoServer:
+    """Encodes pictures in a thread of its own and sends them; pictures that come too fast are dropped."""
+
+    def __init__(self, url: str, settings: CameraSettings) -> None:
+        self._queue: Queue[tuple[float, Image] | None] = Queue(maxsize=4)
+        self._url, self._settings = url, settings
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def put(self, time_s: float, picture: Image) -> None:
+        """Send a picture."""
+        try:
+            self._queue.put_nowait((time_s, picture))
+        except Full:
+            return  # the encoder is behind
+
+    def close(self) -> None:
+        """End the stream."""
+        while True:
+            try:
+                self._queue.put_nowait(None)
+                break
+            except Full:
+                try:
+                    self._queue.get_nowait()
+                except Empty:
+                    continue
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        settings, url = self._settings, self._url
+        with av.open(f"{url}?pkt_size=1316", "w", format="mpegts") as out:
+            stream = out.add_stream("libx264", rate=Fraction(settings.rate_hz).limit_denominator(100))
+            stream.width, stream.height, stream.pix_fmt = settings.width_px, settings.height_px, "yuv420p"
+            stream.options = {"preset": "ultrafast", "tune": "zerolatency", "g": str(round(settings.rate_hz))}
+            stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+            while (item := self._queue.get()) is not None:
+                time_s, picture = item
+                frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+                frame.pts, frame.time_base = round(1000.0 * time_s), Fraction(1, 1000)
+                for packet in stream.encode(frame):
+                    out.mux(packet)

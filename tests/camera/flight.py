@@ -1,0 +1,178 @@
+"""A flight from pixels alone: the rendered world of :mod:`sidelong.sitl`, the camera room, and the core in one loop."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
+from sidelong.app.camera.camera import TargetCamera
+from sidelong.app.config import Config
+from sidelong.app.link.message import Message
+from sidelong.app.simulation.loop import ClosedLoop
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.mission.core.events import ControlAcquired
+from sidelong.mission.exchange.dialect import Home
+from sidelong.sitl.settings import CameraSettings, Flavour, Settings, TargetSettings
+from sidelong.sitl.simulation import Simulation
+from tests.sitl_vehicle import RATES_HZ, SitlVehicle
+
+CAMERA = 100
+_PIPELINE_S = 0.15
+_POINT_EVERY_S, _REPORT_EVERY_S, _VIEW_EVERY_S = 0.1, 0.4, 1.0
+_DO_GIMBAL_MANAGER_PITCHYAW, _YAW_LOCK = 1000, 16
+_ON_CIRCLE_WITHIN_S = 300.0
+_CLICK_ABOVE_M = 40.0
+_CHI2_95 = 5.991
+
+
+@dataclass(slots=True)
+class Pixels:
+    """What was recorded, once a picture, or once a judged position."""
+
+    in_picture: list[bool] = field(default_factory=list)
+    in_middle: list[bool] = field(default_factory=list)
+    off_m: list[float] = field(default_factory=list)  # of what is tracked from the target, nan: lost
+    inside: list[bool] = field(default_factory=list)  # of the 95 % ellipse
+    range_m: list[float] = field(default_factory=list)
+    on_side: list[bool] = field(default_factory=list)
+    in_band: list[bool] = field(default_factory=list)
+    times_s: list[float] = field(default_factory=list)
+    cost_s: list[float] = field(default_factory=list)
+
+
+class PixelFlight(ClosedLoop[bytes]):
+    """Fly it with :meth:`fly`."""
+
+    def __init__(self, config: Config, settings: Settings, rate_hz: float = 15.0) -> None:
+        self.simulation = Simulation(settings)
+        super().__init__(SitlVehicle(self.simulation, {**RATES_HZ, 2: 1.0}))
+        self.pixels = Pixels()
+        self.has_control = self._clicked = False
+        self._point_s = self._report_s = self._view_s = 0.0
+        self._pictures: deque[tuple[float, Any]] = deque()
+        self.connect()
+        vehicle = self.simulation.vehicle
+        home = Home(vehicle.home.latitude_deg, vehicle.home.longitude_deg, vehicle.home.altitude_m)
+        home_deg = home.latitude_deg, home.longitude_deg
+        controller = controller_of(config, self.telemetry.plane, home_deg)
+        self.controller = controller
+        dialect = autopilot_by_mav_autopilot(vehicle.autopilot_id)
+        self.core = mission_controller_of(config, controller, dialect, self.telemetry.plane, home)
+        ground = controller.surroundings.ground
+        height = (lambda e, n: 0.0) if ground is None else ground.height_m
+        view_rad = math.radians(settings.camera.view_deg)
+        self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
+        self.simulation.camera.on_picture = lambda _time_s, picture: self._pictures.append(
+            (vehicle.now_s, picture)
+        )
+        self.listeners.append(self._heed)
+        self.requirement = config.requirement.requirement()
+
+    def _estimate(self, time_s: float):
+        return self.controller.tracker.estimate(time_s)
+
+    def _heed(self, event: object, outputs: tuple[object, ...]) -> None:
+        self.camera.event(event)
+        self.has_control |= any(isinstance(output, ControlAcquired) for output in outputs)
+
+    def step(self) -> None:
+        """Move the clock by one tick, and let the camera work."""
+        super().step()
+        if self.core is None:
+            return
+        vehicle = self.simulation.vehicle
+        now_s = vehicle.now_s
+        if not self._clicked and vehicle.craft.height_m > _CLICK_ABOVE_M:
+            self._clicked = True
+            self.camera.follow(0.5, 0.5)
+        while self._pictures and self._pictures[0][0] <= now_s - _PIPELINE_S:
+            taken_s, picture = self._pictures.popleft()
+            self._take(taken_s, picture)
+        if now_s >= self._point_s:
+            self._point_s = now_s + _POINT_EVERY_S
+            wanted = self.camera.pointing(now_s)
+            if wanted is not None:
+                degrees = [math.degrees(one) for one in wanted]
+                fields = {
+                    "command": _DO_GIMBAL_MANAGER_PITCHYAW,
+                    "param1": degrees[0],
+                    "param2": degrees[1],
+                    "param3": math.nan,
+                    "param4": math.nan,
+                    "param5": float(_YAW_LOCK),
+                }
+                self.transmit(self._packer.frame("COMMAND_LONG", fields, self.simulated.system_id))
+
+    def _take(self, taken_s: float, picture: Any) -> None:
+        import time
+
+        begun_s = time.perf_counter()
+        found = self.camera.picture(picture, taken_s)
+        self.pixels.cost_s.append(time.perf_counter() - begun_s)
+        if found is None or not self._clicked:
+            return
+        if taken_s >= self._view_s:
+            self._view_s = taken_s + _VIEW_EVERY_S
+            hfov = math.degrees(self.camera.view_rad)
+            vfov = math.degrees(2 * math.atan(math.tan(math.radians(hfov / 2)) * picture.shape[0] / picture.shape[1]))
+            self._say("CAMERA_FOV_STATUS", {"hfov": hfov, "vfov": vfov})
+        if taken_s >= self._report_s:
+            self._report_s = taken_s + _REPORT_EVERY_S
+            self._say("CAMERA_TRACKING_IMAGE_STATUS", self.camera.status() | {"capture_s": taken_s})
+        self._judge(taken_s, found)
+
+    def _say(self, name: str, fields: dict) -> None:
+        self.on_message(Message(name, self.simulated.system_id, CAMERA, fields, 0.0))
+
+    def _judge(self, taken_s: float, found: Any) -> None:
+        pixels, simulation = self.pixels, self.simulation
+        boot_s = simulation.time_s - simulation.vehicle.now_s
+        target = simulation.camera.scenery.target_m(taken_s + boot_s)
+        at = self.camera.view.pixel(*target)
+        width, height = found.size_px
+        inside = at is not None and 0 <= at[0] < width and 0 <= at[1] < height
+        pixels.in_picture.append(inside)
+        pixels.in_middle.append(
+            inside and abs(at[0] / width - 0.5) < 0.25 and abs(at[1] / height - 0.5) < 0.25
+        )
+        off_m = math.nan
+        if found.tracked.state == "object":
+            ground = self.camera.view.ground(found.tracked.box.x_px, found.tracked.box.y_px)
+            off_m = math.dist(ground, target)
+        pixels.off_m.append(off_m)
+        pixels.times_s.append(taken_s)
+        estimate = self._estimate(taken_s)
+        if estimate is not None and estimate.quality is not TrackQuality.LOST:
+            off = np.array(estimate.position_m(taken_s)) - target
+            pixels.inside.append(bool(off @ np.linalg.solve(estimate.covariance[:2, :2], off) <= _CHI2_95))
+
+    def fly(self, duration_s: float) -> Pixels:
+        """Take off, and watch for a time."""
+        self.take_over()
+        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.has_control)
+        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.controller.estimate is not None)
+        for name in ("in_picture", "in_middle", "off_m", "inside", "times_s", "cost_s"):
+            getattr(self.pixels, name).clear()
+        end_s = self.simulation.time_s + duration_s
+        while self.simulation.time_s < end_s:
+            self.run(0.5)
+            craft = self.simulation.vehicle.craft
+            target = self.simulation.camera.scenery.target_m(self.simulation.time_s)
+            range_m = math.dist((craft.east_m, craft.north_m), target)
+            self.pixels.range_m.append(range_m)
+            requirement = self.requirement
+            self.pixels.in_band.append(requirement.range_min_m <= range_m <= requirement.range_max_m)
+        return self.pixels
+
+
+def settings_of(flavour: str, motion: str, seed: int, **camera: Any) -> Settings:
+    """Return the simulator's settings of a camera that watches a motion or a track."""
+    return Settings(
+        Flavour(flavour), seed=seed, targets=(TargetSettings(motion),), camera=CameraSettings(**camera)
+    )
