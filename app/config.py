@@ -325,6 +325,31 @@ class PayloadSection(Section):
     """Whether sidelong points the gimbal at the target: by the vehicle, or by the payload's own protocol."""
 
 
+SIMULATED_VIDEO = "video://"
+"""The ``camera.source`` of a simulated vehicle."""
+
+
+class CameraSection(Section):
+    """A gimbal camera without a laser, whose picture sidelong tracks itself (package extra video)."""
+
+    source: str | None = None
+    """Video: rtsp://HOST/PATH, udp://HOST:PORT, /dev/videoN, a file; video://: simulated; none: no camera."""
+    view_deg: float = Field(60.0, gt=1, lt=170)
+    """Horizontal field of view without zoom, degrees."""
+    tracker: Literal["kcf", "csrt"] = "kcf"
+    """Tracker of OpenCV; csrt takes ten times the processor time."""
+    delay_s: float = Field(0.15, ge=0, le=5)
+    """Age of a picture when it is decoded, s."""
+    lead_s: float = Field(0.15, ge=0, le=2)
+    """Time by which commands to the gimbal look ahead: delay of its link and lag, s."""
+    rate_hz: float = Field(15.0, gt=0, le=60)
+    """Pictures per second that are recorded and sent on."""
+    stream: Annotated[str, Field(pattern=r"^(udp://[^:/\s]+:\d{1,5})?$")] = ""
+    """Send the video there as MPEG-TS (udp://HOST:PORT)."""
+    record_mb: float = Field(2000.0, ge=0)
+    """Largest size of video.ts in the run folder, MB; 0: it is not recorded."""
+
+
 class LinkSection(Section):
     """The link to the autopilot."""
 
@@ -540,6 +565,7 @@ class Config(Section):
     planner: PlannerSection = PlannerSection()  # type: ignore[call-arg]
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]
     payload: PayloadSection = PayloadSection()  # type: ignore[call-arg]
+    camera: CameraSection = CameraSection()  # type: ignore[call-arg]
     link: LinkSection = LinkSection()  # type: ignore[call-arg]
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
     terrain: TerrainSection = TerrainSection()  # type: ignore[call-arg]

@@ -24,7 +24,7 @@ from sidelong.estimators.sensing.readings import (
 _GIMBAL_SPAN_S = 6.0
 _GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, which stands for a picture that is newer
 _ESTIMATE_AGE_MAX_S = 3.0  # of the estimate's last sighting: its velocity still describes the target
-_GEO_SIGMA_MAX_M = 60.0  # beyond it the gimbal stays on where the target was last seen
+_FRESH_S, _GEO_S, _GEO_SIGMA_MAX_M = 2.0, 9.0, 15.0  # hidden for these times, the gimbal looks at the estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +125,12 @@ class TargetCamera:
         if usable and estimate is not None:
             if time_s - estimate.last_sighting_s < _ESTIMATE_AGE_MAX_S:
                 velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
-            predicted = (*estimate.position_m(time_s), math.sqrt(float(max(estimate.covariance.diagonal()[:2]))))
-        tracked = self._tracker.update(picture, time_s, view, velocity_m_s, predicted)
+            predicted = estimate.position_m(time_s)
+        tracked = self._tracker.update(picture, time_s, view, velocity_m_s)
         marked, radius_px = None, 0.0
         if predicted is not None and estimate is not None:
-            marked = view.pixel(*predicted[:2])
-            radius_px = estimate.ellipse_95.semi_major_m * view.scale_px_m(*predicted[:2])
+            marked = view.pixel(*predicted)
+            radius_px = estimate.ellipse_95.semi_major_m * view.scale_px_m(*predicted)
         self.view, self.latest = view, Pictured(time_s, tracked, view.size_px, marked, radius_px)
         return self.latest
 
@@ -199,11 +199,8 @@ class TargetCamera:
     def _aim_m(self, time_s: float) -> tuple[float, float] | None:
         if self._tracker.state == "idle":
             return None
-        seen_m, estimate = self._tracker.expected_m(time_s), self._estimate(time_s)
-        if self._tracker.is_fresh(time_s) or estimate is None or estimate.quality is TrackQuality.LOST:
-            return seen_m
-        if float(max(estimate.covariance.diagonal()[:2])) > _GEO_SIGMA_MAX_M**2:
-            return seen_m
-        return estimate.position_m(time_s)
-
-
+        hidden_s, estimate = self._tracker.hidden_s(time_s), self._estimate(time_s)
+        if estimate is not None and estimate.quality is not TrackQuality.LOST and _FRESH_S < hidden_s < _GEO_S:
+            is_known = float(max(estimate.covariance.diagonal()[:2])) < _GEO_SIGMA_MAX_M**2
+            return estimate.position_m(time_s) if is_known else self._tracker.expected_m(time_s)
+        return self._tracker.expected_m(time_s)

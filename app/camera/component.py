@@ -81,7 +81,7 @@ class _Shown:
 
 
 class CameraComponent:
-    """Answers stations, and says what is tracked as often as one of them asks.
+    """Answers stations, and reports what is tracked at the rate that one of them requests.
 
     Args:
         system_id: Of the vehicle that carries it.

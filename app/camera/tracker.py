@@ -1,10 +1,10 @@
 """Follow one object from picture to picture; after an occlusion, find it again and not one that looks like it.
 
 The tracker is OpenCV's (KCF by default, CSRT by choice). It works in a window that is cut out around the expected
-position and resampled to a constant size of the object, so that neither the motion of the gimbal nor the range shows in it.
-Each picture is compared with how the object looked lately, by colour and by correlation: below a threshold it is hidden.
-Then the surroundings of the expected position are searched. Objects that looked alike before, or that stand while the
-target moved, are left out; one that is left over is accepted when it is seen repeatedly.
+position and resampled to a constant size of the object: neither the motion of the gimbal nor the range shows in it.
+Each picture is compared with how the object looked lately, by colour and by correlation. Below a threshold it is
+hidden, and its surroundings are searched. Objects that looked alike before, or that stand while the target moved, are
+left out. The remaining one is accepted when it is seen repeatedly.
 """
 
 from __future__ import annotations
@@ -33,10 +33,13 @@ _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
 _CANDIDATES_MAX = 6
 _REMEMBERED_S, _SAME_SIZES = 60.0, 0.9
 _SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
-_FRESH_S, _NEAR_M, _STOPPED_S = 2.0, 3.0, 9.0  # after this long hidden, one that stands may be the target, which has stopped
+_FRESH_S, _NEAR_M = 2.0, 3.0
+_STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
 _SLACK_M, _SLACK_M_S, _SEARCH_MAX_M = 4.0, 1.0, 45.0  # how far it may be from where it was seen, and how this grows
 _OBJECT_M = 4.5
+_LOOK_S, _TURNS_M = 2.0, 20.0
+_LOOKS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))  # ahead and aside of where it was last seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +95,11 @@ class _Look:
         around[max(top - 4, 0) : top + height + 4, max(left - 4, 0) : left + width + 4] = False
         inner = _hues(patch)[height // 4 : -height // 4, width // 4 : -width // 4]
         first = not self._templates
-        for known, seen in ((self._inside, inner.reshape(-1, 2)), (self._outside, hues[around])):
-            share, *_ = np.histogram2d(seen[:, 0], seen[:, 1], _HUES, ((0, _HUES), (0, _HUES)))
-            known += (1.0 if first else _LEARN) * (share / max(len(seen), 1) - known)
+        rate = 1.0 if first else _LEARN
+        self._inside += rate * (_shares(inner.reshape(-1, 2)) - self._inside)
+        self._outside += rate * (_shares(hues[around]) - self._outside)
         colour = float(self._own_colour(_hues(patch)).mean())
-        self._colour += (1.0 if first else _LEARN) * (colour - self._colour)
+        self._colour += rate * (colour - self._colour)
         if first:
             self._templates.append(patch)
         elif not self._unproved or time_s - self._unproved[-1][0] > _TEMPLATE_EVERY_S:
@@ -110,7 +113,7 @@ class _Look:
 
     @property
     def has_colour(self) -> bool:
-        """Whether its colours tell it from its surroundings."""
+        """Whether its colours distinguish it from its surroundings."""
         return self._colour > _COLOUR_MIN
 
     def by_colour(self, window: Picture, size_px: tuple[int, int]) -> npt.NDArray[np.float32]:
@@ -122,8 +125,8 @@ class _Look:
         width, height = size_px
         own = self._own_colour(_hues(window)).astype(np.float32)
         mean = cv2.boxFilter(own, -1, size_px, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
-        alike: npt.NDArray[np.float32] = mean[: window.shape[0] - height + 1, : window.shape[1] - width + 1]
-        return alike / np.float32(max(self._colour, 1e-3))
+        alike = mean[: window.shape[0] - height + 1, : window.shape[1] - width + 1]
+        return np.asarray(alike / max(self._colour, 1e-3), np.float32)
 
     def by_pictures(self, window: Picture, size_px: tuple[int, int], *, turned: bool) -> npt.NDArray[np.float32]:
         """Return the same by correlation with recent pictures of the object; turned: also as it turns."""
@@ -135,7 +138,7 @@ class _Look:
                 rotation = cv2.getRotationMatrix2D((0.5 * width, 0.5 * height), angle_deg, 1.0)
                 one = cv2.warpAffine(sized, rotation, size_px, borderMode=cv2.BORDER_REPLICATE)
                 np.maximum(alike, cv2.matchTemplate(window, one, cv2.TM_CCOEFF_NORMED), out=alike)
-        return alike / np.float32(_CORRELATION)
+        return (alike / _CORRELATION).astype(np.float32)
 
     def likeness(self, window: Picture, size_px: tuple[int, int], *, turned: bool) -> npt.NDArray[np.float32]:
         """Return the same by both: without its colours nothing is the object."""
@@ -143,18 +146,26 @@ class _Look:
         if not self.has_colour:
             return alike
         colour = self.by_colour(window, size_px)
-        return np.where(colour < _HIDDEN_BELOW, colour, 0.5 * (np.maximum(alike, 0.6) + colour))
+        both = 0.5 * (np.maximum(alike, 0.6) + colour)
+        return np.where(colour < _HIDDEN_BELOW, colour, both).astype(np.float32)
 
     def _own_colour(self, hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
         share = self._inside / (self._inside + self._outside + 1e-3)
         return share[hues[..., 0], hues[..., 1]]
 
 
+def _shares(hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+    """Return the share of each cell in cells of shape (n, 2)."""
+    share, *_ = np.histogram2d(hues[:, 0], hues[:, 1], _HUES, ((0, _HUES), (0, _HUES)))
+    return share / max(len(hues), 1)
+
+
 def _hues(picture: Picture) -> npt.NDArray[np.intp]:
     """Return the cells of blue and red for each pixel, shape (..., 2)."""
     levels = picture.astype(np.float32) + 8.0  # dark pixels have no colour
     share = levels[..., (0, 2)] / levels.sum(axis=2, keepdims=True)
-    return np.clip(share * (1.5 * _HUES), 0, _HUES - 1).astype(np.intp)
+    cells: npt.NDArray[np.intp] = np.clip(share * (1.5 * _HUES), 0, _HUES - 1).astype(np.intp)
+    return cells
 
 
 @dataclass(slots=True)
@@ -167,8 +178,14 @@ class _Candidate:
     def latest(self) -> tuple[float, float, float]:
         return self.seen[-1]
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether it has moved while it was seen."""
+        speed_m_s = self.speed_m_s(_STANDS_FOR_S)
+        return speed_m_s is not None and speed_m_s > _STANDING_SHARE * _MOVES_M_S
+
     def speed_m_s(self, over_s: float) -> float | None:
-        """Return its mean speed over the last ``over_s``; None where it has not been seen for so long."""
+        """Return its mean speed over the last ``over_s``; None where it was not seen for all of it."""
         end_s, east_m, north_m = self.latest
         past = [one for one in self.seen if one[0] <= end_s - over_s]
         if not past:
@@ -213,14 +230,27 @@ class ObjectTracker:
         """Whether an object is followed."""
         return self._state
 
-    def is_fresh(self, time_s: float) -> bool:
-        """Whether it, or what may be it, was seen so lately that its last motion says where it is."""
-        return time_s - self._seen_s < _FRESH_S
+    def hidden_s(self, time_s: float) -> float:
+        """Return for how long it, and what may be it, has not been seen."""
+        return time_s - self._seen_s
 
     def expected_m(self, time_s: float) -> tuple[float, float]:
-        """Return where it is by its last motion (east, north), which is held for some seconds."""
-        ahead_s = min(time_s - self._seen_s, _STOPPED_S)
-        return self._at_m[0] + ahead_s * self._velocity_m_s[0], self._at_m[1] + ahead_s * self._velocity_m_s[1]
+        """Return where to look for it (east, north): by its last motion, after some seconds around there in turn."""
+        hidden_s = time_s - self._seen_s
+        east_m, north_m = self._velocity_m_s[0] * _STOPPED_S, self._velocity_m_s[1] * _STOPPED_S
+        if hidden_s <= _STOPPED_S:
+            share = hidden_s / _STOPPED_S
+            return self._at_m[0] + share * east_m, self._at_m[1] + share * north_m
+        far_m = math.hypot(east_m, north_m)
+        if far_m < _SLACK_M:
+            east_m, north_m = 0.0, _SLACK_M
+            far_m = _SLACK_M
+        longer = max(far_m, _TURNS_M) / far_m
+        ahead, aside = _LOOKS[int((hidden_s - _STOPPED_S) / _LOOK_S) % len(_LOOKS)]
+        return (
+            self._at_m[0] + longer * (ahead * east_m + aside * north_m),
+            self._at_m[1] + longer * (ahead * north_m - aside * east_m),
+        )
 
     def start(self, picture: Picture, time_s: float, view: View, x_px: float, y_px: float, box: Box | None) -> bool:
         """Follow what is at a pixel, or in a box; return whether the ground is seen there."""
@@ -228,9 +258,7 @@ class ObjectTracker:
         if at is None:
             return False
         scale = view.scale_px_m(*at)
-        self._size_m = (
-            (_OBJECT_M, _OBJECT_M) if box is None else (box.width_px / scale, box.height_px / scale)
-        )
+        self._size_m = (_OBJECT_M, _OBJECT_M) if box is None else (box.width_px / scale, box.height_px / scale)
         self._velocity_m_s, self._alike, self._candidates, self._trial = (0.0, 0.0), [], [], None
         self._look, self._learnt_s = _Look(), -math.inf
         self._follow(picture, time_s, view, at)
@@ -246,7 +274,6 @@ class ObjectTracker:
         time_s: float,
         view: View,
         velocity_m_s: tuple[float, float] | None = None,
-        predicted: tuple[float, float, float] | None = None,
     ) -> Tracked:
         """Take a picture.
 
@@ -255,7 +282,6 @@ class ObjectTracker:
             time_s: When it was taken.
             view: From where and which way.
             velocity_m_s: The target's velocity (east, north) by the estimate, None where it is not known.
-            predicted: The target's position (east, north) by the estimate and its standard deviation, m.
         """
         if self._state == "idle":
             return Tracked("idle")
@@ -267,7 +293,7 @@ class ObjectTracker:
                 self._judge(self._trial, time_s)
             if box is not None and self._state == "object":
                 return Tracked("object" if self._trial is None else "lost", box, self._confidence)
-        return Tracked("lost", self._sought(picture, time_s, view, predicted), 0.0)
+        return Tracked("lost", self._sought(picture, time_s, view), 0.0)
 
     # -- while it is seen ----------------------------------------------------------------------------------
 
@@ -276,7 +302,7 @@ class ObjectTracker:
         window = _Window.around(picture, view, at_m, self._size_m, _WINDOW_PX)
         if window is None:
             return
-        self._tracker = cv2.TrackerCSRT_create() if self._kind == "csrt" else cv2.TrackerKCF_create()
+        self._tracker = (cv2.TrackerCSRT if self._kind == "csrt" else cv2.TrackerKCF).create()
         self._tracker.init(window.picture, window.middle_box(self._size_m))
         self._state, self._at_m, self._seen_s, self._doubts = "object", at_m, time_s, 0
         self._candidates, self._confidence = [], 1.0
@@ -307,7 +333,7 @@ class ObjectTracker:
         self._at_m, self._seen_s = at, time_s
         if likeness > _LEARNT_FROM and time_s - self._learnt_s > _LEARN_EVERY_S:
             self._learn(window, *middle, time_s)
-        if time_s - self._surveyed_s > _SURVEY_EVERY_S:
+        if self._trial is None and time_s - self._surveyed_s > _SURVEY_EVERY_S:
             self._surveyed_s = time_s
             self._remember_alike(picture, time_s, view)
         scale = view.scale_px_m(*at)
@@ -329,7 +355,7 @@ class ObjectTracker:
         speed_m_s = trial.found.speed_m_s(_TRIED_S)
         if speed_m_s is None:
             return
-        if speed_m_s < _STANDING_SHARE * math.hypot(*self._velocity_m_s) and time_s - trial.lost[0] < _STOPPED_S:
+        if speed_m_s < _STANDING_SHARE * math.hypot(*self._velocity_m_s):
             self._alike.append((time_s, *self._at_m))
             self._lose()
         self._trial = None
@@ -359,16 +385,13 @@ class ObjectTracker:
 
     # -- while it is hidden --------------------------------------------------------------------------------
 
-    def _sought(
-        self, picture: Picture, time_s: float, view: View, predicted: tuple[float, float, float] | None
-    ) -> Box | None:
+    def _sought(self, picture: Picture, time_s: float, view: View) -> Box | None:
         """Search for it; return where it is expected."""
         hidden_s = time_s - self._seen_s
         expected_m, around_m = self.expected_m(time_s), self._at_m
         radius_m = _SLACK_M + (_SLACK_M_S + 1.5 * math.hypot(*self._velocity_m_s)) * hidden_s
-        if predicted is not None and hidden_s > _STOPPED_S:  # by then the estimate knows more than its last motion
-            expected_m = around_m = predicted[:2]
-            radius_m = min(radius_m, _SLACK_M + 3.0 * predicted[2])
+        if hidden_s > _STOPPED_S:
+            around_m = expected_m
         radius_m = min(radius_m, _SEARCH_MAX_M)
         if time_s - self._searched_s >= _SEARCH_EVERY_S:
             self._searched_s = time_s
@@ -378,7 +401,7 @@ class ObjectTracker:
             if chosen is not None:
                 trial = _Trial((self._seen_s, *self._at_m), _Candidate(deque(maxlen=100)))
                 self._follow(picture, time_s, view, chosen.latest[1:])
-                if hidden_s > _FRESH_S and math.hypot(*self._velocity_m_s) > _MOVES_M_S:
+                if chosen.is_moving and hidden_s > _FRESH_S:
                     self._trial = trial
         pixel = view.pixel(*expected_m)
         if pixel is None:
@@ -403,7 +426,7 @@ class ObjectTracker:
             if look.has_colour
             else look.by_pictures(window.picture, size, turned=True)
         )
-        found = []
+        found: list[tuple[float, float]] = []
         for _ in range(_CANDIDATES_MAX):
             _, value, _, (x, y) = cv2.minMaxLoc(alike)
             if value < _ALIKE_FROM:
@@ -441,25 +464,24 @@ class ObjectTracker:
         self, view: View, time_s: float, hidden_s: float, expected_m: tuple[float, float]
     ) -> _Candidate | None:
         """Return the candidate that is the object; None while that is not clear."""
-        speed_m_s, left = math.hypot(*self._velocity_m_s), []
+        speed_m_s = math.hypot(*self._velocity_m_s)
+        rated: list[tuple[float, bool, _Candidate]] = []  # how far off, whether it may be the object, which
         for one in self._candidates:
-            seen_for_s = time_s - one.seen[0][0]
-            if len(one.seen) < _SEEN_TIMES or seen_for_s < _SEEN_FOR_S or time_s - one.latest[0] > 0.3:
-                continue
             if any(self._is_same(view, known[1:], one.latest[1:]) for known in self._alike):
                 continue  # it stood there before, next to the object
-            off_m = math.dist(one.latest[1:], expected_m)
+            off_m, seen_for_s = math.dist(one.latest[1:], expected_m), time_s - one.seen[0][0]
+            fits = len(one.seen) >= _SEEN_TIMES and seen_for_s >= _SEEN_FOR_S and time_s - one.latest[0] < 0.3
             if speed_m_s > _MOVES_M_S and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
                 moved_m_s = one.speed_m_s(_STANDS_FOR_S)
-                if moved_m_s is None:
-                    continue
-                if moved_m_s < _STANDING_SHARE * speed_m_s and hidden_s < _STOPPED_S:
+                stands = moved_m_s is not None and moved_m_s < _STANDING_SHARE * speed_m_s
+                if stands and (hidden_s < _STOPPED_S or seen_for_s < _STOOD_FOR_S):
                     continue  # what stands may have been hidden before, too
-            left.append((off_m, one))
-        left.sort(key=lambda pair: pair[0])
-        if len(left) > 1 and left[0][0] > 0.5 * left[1][0]:
-            return None
-        return left[0][1] if left else None
+                fits &= moved_m_s is not None
+            rated.append((off_m, fits, one))
+        rated.sort(key=lambda rate: rate[0])
+        # The nearest, and not before it is known whether it moves; at first, of two about as near, neither.
+        unclear = len(rated) > 1 and rated[0][0] > 0.5 * rated[1][0] and hidden_s < _STOPPED_S
+        return rated[0][2] if rated and rated[0][1] and not unclear else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -97,7 +98,7 @@ class VideoSource:
             self._latest = picture, time.monotonic()
             self._changed.notify_all()
 
-    def _decoded(self):  # type: ignore[no-untyped-def]  # a generator over another library's objects
+    def _decoded(self) -> Iterator[Picture]:
         options = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp"}
         url = self._source
         if url.startswith("udp:"):
@@ -107,7 +108,7 @@ class VideoSource:
         with av.open(url, format=kind, options=options, timeout=(_OPEN_S, _READ_S)) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"  # threads by picture would each delay it
-            begun_s = first_s = None
+            begun_s = first_s = math.nan
             for packet in container.demux(stream):
                 try:
                     frames = packet.decode()
@@ -116,11 +117,12 @@ class VideoSource:
                     continue
                 for frame in frames:
                     if self._paced and frame.time is not None:
-                        first_s, begun_s = (frame.time, time.monotonic()) if first_s is None else (first_s, begun_s)
+                        if math.isnan(first_s):
+                            first_s, begun_s = frame.time, time.monotonic()
                         self._closing.wait(max(0.0, begun_s + frame.time - first_s - time.monotonic()))
                     width = min(frame.width, _WIDTH_MAX_PX)
                     height = round(frame.height * width / frame.width / 2) * 2
-                    yield frame.to_ndarray(format="bgr24", width=width, height=height)
+                    yield np.asarray(frame.to_ndarray(format="bgr24", width=width, height=height), np.uint8)
 
 
 def jpeg(picture: Picture, quality: int = 70) -> bytes:
@@ -139,7 +141,7 @@ class VideoFile:
         self._stream: av.VideoStream | None = None
         self._size_px = (0, 0)
         self._written = 0
-        self._first_s = 0.0
+        self._first_s, self._pts = 0.0, -1
 
     @property
     def is_full(self) -> bool:
@@ -147,7 +149,7 @@ class VideoFile:
         return self._written >= self._budget_bytes
 
     def put(self, picture: Picture, time_s: float) -> None:
-        """Write a picture. Raises OSError."""
+        """Write a picture. Raises OSError, of which PyAV's errors are."""
         height, width = picture.shape[:2]
         if self._container is None:
             url = f"{self._target}?pkt_size=1316" if self._target.startswith("udp:") else self._target
@@ -162,7 +164,8 @@ class VideoFile:
         if (width, height) != self._size_px:
             picture = cv2.resize(picture, self._size_px)  # type: ignore[assignment]
         frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-        frame.pts, frame.time_base = round(1000.0 * (time_s - self._first_s)), Fraction(1, 1000)
+        self._pts = max(round(1000.0 * (time_s - self._first_s)), self._pts + 1)  # the clocks' offset may step back
+        frame.pts, frame.time_base = self._pts, Fraction(1, 1000)
         self._mux(frame)
 
     def close(self) -> None:

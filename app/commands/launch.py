@@ -25,6 +25,7 @@ from sidelong.app.commands.report import write_report
 from sidelong.app.config import (
     DEMONSTRATION,
     MAX_AIRCRAFT,
+    SIMULATED_VIDEO,
     Config,
     load_config,
     reach_warning,
@@ -33,7 +34,7 @@ from sidelong.app.config import (
     with_values,
 )
 from sidelong.app.config_files import check_files, check_single
-from sidelong.app.errors import InputError
+from sidelong.app.errors import InputError, missing_package
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
 from sidelong.app.link.transport import checked_url
@@ -54,6 +55,7 @@ _PAYLOAD = panel("Payload")
 _SIMULATION = panel("Simulation")
 
 _DURATION_S = 1200.0
+_VIDEO, _RENDERED_VIEW_DEG = ("video", "rtsp", "rtsps", "udp"), 12.0
 _DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive: faster, this computer's load shows
 
 
@@ -69,7 +71,7 @@ def launch(
         _PAYLOAD(
             metavar="KIND://HOST[:PORT]",
             help=f"Read laser and gimbal by the payload's own protocol: {', '.join(KIND_NAMES)}; "
-            "KIND:// alone with a simulated vehicle.",
+            "KIND:// alone with a simulated vehicle. Or a camera's video: rtsp://, udp://; video:// simulated.",
         ),
     ] = None,
     route: Annotated[
@@ -126,6 +128,7 @@ def launch(
       sidelong launch --autopilot px4 --target walk --side right --view
       sidelong launch mission.toml --connect udpin://0.0.0.0:14540
       sidelong launch --connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
+      sidelong launch --payload video://
       sidelong launch --connect udpin://0.0.0.0:14540 --route ferry.gpx
       sidelong launch --fleet 2 --autopilot arduplane,px4
       sidelong launch mission.toml --set link.system_id=2 --set sharing.cot=udp://127.0.0.1:6969
@@ -135,8 +138,9 @@ def launch(
         if target is None:
             raise InputError("--track: names a track in the file of --target; give --target FILE, too.")
         target = f"{target}#{track}"
-    payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
+    video, payload_kind, payload_url = _payload_keys(payload)
     overrides: Overrides = {
+        "camera": {"source": video},
         "payload": {"kind": payload_kind, "url": payload_url},
         "link": {"urls": connect or None},
         "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
@@ -187,7 +191,7 @@ def launch(
 
 def _checked(settings: Config, speed: float | None, payload_url: str | None) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
-    settings = _with_simulated_payload(settings, speed, payload_url)
+    settings = _with_camera(_with_simulated_payload(settings, speed, payload_url))
     print_notes(check_single(settings))
     _check_input(settings)
     print_notes((room_warning(settings), reach_warning(settings), *setting_notes(settings)))
@@ -200,6 +204,38 @@ def _map_address(view: bool | None, silent: bool, settings: Config) -> PageAddre
     port = free_port(settings.display.port) if unasked else None
     address = page_address(unasked or bool(view), settings.display, port)
     return address and replace(address, opens_browser=unasked and address.is_local)
+
+
+def _payload_keys(payload: str | None) -> tuple[str | None, str | None, str | None]:
+    """Return the source of a camera's video, or kind and URL of another payload, as --payload names it."""
+    if payload is None or payload.partition("://")[0] in _VIDEO:
+        return payload, None, None
+    return None, *read_payload("--payload", payload)
+
+
+def _with_camera(settings: Config) -> Config:
+    """Return the settings with what a camera needs of a simulation. Raises InputError where it cannot be used."""
+    if settings.camera.source is None:
+        return settings
+    try:
+        from sidelong.app.camera.video import checked_source  # noqa: PLC0415  # an extra
+    except ImportError as error:
+        raise missing_package("camera.source", "av opencv-contrib-python-headless") from error
+    if settings.payload.point_gimbal:
+        raise InputError("camera.source leads the gimbal itself; leave payload.point_gimbal out.")
+    if not settings.is_simulated:
+        if settings.camera.source == SIMULATED_VIDEO:
+            raise InputError(f"camera.source {SIMULATED_VIDEO!r} is for a simulated vehicle; name the video.")
+        checked_source(settings.camera.source)
+        return settings
+    if settings.camera.source != SIMULATED_VIDEO:
+        raise InputError(f"camera.source: a simulated vehicle has a simulated camera; give {SIMULATED_VIDEO} alone.")
+    changed: dict[str, Any] = {"simulation": {"speed": 1.0}}  # pictures are made in real time
+    if not settings.terrain.is_known:
+        changed["terrain"] = {"flat": True}
+    if "view_deg" not in settings.camera.model_fields_set:
+        changed["camera"] = {"view_deg": _RENDERED_VIEW_DEG}
+    return with_values(settings, changed, "camera.source")
 
 
 def _with_simulated_payload(settings: Config, speed: float | None, url: str | None) -> Config:

@@ -11,14 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s, with_vehicle_fences
+from sidelong.app.assembly import Prepared, mission_controller_of, tracker_settings, winds_m_s, with_vehicle_fences
 from sidelong.app.autopilots.autopilot import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
@@ -60,8 +60,12 @@ from sidelong.mission.core.events import (
 )
 from sidelong.mission.core.plan import PanLimitPlanner
 from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
+
+if TYPE_CHECKING:
+    from sidelong.app.camera.runner import CameraRunner
 
 _LISTEN_S = 1.0
 _POLL_S = 0.1
@@ -82,6 +86,19 @@ class _Ready:
     home: Home
     parameters: tuple[RequiredParameter, ...]
     table: ParameterTable
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPlaces:
+    """Where the video of a configured camera comes from and goes to.
+
+    Attributes:
+        simulated: That of a simulated vehicle, whose operator clicks the target; None: the configured one.
+        record: The file in the run folder; None: nowhere.
+    """
+
+    simulated: str | None = None
+    record: Path | None = None
 
 
 class StoppedClock:
@@ -117,8 +134,9 @@ class Flight:
         duration_s: float | None,
         turn_payload: bool = False,
         payload: PayloadRunner | None = None,
+        camera: CameraPlaces | None = None,
     ) -> None:
-        self._payload = payload
+        self._payload, self._camera = payload, camera or CameraPlaces()
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
         self._session, self._release = session, session.release
         self._config, self._recording, self._display = config, recording, display
@@ -273,6 +291,7 @@ class Flight:
         observers.append(streams)
         alarms = self._alarm_watch()
         observed = _Observed(self._display, alarms, observers, self._collector)
+        camera = self._camera_runner()
         loop = ControlLoop(
             self._vehicle,
             self._telemetry,
@@ -280,7 +299,7 @@ class Flight:
             self._recording,
             observed,
             self._acquired,
-            stepped,
+            stepped if camera is None else _both(camera.stepped, stepped),
             streams.health_changed,
         )
         self._loop = loop
@@ -310,9 +329,8 @@ class Flight:
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
-        delay = asyncio.create_task(self._announce_delay(loop))
-        listening = asyncio.create_task(alarms.run())
-        fences = asyncio.create_task(self._watch_fences(loop.put))
+        works = [self._announce_delay(loop), alarms.run(), self._watch_fences(loop.put)]
+        background = [asyncio.create_task(work) for work in (*works, *([camera.run()] if camera else []))]
         give_route(self._config.route, self._session, plane, loop.put, self._display.note)
         if not stopped.is_set():
             loop.put(self._takeover(loop.link_s))
@@ -320,7 +338,7 @@ class Flight:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
             loop.stop()
-            await _all_ended(running, over, interrupt, delay, listening, fences)
+            await _all_ended(running, over, interrupt, *background)
             shared.close()
         running.result()
         if loop.failed is not None:
@@ -452,6 +470,26 @@ class Flight:
         shared.callback(pointer.stop)
         return [pointer]
 
+    def _camera_runner(self) -> CameraRunner | None:
+        """Return what tracks the target in the picture of the configured camera."""
+        config = self._config
+        if config.camera.source is None:
+            return None
+        from sidelong.app.camera.runner import CameraRunner  # noqa: PLC0415  # an extra
+
+        return CameraRunner(
+            config.camera,
+            tracker_settings(config.sensors, config.planner.lost_after_s).mount_roll_pitch_yaw_rad,
+            self._vehicle,
+            self.controller.tracker.estimate,
+            self._target_height_m,
+            self._display.note,
+            source=self._camera.simulated,
+            point=None if self._payload is None else self._payload.point,
+            clicks=self._camera.simulated is not None,
+            record=self._camera.record,
+        )
+
     def _heading_rad(self) -> float | None:
         attitude = self._vehicle.latest.get("ATTITUDE")
         return None if attitude is None else float(attitude.fields["yaw"])
@@ -562,6 +600,14 @@ async def _all_ended(running: asyncio.Task[None], *background: asyncio.Task[Any]
     for task in background:
         task.cancel()
     await asyncio.gather(running, *background, return_exceptions=True)
+
+
+def _both(first: Stepped, second: Stepped) -> Stepped:
+    def stepped(event: InboundEvent, outputs: Sequence[Output]) -> None:
+        first(event, outputs)
+        second(event, outputs)
+
+    return stepped
 
 
 def _without_garbage_searches() -> Callable[[], None]:

@@ -42,7 +42,7 @@ from sidelong.app.assembly import Prepared
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
-from sidelong.app.flight.flight import Flight
+from sidelong.app.flight.flight import CameraPlaces, Flight
 from sidelong.app.flight.loop import FlightDisplay, Stepped
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import ClockRate, Recording, link_log
@@ -427,7 +427,8 @@ class Shell:
         )
         self._life.watch(vehicle)
         turns_payload = self._coordinator is not None and len(self._coordinator.targets[0]) > 1
-        own = one.recording, one.display, self._duration_s, turns_payload, payload
+        film = CameraPlaces(None if self._simulated is None else self._simulated.video_url, one.folder.video)
+        own = one.recording, one.display, self._duration_s, turns_payload, payload, film
         one.flight = Flight(session, one.config, prepared, *own)
         await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
 

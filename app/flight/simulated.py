@@ -15,6 +15,7 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.payload.registry import MAVLINK, kind_by_name
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.sitl.settings import (
+    CameraSettings,
     Flavour,
     HomePosition,
     PayloadSettings,
@@ -57,7 +58,11 @@ class SimulatedVehicles:
         ports = [free_udp_port() for _ in configs]
         self.urls = tuple(f"udpin://127.0.0.1:{port}" for port in ports)
         self.payload_url: str | None = None
-        device = ""
+        self.video_url: str | None = None
+        device, camera = "", None
+        if first.camera.source is not None:
+            self.video_url = f"udp://127.0.0.1:{free_udp_port()}"
+            camera = CameraSettings(self.video_url, view_deg=first.camera.view_deg, rate_hz=first.camera.rate_hz)
         if first.payload.kind != MAVLINK:
             payload_port = free_udp_port()
             scheme = kind_by_name(first.payload.kind).url.partition(":")[0]
@@ -78,6 +83,7 @@ class SimulatedVehicles:
             or (TargetSettings(simulation.target, speed_max_m_s),),
             payload=payload,
             device=device,
+            camera=camera,
             terrain=None if first.terrain.folder is None else Path(first.terrain.folder),
         )
         self.settings = RunSettings(

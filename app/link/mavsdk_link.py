@@ -230,6 +230,15 @@ class MavsdkLink:
             reason = str(error) or f"MAVSDK did not take it for {_SEND_S:g} s: is this computer too slow?"
             raise LinkError(f"{name} could not be sent: {reason}") from error
 
+    def serve(self, system_id: int, component_id: int) -> None:
+        """Receive the commands to a component that this program is, too."""
+        self._links.served.add((system_id, component_id))
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send a frame as such a component."""
+        if not self._closed:
+            self._links.send(frame)
+
     # -- parameters ----------------------------------------------------------------------------------------
 
     async def parameter(self, name: str) -> float | None:

@@ -230,7 +230,8 @@ class RawLinks:
 
     on_frame: receives every frame that is accepted or sent, before it is signed. on_trouble: receives a sentence
     when frames are refused or the link in use changes. on_request (an attribute): receives each DO_AUX_FUNCTION of
-    any station to any address. All are called from several threads. heartbeats: the latest one of each sender.
+    any station to any address, and each command to a component of ``served`` (system, component). All are called
+    from several threads. heartbeats: the latest one of each sender.
     """
 
     def __init__(
@@ -266,6 +267,7 @@ class RawLinks:
         self._closing = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="links", daemon=True)
         self.on_request: Callable[[Frame], object] = lambda _frame: None
+        self.served: set[tuple[int, int]] = set()
         self.measures_delay = False  # by questions to the vehicle, whose answers give the delay of each link
         self._is_signing_noted = False
 
@@ -385,13 +387,16 @@ class RawLinks:
         return peers
 
     def _is_taken(self, frame: Frame) -> bool:
-        """Hand out a DO_AUX_FUNCTION; return whether it is addressed to us, too: MAVSDK would refuse it.
+        """Hand out a command that MAVSDK does not pass on; return whether it is addressed to us, and taken.
 
         MAVSDK passes on no command that is addressed to another system, or from one without heartbeats.
         """
         if frame.message_id not in _COMMANDS:
             return False
         payload = frame.payload.ljust(_TARGET_SYSTEM_AT + 2, b"\0")
+        if tuple(payload[_TARGET_SYSTEM_AT : _TARGET_SYSTEM_AT + 2]) in self.served:
+            self.on_request(frame)
+            return True
         if int.from_bytes(payload[_COMMAND_AT:_TARGET_SYSTEM_AT], "little") != DO_AUX_FUNCTION:
             return False
         self.on_request(frame)

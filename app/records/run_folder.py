@@ -123,6 +123,7 @@ class RunFolder(_Folder):
     tlog = _File("flight.tlog")
     truth = _File("truth.csv")
     links = _File("links.csv")
+    video = _File("video.ts")
 
     def truncated(self) -> str:
         """Return why the journal ends before the flight did, '' if it does not."""

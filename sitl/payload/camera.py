@@ -1,4 +1,4 @@
-"""A gimbal camera without a laser: a gimbal that turns as it is told, and its pictures as a video stream.
+"""A gimbal camera without a laser: a gimbal that turns as commanded, and its pictures as a video stream.
 
 The pictures are MPEG-TS with H.264 over UDP. Needs PyAV and OpenCV (the extra ``video``).
 """
@@ -31,7 +31,7 @@ _LOCKED = (
 
 
 class GimbalCamera:
-    """Turns towards what it is told, within its rate; until then an operator keeps it on the target by hand.
+    """Turns as commanded, within its rate; until then an operator keeps it on the target by hand.
 
     Attributes:
         on_picture: receives time and picture.
@@ -96,9 +96,7 @@ class GimbalCamera:
 
     def picture(self, time_s: float, craft: SimulatedAirframe) -> Image:
         """Return what the camera sees from the aircraft now."""
-        pose = CameraPose(
-            (craft.east_m, craft.north_m, craft.height_m), self.yaw_rad, self.pitch_rad, self._roll_rad
-        )
+        pose = CameraPose((craft.east_m, craft.north_m, craft.height_m), self.yaw_rad, self.pitch_rad, self._roll_rad)
         size = self.settings.width_px, self.settings.height_px
         return self.scenery.picture(time_s, pose, math.radians(self.settings.view_deg), size, self._slip_rad_s)
 

@@ -1,6 +1,6 @@
-"""Pictures of a camera above textured ground: the target, look-alikes, trees that hide it, shadows, changing light.
+"""Pictures of a camera above textured ground: target, look-alikes, trees that hide it, shadows, changing light.
 
-The ground of one picture is the plane that touches the hills where the camera looks. Needs OpenCV (the extra ``video``).
+The ground of one picture is the plane that touches the hills where the camera looks. Needs OpenCV.
 """
 
 from __future__ import annotations
@@ -109,14 +109,16 @@ class Scenery:
                 place = at_m + off_m * np.array([math.sin(bearing_rad), math.cos(bearing_rad)])
                 if is_tree and np.hypot(*(path - place).T).min() < _TREE_OFF_M[0] - 1.0:
                     continue  # no tree on the road
-                size = (rng.uniform(5.0, 10.0), rng.uniform(4.0, 7.0)) if is_tree else (4.4, 1.8)
-                standing.append(_Box(*place.tolist(), rng.uniform(0, 7), *size, is_tree=is_tree))
+                long_m, wide_m = (rng.uniform(5.0, 10.0), rng.uniform(4.0, 7.0)) if is_tree else (4.4, 1.8)
+                east_m, north_m = map(float, place)
+                standing.append(_Box(east_m, north_m, rng.uniform(0, 7), long_m, wide_m, is_tree=is_tree))
         return standing
 
     def target_m(self, time_s: float) -> tuple[float, float]:
         """Return where the target is (east, north)."""
         seconds = np.arange(len(self._path_m))
-        return float(np.interp(time_s, seconds, self._path_m[:, 0])), float(np.interp(time_s, seconds, self._path_m[:, 1]))
+        east_m, north_m = (float(np.interp(time_s, seconds, one)) for one in self._path_m.T)
+        return east_m, north_m
 
     def _target(self, time_s: float) -> _Box:
         """Return the target; standing, it keeps the direction of its last motion."""
@@ -245,7 +247,7 @@ class Scenery:
             if at is not None:
                 px = view.scale_px_m(middle) * radius_m * (1.0 if part == 0 else rng.uniform(0.3, 0.6))
                 green = (30 + 8 * part, 70 + 9 * part, 35 + 5 * part)
-                cv2.circle(image, tuple(np.int32(at[0]).tolist()), max(int(px), 1), green, -1)
+                cv2.circle(image, (int(at[0][0]), int(at[0][1])), max(int(px), 1), green, -1)
 
     def _exposed(self, image: Image, time_s: float, blur_px: float) -> Image:
         if blur_px > 1.5:
@@ -255,8 +257,7 @@ class Scenery:
         noise = self._noises[int(self._rng.integers(_NOISES))][top : top + height, left : left + width]
         gain = 1.0 + _LIGHT_SHARE * math.sin(2.0 * math.pi * time_s / _LIGHT_PERIOD_S)
         lit = cv2.convertScaleAbs(image, alpha=gain)
-        exposed: Image = cv2.add(lit, noise, dtype=cv2.CV_8U)  # type: ignore[call-overload]
-        return exposed
+        return np.asarray(cv2.add(lit, noise, dtype=cv2.CV_8U), np.uint8)
 
 
 class _View:

@@ -1,8 +1,9 @@
-"""A flight from pixels alone: the rendered world of :mod:`sidelong.sitl`, the camera room, and the core in one loop."""
+"""A flight from pixels alone: the rendered world of :mod:`sidelong.sitl`, the camera, and the core in one loop."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -68,16 +69,14 @@ class PixelFlight(ClosedLoop[bytes]):
         height = (lambda e, n: 0.0) if ground is None else ground.height_m
         view_rad = math.radians(settings.camera.view_deg)
         self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
-        self.simulation.camera.on_picture = lambda _time_s, picture: self._pictures.append(
-            (vehicle.now_s, picture)
-        )
-        self.listeners.append(self._heed)
+        self.simulation.camera.on_picture = lambda _time_s, picture: self._pictures.append((vehicle.now_s, picture))
+        self.listeners.append(self._follow_events)
         self.requirement = config.requirement.requirement()
 
     def _estimate(self, time_s: float):
         return self.controller.tracker.estimate(time_s)
 
-    def _heed(self, event: object, outputs: tuple[object, ...]) -> None:
+    def _follow_events(self, event: object, outputs: tuple[object, ...]) -> None:
         self.camera.event(event)
         self.has_control |= any(isinstance(output, ControlAcquired) for output in outputs)
 
@@ -110,8 +109,6 @@ class PixelFlight(ClosedLoop[bytes]):
                 self.transmit(self._packer.frame("COMMAND_LONG", fields, self.simulated.system_id))
 
     def _take(self, taken_s: float, picture: Any) -> None:
-        import time
-
         begun_s = time.perf_counter()
         found = self.camera.picture(picture, taken_s)
         self.pixels.cost_s.append(time.perf_counter() - begun_s)
@@ -138,9 +135,7 @@ class PixelFlight(ClosedLoop[bytes]):
         width, height = found.size_px
         inside = at is not None and 0 <= at[0] < width and 0 <= at[1] < height
         pixels.in_picture.append(inside)
-        pixels.in_middle.append(
-            inside and abs(at[0] / width - 0.5) < 0.25 and abs(at[1] / height - 0.5) < 0.25
-        )
+        pixels.in_middle.append(inside and abs(at[0] / width - 0.5) < 0.25 and abs(at[1] / height - 0.5) < 0.25)
         off_m = math.nan
         if found.tracked.state == "object":
             ground = self.camera.view.ground(found.tracked.box.x_px, found.tracked.box.y_px)
@@ -173,6 +168,4 @@ class PixelFlight(ClosedLoop[bytes]):
 
 def settings_of(flavour: str, motion: str, seed: int, **camera: Any) -> Settings:
     """Return the simulator's settings of a camera that watches a motion or a track."""
-    return Settings(
-        Flavour(flavour), seed=seed, targets=(TargetSettings(motion),), camera=CameraSettings(**camera)
-    )
+    return Settings(Flavour(flavour), seed=seed, targets=(TargetSettings(motion),), camera=CameraSettings(**camera))

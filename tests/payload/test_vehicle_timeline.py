@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sidelong.app.flight.payload_input import VehicleTimeline
+from sidelong.app.link.vehicle import VehicleTimeline
 
 
 def test_time_before_the_first_message_is_unknown():

@@ -1,0 +1,76 @@
+"""The object tracker on rendered pictures whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sidelong.app.camera.tracker import ObjectTracker
+from sidelong.app.camera.view import View
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.sitl.world.picture import CameraPose, Scenery
+
+RATE_HZ, VIEW_RAD, SIZE_PX = 15.0, math.radians(12.0), (640, 360)
+SPEED_M_S = 3.0
+_PATH = np.array([(SPEED_M_S * t, 0.15 * t) for t in range(120)])
+
+
+def run(scenery: Scenery, begin_s: float, end_s: float, tracker: ObjectTracker) -> list[tuple[float, str, float]]:
+    """Follow the target from a circling camera that looks at where it is; return time, state and error in metres."""
+    rows = []
+    for k in range(int((end_s - begin_s) * RATE_HZ)):
+        time_s = begin_s + k / RATE_HZ
+        target = scenery.target_m(time_s)
+        angle = 0.05 * time_s
+        here = (target[0] + 250.0 * math.sin(angle), target[1] + 250.0 * math.cos(angle), 100.0)
+        east_m, north_m = target[0] - here[0], target[1] - here[1]
+        yaw_rad, pitch_rad = math.atan2(east_m, north_m), math.atan2(-here[2], math.hypot(east_m, north_m))
+        picture = scenery.picture(time_s, CameraPose(here, yaw_rad, pitch_rad), VIEW_RAD, SIZE_PX)
+        focal_px = 0.5 * SIZE_PX[0] / math.tan(0.5 * VIEW_RAD)
+        view = View(here, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), focal_px, SIZE_PX, lambda _e, _n: 0.0)
+        if k == 0:
+            assert tracker.start(picture, time_s, view, 0.5 * SIZE_PX[0], 0.5 * SIZE_PX[1], None)
+        tracked = tracker.update(picture, time_s, view, (SPEED_M_S, 0.15))
+        off_m = math.nan
+        if tracked.state == "object":
+            off_m = math.dist(view.ground(tracked.box.x_px, tracked.box.y_px), target)
+        rows.append((time_s, tracked.state, off_m))
+    return rows
+
+
+def scenery(**how) -> Scenery:
+    return Scenery(_PATH, lambda _e, _n: 0.0, 3, **{"trees": 0.0, "lookalikes": 0.0, **how})
+
+
+@pytest.mark.parametrize("kind", ["kcf", "csrt"])
+def test_follows_a_target_that_moves_and_turns_in_the_picture(kind):
+    rows = run(scenery(), 5.0, 15.0 if kind == "kcf" else 9.0, ObjectTracker(kind))
+    assert all(state == "object" for _, state, _ in rows)
+    assert max(off_m for *_, off_m in rows) < 4.0
+
+
+def test_finds_the_target_again_after_an_occlusion():
+    world = scenery()
+    world.hidden_s.append((10.0, 14.0))
+    rows = run(world, 5.0, 22.0, ObjectTracker())
+    assert all(state == "lost" for time_s, state, _ in rows if 10.5 < time_s < 13.9)
+    later = [(state, off_m) for time_s, state, off_m in rows if time_s > 20.0]
+    assert all(state == "object" and off_m < 5.0 for state, off_m in later)
+
+
+def test_follows_no_look_alike_that_stood_next_to_the_target():
+    world = scenery(lookalikes=1.5)
+    assert world.standing
+    world.hidden_s.append((10.0, 16.0))
+    rows = run(world, 5.0, 27.0, ObjectTracker())
+    assert all(off_m < 8.0 for *_, off_m in rows if not math.isnan(off_m))
+    assert rows[-1][1] == "object"
+
+
+def test_is_lost_rather_than_follow_something_else_while_the_target_is_gone():
+    world = scenery(lookalikes=1.5)
+    world.hidden_s.append((10.0, 60.0))
+    rows = run(world, 5.0, 18.5, ObjectTracker())
+    assert {state for time_s, state, _ in rows if time_s > 10.5} == {"lost"}
