@@ -18,8 +18,6 @@ from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar
 
-import sidelong
-
 if TYPE_CHECKING:
     import asyncio
 
@@ -33,7 +31,7 @@ _again: threading.Timer | None = None  # when a dropped interrupt comes
 
 def prefer_installed_packages() -> None:
     """Search PYTHONPATH and the working folder after installed packages, except where sidelong itself is there."""
-    own = str(Path(sidelong.__file__).parents[1])
+    own = str(Path(__file__).parents[2])  # that of the package's folder
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     last = {os.path.abspath(folder) for folder in named} | {os.getcwd()}  # noqa: PTH100, PTH109  # may not exist
     last -= {own}

@@ -16,10 +16,11 @@ from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.tracking.payload_kernel import EARTH, SHARED, Readings, fit_readings, look
 from sidelong.estimators.tracking.track import Track
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan, Planner
 from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.line_kernel import laid_out, trapezoid
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.route.progress import RoutePlanner
 from sidelong.mission.route.progress_kernel import fresh_progress
@@ -54,7 +55,7 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
     if with_route and isinstance(planner, RoutePlanner):
         planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
     curvature_per_m = _CIRCLE.curvature_per_m
-    path = Trapezoids.between(curvature_per_m, [0.0], [300.0], [curvature_per_m], 1e-3)
+    shape = trapezoid(curvature_per_m, 0.0, 300.0, curvature_per_m, 1e-3)
     plan = Plan(_CIRCLE)
     TargetCourse().update(_TARGET, 1.0)
     courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
@@ -65,9 +66,9 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         aircraft = replace(_HERE, time_s=time_s, east_m=east_m, north_m=north_m, course_rad=course_rad)
         planner.decide(aircraft, replace(_TARGET, time_s=time_s, last_sighting_s=time_s), plan, Wind(), 0.5)
         point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
-        plan = Plan(_CIRCLE, path.path(0, east_m, north_m, course_rad), time_s)
+        plan = Plan(_CIRCLE, Path(*laid_out(shape, east_m, north_m, course_rad)), time_s)
     tracking, here = LineTracking(), _CIRCLE.position_at_course(0.0)
-    lay_out(path.path(0, *here, 0.0), _CIRCLE, tracking, math.inf)
+    lay_out(Path(*laid_out(shape, *here, 0.0)), _CIRCLE, tracking, math.inf)
     far = replace(_TARGET, east_m=_TARGET.east_m + beyond_m)
     for course_rad in (1.6, 3.1, 4.7, 0.0):
         east_m, north_m = _CIRCLE.position_at_course(course_rad)
@@ -106,7 +107,7 @@ def warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: Si
     field.sight(*here_m[:2], 1.0, 0.0, here_m[2])
     heights.expected_m(None, here_m[:2])
     heights.clearance_m(*here_m)
-    path = Trapezoids.between(0.0, [0.0], [300.0], [_CIRCLE.curvature_per_m], 1e-3).path(0, *here_m[:2], 0.0)
+    path = Path(*laid_out(trapezoid(0.0, 0.0, 300.0, _CIRCLE.curvature_per_m, 1e-3), *here_m[:2], 0.0))
     for one in (heights, heights.at(0.0)):  # with a climb from far below
         one.levelled(Plan(_CIRCLE, path), -1e3)
 

@@ -56,7 +56,7 @@ from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
 from sidelong.mission.fleet.events import (
     BatteryReported,
@@ -190,64 +190,6 @@ _REASONS = {
     Role.OPPOSITE: "another aircraft holds the required side",
     Role.WANTED: "this aircraft is to hold the required side",
 }
-
-
-def advice_to(
-    vehicle: FleetVehicle,
-    now_s: float,
-    wanted: Side,
-    estimate: TargetEstimate | None,
-    fleet: Iterable[FleetVehicle],
-    foreign: Iterable[ForeignAircraftReported],
-    course_rad: float | None = None,
-    separation: str = "",
-) -> FleetAdvice:
-    """Return an aircraft's advice.
-
-    Args:
-        course_rad: Course of the target whose sides count, rad; None if unknown.
-        separation: Which other aircraft is too near, in words.
-    """
-    by_s = -vehicle.clock.offset_s
-    announced = (vehicle.role, vehicle.target)
-    reason = "" if announced == vehicle.announced else _REASONS[vehicle.role]
-    if vehicle.announced is not None and vehicle.target != vehicle.announced[1]:
-        reason = f"it is to watch {vehicle.target} now"
-    vehicle.announced = announced
-    ours = [
-        Neighbour(
-            one.member.name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role
-        )
-        for one in fleet
-        if one is not vehicle and one.report is not None and not one.yielded
-    ]
-    others = [Neighbour(one.identity, shifted_state(one.state, by_s), one.height_m, False) for one in foreign]
-    return FleetAdvice(
-        now_s + by_s,
-        vehicle.target,
-        vehicle.role,
-        wanted.opposite if vehicle.role is Role.OPPOSITE else wanted,
-        shifted_estimate(estimate, by_s),
-        vehicle.member.height_m,
-        (*ours, *others),
-        reason,
-        vehicle.watches != vehicle.target,
-        course_rad,
-        separation,
-    )
-
-
-def announced_plans(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
-    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known."""
-    if listener.report is None or other.report is None or other.plans is None:
-        return None
-    announced, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
-    return NeighbourPlanned(
-        now_s - listener.clock.offset_s,
-        announced.name,
-        shifted_plan(announced.present, by_s),
-        shifted_plan(announced.coming, by_s),
-    )
 
 
 _SHARE_S = 1e6  # more than anything costs: that a target has less than its even share
@@ -460,9 +402,13 @@ class FleetCoordinator:
                 self._announce_plans(other, vehicle)
 
     def _announce_plans(self, listener: FleetVehicle, other: FleetVehicle) -> None:
-        announced = announced_plans(listener, other, self._now_s)
-        if announced is not None:
-            self._out.append(Tell(listener.member.name, announced))
+        """Send an aircraft another one's plans, if they are known."""
+        if listener.report is None or other.report is None or other.plans is None:
+            return
+        plans, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
+        present, coming = shifted_plan(plans.present, by_s), shifted_plan(plans.coming, by_s)
+        announced = NeighbourPlanned(self._now_s - listener.clock.offset_s, plans.name, present, coming)
+        self._out.append(Tell(listener.member.name, announced))
 
     def _sighted(self, vehicle: FleetVehicle, event: SightingReported) -> None:
         if not vehicle.clock.known:
@@ -570,16 +516,50 @@ class FleetCoordinator:
         }
         for vehicle in self._vehicles.values():
             if vehicle.report is not None:
-                target, fleet, foreign = vehicle.target, self._vehicles.values(), self._foreign.values()
-                wanted = self._targets[target].requirement.side
-                course_rad = self._judges.course_rad(target)
-                near = too_near.get(vehicle.member.name, "")
-                # While the payloads contradict one another, each aircraft watches by its own track.
-                own = vehicle.watches == target and vehicle.member.name in self._tracks[target].refused
-                estimate = None if own and not self._tracks[target].is_led else estimates[target]
-                advice = advice_to(vehicle, self._now_s, wanted, estimate, fleet, foreign, course_rad, near)
+                advice = self._advice_to(vehicle, estimates[vehicle.target], too_near.get(vehicle.member.name, ""))
                 self._out.append(Tell(vehicle.member.name, advice))
                 self._give_route(vehicle)
+
+    def _advice_to(self, vehicle: FleetVehicle, estimate: TargetEstimate | None, separation: str) -> FleetAdvice:
+        """Return an aircraft's advice. separation: which other aircraft is too near, in words."""
+        target, by_s = vehicle.target, -vehicle.clock.offset_s
+        wanted, announced = self._targets[target].requirement.side, (vehicle.role, target)
+        reason = "" if announced == vehicle.announced else _REASONS[vehicle.role]
+        if vehicle.announced is not None and target != vehicle.announced[1]:
+            reason = f"it is to watch {target} now"
+        vehicle.announced = announced
+        # While the payloads contradict one another, each aircraft watches by its own track.
+        if vehicle.watches == target and vehicle.member.name in self._tracks[target].refused:
+            estimate = estimate if self._tracks[target].is_led else None
+        ours = [
+            Neighbour(
+                one.member.name,
+                shifted_state(one.report.state, by_s),
+                one.report.height_m,
+                True,
+                one.target,
+                one.role,
+            )
+            for one in self._vehicles.values()
+            if one is not vehicle and one.report is not None and not one.yielded
+        ]
+        others = [
+            Neighbour(one.identity, shifted_state(one.state, by_s), one.height_m, False)
+            for one in self._foreign.values()
+        ]
+        return FleetAdvice(
+            self._now_s + by_s,
+            target,
+            vehicle.role,
+            wanted.opposite if vehicle.role is Role.OPPOSITE else wanted,
+            shifted_estimate(estimate, by_s),
+            vehicle.member.height_m,
+            (*ours, *others),
+            reason,
+            vehicle.watches != target,
+            self._judges.course_rad(target),
+            separation,
+        )
 
     def _give_route(self, vehicle: FleetVehicle) -> None:
         """Send an aircraft the route of its target, unless it has it."""

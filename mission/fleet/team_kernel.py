@@ -115,7 +115,7 @@ class Scratch(NamedTuple):
 
     Attributes:
         classes: to look up one value with, (1, 1, 4).
-        share: the same, (1, 1, 4); only the first counts.
+        share: the same, (1, 1, 4).
         off_s: time off the side after each turn, (t,).
         places: positions of four continuations, (4, 2, k).
     """
@@ -129,9 +129,7 @@ class Scratch(NamedTuple):
 @compiled
 def scratch_for(team: Team) -> Scratch:
     """Return arrays to work in."""
-    share = np.zeros((1, 1, 4))
-    share[0, 0, 0] = 1.0
-    classes = np.zeros((1, 1, 4), np.int64)
+    classes, share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     return Scratch(classes, share, np.empty(len(team.turns_rad)), np.empty((4, 2, _CONTINUED)))
 
 
@@ -176,10 +174,7 @@ def wanted_value(
     across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
     heading_rad = s * (heading_rad - f.course[one, p, 2])
     table = question.table
-    value = table_value(table.values, table.cell_m, across_m, along_m, heading_rad, classes, share, 0, 0)
-    classes[:], share[:] = 0, 0.0
-    share[0, 0, 0] = 1.0
-    return value
+    return table_value(table.values, table.cell_m, across_m, along_m, heading_rad, classes, share, 0, 0)
 
 
 @compiled
@@ -540,12 +535,7 @@ def team_decide(
     answered_by = Question(question.context, table, prices, depth)
     every = foreseen
     if len(question.context.route.way.points) > 0:  # without the layers of time
-        every = winding(
-            scene,
-            question.context.motions,
-            question.context.watcher,
-            question.context.turns,
-        )
+        every = winding(scene, question.context.motions, question.context.watcher, question.context.turns)
         every, _ = along_route(scene, question, every)
     f = first_of(every, 1)
     cover = cover_of(scene, f, others, first_s, question, team)

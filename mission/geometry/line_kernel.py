@@ -1,8 +1,22 @@
-"""The inner loops of flown lines: trapezoids, where an aircraft is along its plan, and how it is steered back to it.
+r"""The inner loops of flown lines: trapezoids, where an aircraft is along its plan, and how it is steered back to it.
 
-A trapezoid is the tuple (start curvature, first rate, first end, last rate, last start, last end) of
-:class:`sidelong.mission.geometry.trapezoid.Trapezoids`. A line is an array (5, n) with the rows ARC .. CURVATURE, n =
-0 for a plan that is only its circle; the circle's radius is signed, positive for a clockwise one.
+A transition is a curvature trapezoid, which can begin anywhere, at any moment, and ends on a circle::
+
+    curvature
+      start ----.                      .---- final: the circle
+                 \                    /
+                  '---- hold --------'
+              ramp      hold length    ramp          arc length ->
+
+Curvature is continuous, and its rate along the line never exceeds the sharpness. Where start, hold and final are
+within a limit, so is every point between. A transition under way is retargeted by a trapezoid from the curvature
+there. Course is a piecewise quadratic of arc length (exact); position is its Gauss quadrature.
+
+A line is an array (5, n) with the rows ARC .. CURVATURE, n = 0 for a plan that is only its circle. The radius of
+a circle is signed, positive for a clockwise one.
+
+Source: docs/explanation/planners.md#transitions; Fraichard and Scheuer, "From Reeds and Shepp's to
+continuous-curvature paths", IEEE Transactions on Robotics 20(6), 2004.
 """
 
 from __future__ import annotations
@@ -35,7 +49,25 @@ _TURN_BANK_RAD = math.radians(30.0)
 # Further off its line than this, or on another course, an aircraft is not following its plan.
 OFF_TRACK_M, OFF_TRACK_RAD = 40.0, math.radians(40.0)
 
-Trapezoid = tuple[float, float, float, float, float, float]
+
+class Trapezoid(NamedTuple):
+    """A line that ramps from one curvature to another, holds that, and ramps on to the one of its circle.
+
+    Attributes:
+        start_per_m: curvature at the start.
+        first_per_m2: rate of the first ramp.
+        first_end_m: arc at which it ends.
+        last_per_m2: rate of the last ramp.
+        last_start_m: arc at which it begins.
+        end_m: arc at which the circle begins.
+    """
+
+    start_per_m: float
+    first_per_m2: float
+    first_end_m: float
+    last_per_m2: float
+    last_start_m: float
+    end_m: float
 
 
 class Craft(NamedTuple):
@@ -115,14 +147,17 @@ def ground_speeds_m_s(
 
 @compiled
 def turn_radius_m(radius_m: float, speed_m_s: float, craft: Craft) -> float:
-    """Return the radius of the tightest turn on the way to a circle."""
+    """Return the radius of the tightest turn on the way to a circle: its share, with 30 degrees of bank at most."""
     banked_m = speed_m_s * speed_m_s / (GRAVITY_M_S2 * math.tan(min(_TURN_BANK_RAD, craft.bank_max_rad)))
     return min(radius_m, max(craft.turn_share * radius_m, banked_m))
 
 
 @compiled
 def sharpness_per_m2(speed_m_s: float, craft: Craft) -> float:
-    """See :func:`sidelong.mission.geometry.trapezoid.sharpness_per_m2`."""
+    """Return the change of curvature per metre of a transition that keeps the roll rate within its share.
+
+    tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
+    """
     bank_rad = math.atan(speed_m_s * speed_m_s / (GRAVITY_M_S2 * turn_radius_m(craft.radius_m, speed_m_s, craft)))
     max_rad_s = craft.roll_rate_max_rad_s
     roll_rad_s = min(max(2.0 * bank_rad / _REVERSAL_S, _MIN_SHARE * max_rad_s), _MAX_SHARE * max_rad_s)
@@ -134,7 +169,7 @@ def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_
     """Return the trapezoid that ramps from start to hold, holds that for a length, and ramps on to final."""
     first_end_m = abs(hold_per_m - start_per_m) / ramp
     last_start_m = first_end_m + length_m
-    return (
+    return Trapezoid(
         start_per_m,
         math.copysign(ramp, hold_per_m - start_per_m),
         first_end_m,
@@ -145,60 +180,64 @@ def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_
 
 
 @compiled
-def with_last_ramp(one: Trapezoid, ramp: float) -> Trapezoid:
+def with_last_ramp(shape: Trapezoid, ramp: float) -> Trapezoid:
     """Return the trapezoid with another last ramp that begins where the old one did."""
-    change_per_m = abs(one[3]) * (one[5] - one[4])
-    return one[0], one[1], one[2], math.copysign(ramp, one[3]), one[4], one[4] + change_per_m / ramp
+    start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m = shape
+    change_per_m = abs(last_per_m2) * (end_m - last_start_m)
+    last_per_m2, end_m = math.copysign(ramp, last_per_m2), last_start_m + change_per_m / ramp
+    return Trapezoid(start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m)
 
 
 @compiled
-def turned_rad(one: Trapezoid, arc_m: float) -> float:
+def turned_rad(shape: Trapezoid, arc_m: float) -> float:
     """Return the change of course since the start, exactly."""
-    first = min(arc_m, one[2])
-    last_length = one[5] - one[4]
-    last = min(max(arc_m - one[4], 0.0), last_length)
-    after = max(arc_m - one[5], 0.0)
+    first = min(arc_m, shape.first_end_m)
+    last_length = shape.end_m - shape.last_start_m
+    last = min(max(arc_m - shape.last_start_m, 0.0), last_length)
+    after = max(arc_m - shape.end_m, 0.0)
     return (
-        one[0] * arc_m + one[1] * first * (arc_m - 0.5 * first) + one[3] * (0.5 * last * last + last_length * after)
+        shape.start_per_m * arc_m
+        + shape.first_per_m2 * first * (arc_m - 0.5 * first)
+        + shape.last_per_m2 * (0.5 * last * last + last_length * after)
     )
 
 
 @compiled
-def curvature_per_m(one: Trapezoid, arc_m: float) -> float:
+def curvature_per_m(shape: Trapezoid, arc_m: float) -> float:
     """Return the curvature at an arc."""
-    return one[0] + one[1] * min(arc_m, one[2]) + one[3] * min(max(arc_m - one[4], 0.0), one[5] - one[4])
+    last_m = min(max(arc_m - shape.last_start_m, 0.0), shape.end_m - shape.last_start_m)
+    return shape.start_per_m + shape.first_per_m2 * min(arc_m, shape.first_end_m) + shape.last_per_m2 * last_m
 
 
 @compiled
-def moved_m(one: Trapezoid, course_rad: float, from_m: float, to_m: float) -> tuple[float, float]:
+def moved_m(shape: Trapezoid, course_rad: float, from_m: float, to_m: float) -> tuple[float, float]:
     """Return (east, north) from one arc to another, up to about 10 m on."""
     step = to_m - from_m
-    a = course_rad + turned_rad(one, from_m + (0.5 - _NODE_2) * step)
-    b = course_rad + turned_rad(one, from_m + (0.5 + _NODE_2) * step)
+    a = course_rad + turned_rad(shape, from_m + (0.5 - _NODE_2) * step)
+    b = course_rad + turned_rad(shape, from_m + (0.5 + _NODE_2) * step)
     return 0.5 * step * (math.sin(a) + math.sin(b)), 0.5 * step * (math.cos(a) + math.cos(b))
 
 
 @compiled
-def displaced_m(ones: FloatArray, arc_m: FloatArray, course_rad: float, found: FloatArray) -> None:
-    """Fill in (east, north, turned) (3, n, k) of trapezoids (n, 6) from their start at ascending arcs (n, k)."""
-    for i in range(len(ones)):
-        one = (ones[i, 0], ones[i, 1], ones[i, 2], ones[i, 3], ones[i, 4], ones[i, 5])
-        found[0, i, 0] = found[1, i, 0] = 0.0
-        for k in range(arc_m.shape[1]):
-            found[2, i, k] = turned_rad(one, arc_m[i, k])
-            if k > 0:
-                east_m, north_m = moved_m(one, course_rad, arc_m[i, k - 1], arc_m[i, k])
-                found[0, i, k], found[1, i, k] = found[0, i, k - 1] + east_m, found[1, i, k - 1] + north_m
+def displaced_m(shape: Trapezoid, arc_m: FloatArray) -> FloatArray:
+    """Return (east, north, turned) (3, k) since the start, on course 0, at ascending arcs (k,) up to 10 m apart."""
+    places = np.zeros((3, len(arc_m)))
+    for k in range(len(arc_m)):
+        places[2, k] = turned_rad(shape, arc_m[k])
+        if k > 0:
+            east_m, north_m = moved_m(shape, 0.0, arc_m[k - 1], arc_m[k])
+            places[0, k], places[1, k] = places[0, k - 1] + east_m, places[1, k - 1] + north_m
+    return places
 
 
 @compiled
-def laid_out(one: Trapezoid, east_m: float, north_m: float, course_rad: float) -> FloatArray:
+def laid_out(shape: Trapezoid, east_m: float, north_m: float, course_rad: float) -> FloatArray:
     """Return the line (5, n) of a trapezoid from that place, with samples at every corner of curvature.
 
     It ends where the circle begins; a trapezoid of no length gets one fine step of its circle.
     """
-    end_m = one[5] if one[5] >= 1e-6 else FINE_STEP_M
-    corners = (0.0, one[2], one[4], end_m)
+    end_m = shape.end_m if shape.end_m >= 1e-6 else FINE_STEP_M
+    corners = (0.0, shape.first_end_m, shape.last_start_m, end_m)
     steps = [0, 0, 0]
     for k in range(3):
         length_m = corners[k + 1] - corners[k]
@@ -214,19 +253,16 @@ def laid_out(one: Trapezoid, east_m: float, north_m: float, course_rad: float) -
     line[EAST, 0], line[NORTH, 0] = east_m, north_m
     for i in range(line.shape[1]):
         arc_m = line[ARC, i]
-        line[COURSE, i] = course_rad + turned_rad(one, arc_m)
-        line[CURVATURE, i] = curvature_per_m(one, arc_m)
+        line[COURSE, i] = course_rad + turned_rad(shape, arc_m)
+        line[CURVATURE, i] = curvature_per_m(shape, arc_m)
         if i > 0:
             before_m, step_m = line[ARC, i - 1], arc_m - line[ARC, i - 1]
-            a = course_rad + turned_rad(one, before_m + (0.5 - _NODE_3) * step_m)
-            b = course_rad + turned_rad(one, before_m + 0.5 * step_m)
-            c = course_rad + turned_rad(one, before_m + (0.5 + _NODE_3) * step_m)
-            line[EAST, i] = line[EAST, i - 1] + step_m / 18.0 * (
-                5.0 * math.sin(a) + 8.0 * math.sin(b) + 5.0 * math.sin(c)
-            )
-            line[NORTH, i] = line[NORTH, i - 1] + step_m / 18.0 * (
-                5.0 * math.cos(a) + 8.0 * math.cos(b) + 5.0 * math.cos(c)
-            )
+            a = course_rad + turned_rad(shape, before_m + (0.5 - _NODE_3) * step_m)
+            b = course_rad + turned_rad(shape, before_m + 0.5 * step_m)
+            c = course_rad + turned_rad(shape, before_m + (0.5 + _NODE_3) * step_m)
+            sines, cosines = 5.0 * math.sin(a) + 8.0 * math.sin(b), 5.0 * math.cos(a) + 8.0 * math.cos(b)
+            line[EAST, i] = line[EAST, i - 1] + step_m / 18.0 * (sines + 5.0 * math.sin(c))
+            line[NORTH, i] = line[NORTH, i - 1] + step_m / 18.0 * (cosines + 5.0 * math.cos(c))
     return line
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.geometry import line_kernel
 from sidelong.mission.geometry.line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
@@ -28,6 +28,12 @@ def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
     if path is None:
         return _NO_LINE, circling
     return np.array((path.arc_m, path.east_m, path.north_m, path.course_rad, path.curvature_per_m)), circling
+
+
+def end_circle(path: Path, radius_m: float) -> Circle:
+    """Return the circle that continues a path with the sign of its last curvature."""
+    east_m, north_m, course_rad = (float(row[-1]) for row in (path.east_m, path.north_m, path.course_rad))
+    return Circle.tangent_to(east_m, north_m, course_rad, radius_m, clockwise=bool(path.curvature_per_m[-1] > 0.0))
 
 
 def nearest_arc_m(plan: Plan, aircraft: AircraftState) -> float:

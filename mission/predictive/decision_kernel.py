@@ -14,7 +14,7 @@ import numpy as np
 from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
-from sidelong.mission.geometry.line_kernel import ARC, Craft, crab_rad, line_at, sharpness_per_m2, turn_radius_m
+from sidelong.mission.geometry.line_kernel import ARC, crab_rad, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, blind_rate, fading_per_s, least
 from sidelong.mission.predictive.foresight_kernel import (
     HEADINGS,
@@ -31,7 +31,6 @@ from sidelong.mission.predictive.moves_kernel import (
     LineCache,
     eights_from,
     lines_from,
-    move_line,
     ramp_anywhere,
     ramp_on,
 )
@@ -252,10 +251,8 @@ def look_ahead(scene: Scene, futures: Scenarios, question: Question, sight: Sigh
     add_sight(among.stays, among.stays_start, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
     add_prices(among, radius_m, prices.leave, prices.change, costs)
     if len(costs) > MOVES:
-        ramp, start_per_m = (
-            ramp_anywhere(scene.air, question.context.watcher.craft),
-            scene.mirror * scene.start.curvature_per_m,
-        )
+        ramp = ramp_anywhere(scene.air, question.context.watcher.craft)
+        start_per_m = scene.mirror * scene.start.curvature_per_m
         sampling = Sampling(beyond_m, among.start.heading_rad, scene.air, rate_per_s)
         eights = eights_from(start_per_m, radius_m, ramp, sampling)
         lines_costs(eights, among.start, futures, scene.doubt, terms, table, scene.air, costs[MOVES:])
@@ -359,15 +356,6 @@ def commitment(scene: Scene, futures: Scenarios, question: Question) -> float:
     return 0.0 if leaves(scene, likely(futures), question, terms.near_m, terms.far_m) else prices.commit
 
 
-@compiled
-def best_line(scene: Scene, craft: Craft, costs: FloatArray, bar: float) -> FloatArray:
-    """Return the line (5, n) of the cheapest move where it is below the bar, else n = 0."""
-    best = int(np.argmin(costs))
-    if costs[best] < bar:
-        return move_line(scene, craft, best)
-    return np.empty((5, 0))
-
-
 _ROUTE = 0  # the future along the route is the first one
 _TRUST = 0.8  # the most that it counts
 _LEAST_TRUST = 0.3  # a less probable route is not planned along
@@ -400,14 +388,7 @@ def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Sce
         place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
         place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     moving = not question.context.watcher.memory[0].standing
-    return watched(
-        scene,
-        question.context.motions,
-        question.context.watcher,
-        moving,
-        weight,
-        place,
-    ), True
+    return watched(scene, question.context.motions, question.context.watcher, moving, weight, place), True
 
 
 @compiled
@@ -447,16 +428,8 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, Switchi
 
     Processes the target's estimate: call it once for each, in order of time.
     """
-    every, s, table = (
-        winding(
-            scene,
-            question.context.motions,
-            question.context.watcher,
-            question.context.turns,
-        ),
-        question.context.route,
-        question.table,
-    )
+    context, table = question.context, question.table
+    every, s = winding(scene, context.motions, context.watcher, context.turns), context.route
     if len(s.way.points) == 0:
         return every, table, question.prices, question.depth
     update_progress(s.way, scene.target, s.progress)
@@ -506,15 +479,3 @@ def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float,
     answered_by = Question(question.context, table, prices, depth)
     min_gain, costs = commitment(scene, futures, answered_by), np.empty(choices(question))
     return look_two_moves_ahead(scene, futures, answered_by, sight, min_gain, costs), min_gain, costs
-
-
-@compiled
-def decide(scene: Scene, question: Question) -> tuple[float, float, FloatArray]:
-    """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
-
-    The ground hides nothing.
-    """
-    flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    stay_cost, min_gain, costs = weigh(scene, question, flat)
-    line = best_line(scene, question.context.watcher.craft, costs, stay_cost - min_gain)
-    return scene.departure_s, scene.radius_m, line

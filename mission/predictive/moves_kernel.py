@@ -79,16 +79,11 @@ def eights_from(start_per_m: float, radius_m: float, ramp: float, sampling: Samp
     own_first, end_m = np.ones(EIGHTS + 1, np.int64), np.empty(EIGHTS)
     for i in range(EIGHTS):
         leg, turn, leg_back = shapes_of(start_per_m, i, radius_m, ramp)
-        end_m[i] = leg[5] + turn[5] + leg_back[5]
+        end_m[i] = leg.end_m + turn.end_m + leg_back.end_m
         own_first[i + 1] = own_first[i] + math.ceil((end_m[i] + beyond_m) / step_m)
     samples = own_first[EIGHTS]
-    x, y, turned, time, weight = (
-        np.zeros(samples),
-        np.zeros(samples),
-        np.zeros(samples),
-        np.zeros(samples),
-        np.ones(samples),
-    )
+    x, y, turned = np.zeros(samples), np.zeros(samples), np.zeros(samples)
+    time, weight = np.zeros(samples), np.ones(samples)
     for i in range(EIGHTS):
         shapes = shapes_of(start_per_m, i, radius_m, ramp)
         first, last, part = own_first[i], own_first[i + 1] - 1, 0
@@ -97,12 +92,12 @@ def eights_from(start_per_m: float, radius_m: float, ramp: float, sampling: Samp
         for s in range(first, last + 1):
             to_m = end_m[i] + beyond_m if s == last else arc_m + step_m
             while True:
-                until_m = to_m if part == 2 else min(to_m, begun_m + shapes[part][5])
+                until_m = to_m if part == 2 else min(to_m, begun_m + shapes[part].end_m)
                 across_m, along_m = moved_m(shapes[part], begun_rad, arc_m - begun_m, until_m - begun_m)
                 x_m, y_m, arc_m = x_m + across_m, y_m + along_m, until_m
                 if until_m == to_m:
                     break
-                begun_rad += turned_rad(shapes[part], shapes[part][5])
+                begun_rad += turned_rad(shapes[part], shapes[part].end_m)
                 begun_m, part = until_m, part + 1
             x[s], y[s], turned[s] = x_m, y_m, begun_rad + turned_rad(shapes[part], arc_m - begun_m)
             arc[s - first + 1], course[s - first + 1] = arc_m, heading_rad + turned[s]
@@ -213,10 +208,10 @@ def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling
         holds_per_m[-1] = start_per_m
         for move in range(MOVES):
             hold[move] = move // HOLD_LENGTHS.size
-            one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+            shape = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
             unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
             lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
-            last_ramps[move] = ramp_on(sampling.heading_rad + turned_rad(one, one[4]), scene.air, craft)
+            last_ramps[move] = ramp_on(sampling.heading_rad + turned_rad(shape, shape.last_start_m), scene.air, craft)
         lengths_m[MOVES - 1] = 0.0
     shapes = Shapes(start_per_m, holds_per_m, hold, lengths_m, 1.0 / scene.radius_m, ramp, last_ramps)
     return spread(shapes, sampling)
@@ -281,14 +276,21 @@ def lines_from(
 
 
 @compiled
+def shape_of(scene: Scene, craft: Craft, move: int) -> Trapezoid:
+    """Return the trapezoid of a move in the frame, its ramps for the ground speeds that they are flown at."""
+    heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
+    ramp, start_per_m = ramp_on(heading_rad, scene.air, craft), scene.mirror * scene.start.curvature_per_m
+    shape = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+    last_rad = heading_rad + turned_rad(shape, shape.last_start_m)
+    return with_last_ramp(shape, ramp_on(last_rad, scene.air, craft))
+
+
+@compiled
 def move_line(scene: Scene, craft: Craft, move: int) -> FloatArray:
     """Return the line (5, n) of a move, from MOVES on of a figure of eight, in the plane."""
-    heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
+    start, m = scene.start, scene.mirror
     if move >= MOVES:
-        return eight_line(scene.start, move - MOVES, scene.mirror * scene.radius_m, ramp_anywhere(scene.air, craft))
-    ramp = ramp_on(heading_rad, scene.air, craft)
-    one = move_from(scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
-    one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft))
-    m = scene.mirror
-    one = (m * one[0], m * one[1], one[2], m * one[3], one[4], one[5])
-    return laid_out(one, scene.start.east_m, scene.start.north_m, scene.start.course_rad)
+        return eight_line(start, move - MOVES, m * scene.radius_m, ramp_anywhere(scene.air, craft))
+    start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m = shape_of(scene, craft, move)
+    shape = Trapezoid(m * start_per_m, m * first_per_m2, first_end_m, m * last_per_m2, last_start_m, end_m)
+    return laid_out(shape, start.east_m, start.north_m, start.course_rad)

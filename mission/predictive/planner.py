@@ -28,9 +28,8 @@ from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
-from sidelong.mission.geometry.line_kernel import LinePoint, craft_of
-from sidelong.mission.geometry.progress import line_of
-from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
+from sidelong.mission.geometry.line_kernel import LinePoint, craft_of, sharpness_per_m2, turn_radius_m
+from sidelong.mission.geometry.progress import end_circle, line_of
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
@@ -194,11 +193,12 @@ def table_configuration(
     pan_rad = aircraft.pan_limit_rad if settings.keeps_pan_limits else math.pi
     fine = sector is None and (wind_speed_m_s == 0.0 or pan_rad < math.pi)
     half_width_rad = math.pi / 2 if sector is None else sector.half_width_rad
+    craft, fastest_m_s = craft_of(aircraft, settings.turn_share), aircraft.airspeed_m_s + wind_speed_m_s
     return TableConfiguration(
         aircraft.airspeed_m_s,
         aircraft.radius_m,
-        turn_radius_m(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, settings.turn_share),
-        sharpness_per_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, settings.turn_share),
+        turn_radius_m(aircraft.radius_m, fastest_m_s, craft),
+        sharpness_per_m2(fastest_m_s, craft),
         max(requirement.target_speed_max_m_s, _MIN_TARGET_SPEED_M_S),
         WatchCost.inside(
             requirement.range_min_m,

@@ -156,11 +156,11 @@ def spread(shapes: Shapes, sampling: Sampling) -> Lines:
     for i in range(lines):
         shape = trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, ramp)
         shape = with_last_ramp(shape, last_ramps[i])
-        on_trunk[i] = int(shape[4] / step_m) + 1
-        end_m[i] = shape[5]
+        on_trunk[i] = int(shape.last_start_m / step_m) + 1
+        end_m[i] = shape.end_m
         trunk_size[hold[i]] = max(trunk_size[hold[i]], on_trunk[i])
         own = 1
-        while step_m * (on_trunk[i] + own - 1) < shape[5] + beyond_m:
+        while step_m * (on_trunk[i] + own - 1) < shape.end_m + beyond_m:
             own += 1
         own_first[i + 1] = own_first[i] + own
     for h in range(trunks):
@@ -186,7 +186,7 @@ def spread(shapes: Shapes, sampling: Sampling) -> Lines:
         before, from_m = trunk_first[hold[i]] + on_trunk[i] - 1, step_m * (on_trunk[i] - 1)
         last = own_first[i + 1] - 1
         for s in range(own_first[i], last + 1):
-            to_m = shape[5] + beyond_m if s == last else from_m + step_m
+            to_m = shape.end_m + beyond_m if s == last else from_m + step_m
             here = (x[before], y[before], turned[before], time[before])
             x[s], y[s], turned[s], time[s], weight[s] = _sample_after(shape, here, from_m, to_m, sampling)
             before, from_m = s, to_m
@@ -263,21 +263,10 @@ def _relate(
     along: FloatArray,
 ) -> None:
     """Fill in places relative to the target of one future, in a frame that turns: turn (f, k, 2...) as Scenarios."""
-    n, last = len(x_m), place.shape[1] - 1
-    if last == 0:
-        sin_t, cos_t = turn[one, 0, 0], turn[one, 0, 1]
-        x0, y0, vx, vy = place[one, 0, 0], place[one, 0, 1], place[one, 0, 2], place[one, 0, 3]
-        for i in range(n):
-            off_x, off_y = x_m[i] - x0 - vx * time_s[i], y_m[i] - y0 - vy * time_s[i]
-            across[i] = off_x * cos_t - off_y * sin_t
-        for i in range(n):
-            off_x, off_y = x_m[i] - x0 - vx * time_s[i], y_m[i] - y0 - vy * time_s[i]
-            along[i] = off_x * sin_t + off_y * cos_t
-    else:
-        for i in range(n):
-            k, off_x, off_y = from_target(place, step_s, one, x_m[i], y_m[i], time_s[i])
-            sin_t, cos_t = turn[one, k, 0], turn[one, k, 1]
-            across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
+    for i in range(len(x_m)):
+        k, off_x, off_y = from_target(place, step_s, one, x_m[i], y_m[i], time_s[i])
+        sin_t, cos_t = turn[one, k, 0], turn[one, k, 1]
+        across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
 
 
 @compiled

@@ -26,7 +26,6 @@ from sidelong.mission.geometry.line_kernel import (
     point_at,
     trapezoid,
     turned_rad,
-    with_last_ramp,
 )
 from sidelong.mission.predictive.cost_kernel import (
     CostTerms,
@@ -37,7 +36,7 @@ from sidelong.mission.predictive.cost_kernel import (
     fading_per_s,
     table_value,
 )
-from sidelong.mission.predictive.moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, move_from, ramp_on, unit_m
+from sidelong.mission.predictive.moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, shape_of, unit_m
 from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Pose, Scenarios, Uncertainty
 from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 
@@ -88,14 +87,14 @@ def lay_out_second_moves(s: SecondMoves, radius_m: float, turn_radius_m: float, 
             if j < SECONDS - 1:
                 unit = unit_m(j // lengths, radius_m, turn_radius_m)
                 hold_per_m, length_m = HOLD_CURVATURES[j // lengths] / unit, SECOND_LENGTHS[j % lengths] * unit
-            one = trapezoid(start_per_m, hold_per_m, length_m, 1.0 / radius_m, ramp)
-            end = max(1, math.ceil(one[5] / step_m - 1e-9))
+            shape = trapezoid(start_per_m, hold_per_m, length_m, 1.0 / radius_m, ramp)
+            end = max(1, math.ceil(shape.end_m / step_m - 1e-9))
             s.end[level, j] = end if end < SAMPLES else 0
             for k in range(1, SAMPLES):
-                across_m, along_m = moved_m(one, 0.0, step_m * (k - 1), step_m * k)
+                across_m, along_m = moved_m(shape, 0.0, step_m * (k - 1), step_m * k)
                 s.x_m[level, j, k] = s.x_m[level, j, k - 1] + across_m
                 s.y_m[level, j, k] = s.y_m[level, j, k - 1] + along_m
-                s.turned_rad[level, j, k] = turned_rad(one, step_m * k)
+                s.turned_rad[level, j, k] = turned_rad(shape, step_m * k)
 
 
 @compiled
@@ -319,22 +318,19 @@ def staying_ahead(scene: Scene, under_way: bool) -> tuple[FloatArray, int]:
 @compiled
 def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int]:
     """Return a move (x, y, heading, curvature) (4, k), and the second from which it is on its circle."""
-    air = scene.air
+    air, shape = scene.air, shape_of(scene, craft, move)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
-    ramp, start_per_m = ramp_on(heading_rad, air, craft), scene.mirror * scene.start.curvature_per_m
-    one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
-    one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), air, craft))
     ahead, end = np.empty((4, 4 * SAMPLES)), -1
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     arc_m, k = 0.0, 0
     while k < _VALUED[0] + 2 or (end < 0 and k < ahead.shape[1]):
-        course_rad = heading_rad + turned_rad(one, arc_m)
+        course_rad = heading_rad + turned_rad(shape, arc_m)
         ahead[0, k], ahead[1, k], ahead[2, k] = x_m, y_m, course_rad
-        ahead[3, k] = curvature_per_m(one, arc_m)
-        if end < 0 and arc_m >= one[5] - 1e-6:
+        ahead[3, k] = curvature_per_m(shape, arc_m)
+        if end < 0 and arc_m >= shape.end_m - 1e-6:
             end = k
         to_m = arc_m + STEP_S * ground_speed_m_s(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-        across_m, along_m = moved_m(one, heading_rad, arc_m, to_m)
+        across_m, along_m = moved_m(shape, heading_rad, arc_m, to_m)
         x_m, y_m, arc_m, k = x_m + across_m, y_m + along_m, to_m, k + 1
     return ahead[:, :k], end if end >= 0 else k - 1
 

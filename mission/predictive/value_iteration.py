@@ -20,8 +20,7 @@ import numpy.typing as npt
 
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.line_kernel import ARC, LinePoint, circle_after, line_at
-from sidelong.mission.geometry.trapezoid import Trapezoids
+from sidelong.mission.geometry.line_kernel import ARC, LinePoint, circle_after, displaced_m, line_at, trapezoid
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import value_kernel as kernel
 from sidelong.mission.predictive.cost_kernel import blind_rates
@@ -95,16 +94,14 @@ def _moves(c: TableConfiguration, step_m: float) -> list[_Move]:
     ramp = c.sharpness_per_m2
     moves = []
     # "Back to the circle at once", the last of the moves, is none when flown from the circle.
-    leaving = np.array([move_from(curvature_per_m, k, c.radius_m, c.turn_radius_m, ramp) for k in range(MOVES - 1)])
-    staying = Trapezoids.between(curvature_per_m, curvature_per_m, STAY_LENGTHS * c.radius_m, curvature_per_m, ramp)
-    for shapes, price in ((leaving, c.leave_cost), (staying.shapes, 0.0)):
+    leaving = [move_from(curvature_per_m, k, c.radius_m, c.turn_radius_m, ramp) for k in range(MOVES - 1)]
+    lengths_m = (STAY_LENGTHS * c.radius_m).tolist()
+    staying = [trapezoid(curvature_per_m, curvature_per_m, m, curvature_per_m, ramp) for m in lengths_m]
+    for shapes, price in ((leaving, c.leave_cost), (staying, 0.0)):
         for shape in shapes:
-            one = Trapezoids(shape[None, :])
-            length_m = float(one.end_m[0])
-            samples = max(1, round(length_m / step_m))
-            arc = np.linspace(0.0, length_m, 2 * samples + 1)[None, :]
-            east, north, turned = one.displaced_m(arc, 0.0)
-            moves.append(_Move(price, arc[0], east[0], north[0], turned[0]))
+            samples = max(1, round(shape.end_m / step_m))
+            arc = np.linspace(0.0, shape.end_m, 2 * samples + 1)
+            moves.append(_Move(price, arc, *displaced_m(shape, arc)))
     if c.cost.terms.blind > 0.0:
         for eight in range(EIGHTS):
             line = eight_line(LinePoint(0.0, 0.0, 0.0, curvature_per_m), eight, c.radius_m, ramp)

@@ -19,12 +19,12 @@ from sidelong.app.study.study import table_of
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import wrap_rad
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet.team_planner import IN_TEAM
-from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint
+from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint, laid_out, trapezoid
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import blind_rate
@@ -132,7 +132,7 @@ def test_a_young_plan_is_given_up_where_it_leads_beyond_the_pan_limits(table, le
     """It is a leg past the target, and then the circle on which the nose turns away from it."""
     planner = PredictivePlanner(LIMITED, BAND, table)
     per_m = 1.0 / RADIUS_M
-    path = Trapezoids.between(per_m, [0.0], [leg_m], [per_m], RAMP).path(0, -300.0, 100.0, math.pi)
+    path = Path(*laid_out(trapezoid(per_m, 0.0, leg_m, per_m, RAMP), -300.0, 100.0, math.pi))
     plan = Plan(Circle(-350.0, 100.0 - leg_m, RADIUS_M, clockwise=True), path, -2.0)
     state = AircraftState(0.0, -300.0, 100.0, math.pi, AIRSPEED_M_S, 0.0)
     target = TargetEstimate(0.0, 0.0, 0.0, 0.0, 2.0, np.diag([1.0, 1.0, 0.04, 0.04]), TrackQuality.GOOD, 0.0)

@@ -11,8 +11,8 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
 from sidelong.mission.fleet.team_planner import IN_TEAM
+from sidelong.mission.geometry.line_kernel import craft_of, sharpness_per_m2
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s
 from sidelong.mission.predictive.planner import (
     USUAL,
@@ -121,7 +121,7 @@ def assert_flyable(plan, present, aircraft, airframe, wind=CALM):
     assert path.curvature_per_m[0] == pytest.approx(start.curvature_per_m, abs=1e-9)
     assert np.abs(path.curvature_per_m).max() <= 1.0 / radius_m + 1e-9
     speed_m_s = ground_speeds_m_s(0.5 * (path.course_rad[1:] + path.course_rad[:-1]), airframe.airspeed_m_s, wind)
-    ramps = np.array([sharpness_per_m2(airframe, one) for one in speed_m_s])
+    ramps = np.array([sharpness_per_m2(one, craft_of(airframe)) for one in speed_m_s])
     assert np.all(np.abs(np.diff(path.curvature_per_m)) <= 1.01 * ramps * np.diff(path.arc_m) + 1e-12)
     end_m = math.hypot(path.east_m[-1] - plan.circle.east_m, path.north_m[-1] - plan.circle.north_m)
     assert end_m == pytest.approx(radius_m, abs=1e-6)

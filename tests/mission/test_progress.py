@@ -6,16 +6,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.geometry.line_kernel import line_at
-from sidelong.mission.geometry.progress import dead_reckoned, line_of, nearest_arc_m, off_track, point_at
-from sidelong.mission.geometry.trapezoid import Trapezoids, end_circle
+from sidelong.mission.geometry.line_kernel import laid_out, line_at, trapezoid
+from sidelong.mission.geometry.progress import dead_reckoned, end_circle, line_of, nearest_arc_m, off_track, point_at
 
 RADIUS_M = 50.0
 
 
 def transition(hold_per_m, length_m):
-    path = Trapezoids.between(1 / RADIUS_M, [hold_per_m], [length_m], [1 / RADIUS_M], 0.0008).path(0, 5.0, 7.0, 0.4)
+    path = Path(*laid_out(trapezoid(1 / RADIUS_M, hold_per_m, length_m, 1 / RADIUS_M, 0.0008), 5.0, 7.0, 0.4))
     return Plan(end_circle(path, RADIUS_M), path, 0.0)
 
 

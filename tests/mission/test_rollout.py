@@ -9,9 +9,8 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
-from sidelong.mission.geometry.line_kernel import Craft, LinePoint, circle_after, craft_of, line_at
+from sidelong.mission.geometry.line_kernel import Craft, LinePoint, circle_after, craft_of, line_at, sharpness_per_m2
 from sidelong.mission.geometry.progress import line_of
-from sidelong.mission.geometry.trapezoid import sharpness_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
@@ -135,7 +134,7 @@ class Look:
         def ramps(heading_rad):
             around = np.asarray(heading_rad)[:, None] + np.linspace(-0.5, 0.5, 5)
             fastest = ground_speeds_m_s(around, 10.0, wind).max(axis=1)
-            return np.array([sharpness_per_m2(self.aircraft, one) for one in fastest])
+            return np.array([sharpness_per_m2(one, craft_of(self.aircraft)) for one in fastest])
 
         moves = moves_from(
             self.side * scene.start.curvature_per_m, radius_m, scene.turn_radius_m, ramps([heading])[0]
@@ -240,7 +239,7 @@ def test_the_radius_grows_with_the_wind(paper_aircraft, paper_requirement):
     scene = Look(steep, table, Wind(4.0, 0.0)).scene
     assert scene.radius_m == pytest.approx(14.0**2 / (9.80665 * math.tan(steep.bank_max_rad)))
     assert scene.turn_radius_m == scene.radius_m
-    assert sharpness_per_m2(steep, 10.0) > sharpness_per_m2(paper_aircraft, 10.0)
+    assert sharpness_per_m2(10.0, craft_of(steep)) > sharpness_per_m2(10.0, craft_of(paper_aircraft))
 
 
 def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft, paper_requirement):
@@ -353,7 +352,11 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     ahead, end = staying_ahead(scene, under_way)
     moved = moving_ahead(scene, look.craft, 20)
     assert (end > 0) is under_way
-    ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), new_second_moves(), table.configuration.cost.terms
+    ramp, seconds, terms = (
+        sharpness_per_m2(10.0, craft_of(paper_aircraft)),
+        new_second_moves(),
+        table.configuration.cost.terms,
+    )
     lay_out_second_moves(seconds, scene.radius_m, scene.turn_radius_m, ramp, 10.0)
     predicted = scenario_rows(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
@@ -371,7 +374,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
 def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, paper_requirement):
     """What is laid out for still air is stretched along itself: a second's way is that of the ground speed there."""
     seconds = new_second_moves()
-    lay_out_second_moves(seconds, 60.0, 40.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
+    lay_out_second_moves(seconds, 60.0, 40.0, sharpness_per_m2(12.0, craft_of(paper_aircraft)), 10.0)
     calm, windy = np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
     start, flown = Pose(5.0, -7.0, math.pi / 2), np.empty((64, SECONDS))
     stretch(seconds, 4, start.heading_rad, speeds_over_ground(Air(10.0, 2.0, 0.0)), 12, flown)
