@@ -29,7 +29,6 @@ import numpy as np
 from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
-from sidelong.mission.geometry.line_kernel import ground_speed_m_s
 from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
 from sidelong.mission.predictive.decision_kernel import (
     Question,
@@ -49,6 +48,7 @@ from sidelong.mission.predictive.rollout_kernel import (
     add_up,
     from_target,
     placed,
+    speed_m_s,
     turn_samples,
 )
 from sidelong.mission.predictive.scene_kernel import Scene, Turns, classes_about, first_of, in_frame, winding
@@ -340,7 +340,7 @@ def _continued(
     air, x_m, y_m, heading_rad, per_m = scene.air, end.x_m, end.y_m, end.heading_rad, from_per_m
     ramp = ramp_on(heading_rad, air, question.context.watcher.craft)
     for k in range(at.shape[1]):
-        way_m = STEP_S * ground_speed_m_s(heading_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        way_m = STEP_S * speed_m_s(heading_rad, air)
         change = min(max(to_per_m - per_m, -ramp * way_m), ramp * way_m)
         middle_rad = heading_rad + 0.5 * (per_m + 0.5 * change) * way_m
         x_m, y_m = x_m + way_m * math.sin(middle_rad), y_m + way_m * math.cos(middle_rad)

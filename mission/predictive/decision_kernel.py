@@ -14,7 +14,7 @@ import numpy as np
 from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
-from sidelong.mission.geometry.line_kernel import ARC, crab_rad, line_at, sharpness_per_m2, turn_radius_m
+from sidelong.mission.geometry.line_kernel import ARC, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, blind_rate, fading_per_s, least
 from sidelong.mission.predictive.foresight_kernel import (
     HEADINGS,
@@ -43,6 +43,7 @@ from sidelong.mission.predictive.rollout_kernel import (
     WatchFrame,
     add_sight,
     lines_costs,
+    nose_rad,
     single_line,
     times_s,
 )
@@ -336,10 +337,8 @@ def leaves(scene: Scene, futures: Scenarios, question: Question, near_m: float, 
             range_m = math.hypot(x_m, y_m)
             if range_m < near_m or range_m > far_m:
                 return True
-            if terms.blind > 0.0:
-                nose_rad = ahead[2, k] - crab_rad(ahead[2, k], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-                if blind_rate(x_m, y_m, nose_rad, terms) >= terms.blind:
-                    return True
+            if terms.blind > 0.0 and blind_rate(x_m, y_m, nose_rad(ahead[2, k], air), terms) >= terms.blind:
+                return True
     return False
 
 

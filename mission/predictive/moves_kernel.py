@@ -24,7 +24,6 @@ from sidelong.mission.geometry.line_kernel import (
     Craft,
     LinePoint,
     Trapezoid,
-    ground_speed_m_s,
     laid_out,
     moved_m,
     sharpness_per_m2,
@@ -33,7 +32,16 @@ from sidelong.mission.geometry.line_kernel import (
     with_last_ramp,
 )
 from sidelong.mission.predictive.cost_kernel import IntArray
-from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Lines, Sampling, Shapes, spread, times_s
+from sidelong.mission.predictive.rollout_kernel import (
+    STEP_S,
+    Air,
+    Lines,
+    Sampling,
+    Shapes,
+    speed_m_s,
+    spread,
+    times_s,
+)
 from sidelong.mission.predictive.scene_kernel import Scene
 
 # The length of the legs, in radii of the circle; their curvature towards the target, as a share of the circle's; and
@@ -161,10 +169,7 @@ def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
         return sharpness_per_m2(air.airspeed_m_s, craft)
     fastest_m_s = 0.0
     for turn_rad in RAMP_TURNS_RAD:
-        fastest_m_s = max(
-            fastest_m_s,
-            ground_speed_m_s(heading_rad + turn_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s),
-        )
+        fastest_m_s = max(fastest_m_s, speed_m_s(heading_rad + turn_rad, air))
     return sharpness_per_m2(fastest_m_s, craft)
 
 

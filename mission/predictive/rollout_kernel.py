@@ -76,6 +76,18 @@ class Air(NamedTuple):
     wind_y_m_s: float
 
 
+@compiled
+def speed_m_s(course_rad: float, air: Air) -> float:
+    """Return the speed over the ground on a course."""
+    return ground_speed_m_s(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+
+
+@compiled
+def nose_rad(course_rad: float, air: Air) -> float:
+    """Return where the nose points on a course over the ground."""
+    return course_rad - crab_rad(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+
+
 class Pose(NamedTuple):
     """A place of the departure's frame and the heading there."""
 
@@ -204,8 +216,7 @@ def _sample_after(
     if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
         time_s = to_m / air.airspeed_m_s
     else:
-        slow = 1.0 / ground_speed_m_s(heading_rad + here_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-        slower = 1.0 / ground_speed_m_s(heading_rad + there_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        slow, slower = 1.0 / speed_m_s(heading_rad + here_rad, air), 1.0 / speed_m_s(heading_rad + there_rad, air)
         time_s += (to_m - from_m) * 0.5 * (slow + slower)
     return x_m + across_m, y_m + along_m, there_rad, time_s, math.exp(-sampling.rate_per_s * time_s)
 
@@ -286,8 +297,8 @@ def _rates(
     place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
     for i in range(len(across)):
         sigma2 = place2 + velocity2 * time_s[i] * time_s[i]
-        beside_m = sigmas_rad[min(int(time_s[i] / step_s), last)] * along[i]
-        blur_m = 1.0 + math.sqrt(sigma2 + beside_m * beside_m)
+        aside_m = sigmas_rad[min(int(time_s[i] / step_s), last)] * along[i]
+        blur_m = 1.0 + math.sqrt(sigma2 + aside_m * aside_m)
         found[i] = cost_rate(across[i], along[i], math.sqrt(sigma2), blur_m, c) * weight[i]
 
 
@@ -374,9 +385,7 @@ def lines_costs(
             place = f.place
             for s in range(n):
                 _, off_x, off_y = from_target(place, step_s, one, x[s], y[s], time_s[s])
-                course_rad = heading_rad + turned[s]
-                nose_rad = course_rad - crab_rad(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-                rates[s] += weight[s] * blind_rate(off_x, off_y, nose_rad, c)
+                rates[s] += weight[s] * blind_rate(off_x, off_y, nose_rad(heading_rad + turned[s], air), c)
         _relate(x, y, time_s, one, step_s, f.place, course, across, along)
         for s in samples:
             k = min(int(time_s[s] / step_s), last_k)
@@ -400,8 +409,7 @@ def times_s(heading_rad: FloatArray, arc_m: FloatArray, air: Air) -> FloatArray:
         if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
             time[s] = (arc_m[s] - arc_m[0]) / air.airspeed_m_s
         else:
-            slow = 1.0 / ground_speed_m_s(heading_rad[s - 1], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-            slower = 1.0 / ground_speed_m_s(heading_rad[s], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+            slow, slower = 1.0 / speed_m_s(heading_rad[s - 1], air), 1.0 / speed_m_s(heading_rad[s], air)
             time[s] = time[s - 1] + (arc_m[s] - arc_m[s - 1]) * 0.5 * (slow + slower)
     return time
 

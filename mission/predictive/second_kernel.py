@@ -21,7 +21,6 @@ from sidelong.mission.geometry.line_kernel import (
     Circling,
     Craft,
     curvature_per_m,
-    ground_speed_m_s,
     moved_m,
     point_at,
     trapezoid,
@@ -37,7 +36,7 @@ from sidelong.mission.predictive.cost_kernel import (
     table_value,
 )
 from sidelong.mission.predictive.moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, shape_of, unit_m
-from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Pose, Scenarios, Uncertainty
+from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Pose, Scenarios, Uncertainty, speed_m_s
 from sidelong.mission.predictive.scene_kernel import Scene, in_frame
 
 BoolArray = npt.NDArray[np.bool_]
@@ -105,8 +104,7 @@ def speeds_over_ground(air: Air) -> FloatArray:
     """
     speeds = np.empty(_HEADINGS + 1)
     for h in range(_HEADINGS + 1):
-        ground_m_s = ground_speed_m_s(h * 2.0 * math.pi / _HEADINGS, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-        speeds[h] = ground_m_s / air.airspeed_m_s
+        speeds[h] = speed_m_s(h * 2.0 * math.pi / _HEADINGS, air) / air.airspeed_m_s
     return speeds
 
 
@@ -181,7 +179,7 @@ _VALUED = np.array([15, 22, 30])
 _STRIDE = 4  # of looking at what a turn of the target would cost
 
 # Rows of the prediction, each at whole seconds.
-_X, _Y, _SIN, _COS, _BESIDE, _TABLE_SIN, _TABLE_COS, _TABLE_RAD = range(8)
+_X, _Y, _SIN, _COS, _FACING_RAD, _TABLE_SIN, _TABLE_COS, _TABLE_RAD = range(8)
 
 
 class ScenarioRows(NamedTuple):
@@ -217,7 +215,7 @@ class Workspace(NamedTuple):
 class Second(NamedTuple):
     """What second moves are judged by. leave, change: what one costs from the circle, and before it."""
 
-    foretold: ScenarioRows
+    scenarios: ScenarioRows
     terms: CostTerms
     table: Table
     moves: SecondMoves
@@ -233,27 +231,21 @@ def scenario_rows(
 ) -> ScenarioRows:
     """Return futures as this look needs them. min_values (classes,): of the table; min_after_turn: of all classes."""
     count, k = f.place.shape[:2]
-    found = ScenarioRows(
-        f,
-        np.empty((count, 8, k)),
-        np.empty(k),
-        np.empty(k),
-        np.zeros((count, k)),
-        min_after_turn / table.mean_leg_s,
-    )
-    _fill_rows(found, d, fading_per_s(table), min_values)
-    return found
+    rows, sigma_m, weight = np.empty((count, 8, k)), np.empty(k), np.empty(k)
+    by_row = ScenarioRows(f, rows, sigma_m, weight, np.zeros((count, k)), min_after_turn / table.mean_leg_s)
+    _fill_rows(by_row, d, fading_per_s(table), min_values)
+    return by_row
 
 
 @compiled
-def _fill_rows(found: ScenarioRows, d: Uncertainty, rate_per_s: float, min_values: FloatArray) -> None:
+def _fill_rows(by_row: ScenarioRows, d: Uncertainty, rate_per_s: float, min_values: FloatArray) -> None:
     """Fill in the rows. rate_per_s: of the discount."""
-    f, rows, min_value = found.futures, found.rows, found.min_value
+    f, rows, min_value = by_row.futures, by_row.rows, by_row.min_value
     place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
     for i in range(rows.shape[2]):
         since_s = i * STEP_S
-        found.sigma_m[i] = math.sqrt(place2 + velocity2 * since_s * since_s)
-        found.weight[i] = math.exp(-rate_per_s * since_s)
+        by_row.sigma_m[i] = math.sqrt(place2 + velocity2 * since_s * since_s)
+        by_row.weight[i] = math.exp(-rate_per_s * since_s)
         for one in range(len(rows)):
             rows[one, _X, i], rows[one, _Y, i] = f.place[one, i, 0], f.place[one, i, 1]
             for j in range(3):
@@ -265,10 +257,10 @@ def _fill_rows(found: ScenarioRows, d: Uncertainty, rate_per_s: float, min_value
 @compiled
 def workspace_for(f: Scenarios, air: Air) -> Workspace:
     """Return arrays to work in."""
-    count, foretold = f.place.shape[:2]
+    count, steps = f.place.shape[:2]
     calm = air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0
     return Workspace(
-        np.empty((3, foretold + SAMPLES)),
+        np.empty((3, steps + SAMPLES)),
         np.empty((count, 4 * SAMPLES)),
         np.empty(count),
         np.empty(count),
@@ -308,9 +300,7 @@ def staying_ahead(scene: Scene, under_way: bool) -> tuple[FloatArray, int]:
         ahead[3, k] = scene.mirror * here.curvature_per_m
         if end < 0 and arc_m >= length_m:
             end = k
-        arc_m += STEP_S * ground_speed_m_s(
-            ahead[2, k], scene.air.airspeed_m_s, scene.air.wind_x_m_s, scene.air.wind_y_m_s
-        )
+        arc_m += STEP_S * speed_m_s(ahead[2, k], scene.air)
         k += 1
     return ahead[:, :k], end if end >= 0 else k - 1
 
@@ -329,7 +319,7 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
         ahead[3, k] = curvature_per_m(shape, arc_m)
         if end < 0 and arc_m >= shape.end_m - 1e-6:
             end = k
-        to_m = arc_m + STEP_S * ground_speed_m_s(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        to_m = arc_m + STEP_S * speed_m_s(course_rad, air)
         across_m, along_m = moved_m(shape, heading_rad, arc_m, to_m)
         x_m, y_m, arc_m, k = x_m + across_m, y_m + along_m, to_m, k + 1
     return ahead[:, :k], end if end >= 0 else k - 1
@@ -342,22 +332,30 @@ class Ahead(NamedTuple):
     y_m: FloatArray
     sin_f: FloatArray
     cos_f: FloatArray
-    beside: FloatArray
+    sigma_rad: FloatArray
     sigma_m: FloatArray
     weight: FloatArray
+
+
+@inlined
+def _ahead(f: ScenarioRows, one: int, at: int) -> Ahead:
+    """Return the rows of scenario ``one`` from second ``at`` on."""
+    rows, sigma_m, weight = f.rows[one], f.sigma_m[at:], f.weight[at:]
+    facing = rows[_SIN, at:], rows[_COS, at:], rows[_FACING_RAD, at:]
+    return Ahead(rows[_X, at:], rows[_Y, at:], facing[0], facing[1], facing[2], sigma_m, weight)
 
 
 @inlined
 def _running(x: FloatArray, y: FloatArray, j: int, n: int, ahead: Ahead, c: CostTerms, room: FloatArray) -> None:
     """Fill in the discounted running cost at n places of line j, as the last of three rows of room."""
     # Loops of one row each, over arrays that begin where the line does: so the compiler makes vectors of them.
-    to_x, to_y, sin_f, cos_f, beside, sigma, weight = ahead
+    to_x, to_y, sin_f, cos_f, sigma_rad, sigma, weight = ahead
     for k in range(n):
         room[0, k] = (x[j, k] - to_x[k]) * cos_f[k] - (y[j, k] - to_y[k]) * sin_f[k]
     for k in range(n):
         room[1, k] = (x[j, k] - to_x[k]) * sin_f[k] + (y[j, k] - to_y[k]) * cos_f[k]
     for k in range(n):
-        aside_m = beside[k] * room[1, k]
+        aside_m = sigma_rad[k] * room[1, k]
         blur_m = 1.0 + math.sqrt(sigma[k] * sigma[k] + aside_m * aside_m)
         room[2, k] = weight[k] * cost_rate(room[0, k], room[1, k], sigma[k], blur_m, c)
 
@@ -387,9 +385,9 @@ def _cheapest(s: SecondMoves, fan: PlacedMoves, at: int, one: int, second: Secon
 
     What the table says of a line's end bounds its cost from below: few lines have to be followed.
     """
-    f, c, table = second.foretold, second.terms, second.table
-    rows, sigma, weight, min_value = f.rows[one], f.sigma_m[at:], f.weight[at:], f.min_value[one, at:]
-    ahead = Ahead(rows[_X, at:], rows[_Y, at:], rows[_SIN, at:], rows[_COS, at:], rows[_BESIDE, at:], sigma, weight)
+    f, c, table = second.scenarios, second.terms, second.table
+    rows, weight, min_value = f.rows[one], f.weight[at:], f.min_value[one, at:]
+    ahead = _ahead(f, one, at)
     values, after_turn, cell_m, mean_leg_s = table.values, table.after_turn, table.cell_m, table.mean_leg_s
     classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
     x, y, heading, laid, lasts = fan.placed[0], fan.placed[1], fan.placed[2], fan.laid, fan.last
@@ -439,7 +437,7 @@ def _cheapest(s: SecondMoves, fan: PlacedMoves, at: int, one: int, second: Secon
 
 
 @inlined
-def _lasts(s: SecondMoves, curvature: float, at: int, horizon: int, foretold: int, last: IntArray) -> tuple[int, int]:
+def _lasts(s: SecondMoves, curvature: float, at: int, horizon: int, steps: int, last: IntArray) -> tuple[int, int]:
     """Fill in how many seconds of each second move count that begins at a curvature, in 1 / radius, 0 for none.
 
     Return the level of curvature that is nearest, and the most seconds.
@@ -451,7 +449,7 @@ def _lasts(s: SecondMoves, curvature: float, at: int, horizon: int, foretold: in
     for j in range(SECONDS):
         end = s.end[level, j]
         last[j] = min(max(end, horizon - at), SAMPLES - 1)
-        last[j] = 0 if end == 0 or at + last[j] >= foretold else last[j]
+        last[j] = 0 if end == 0 or at + last[j] >= steps else last[j]
         longest = max(longest, last[j])
     return level, longest
 
@@ -482,25 +480,24 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
 
     Where it is the bar or more, something between the bar and it may be returned: then few second moves are followed.
     """
-    f, table, seconds, radius_m = second.foretold, second.table, second.moves, scene.radius_m
-    count, foretold, terms = f.rows.shape[0], f.rows.shape[2], second.terms
-    size, horizon = min(ahead.shape[1], foretold), int(second.horizon_s / STEP_S)
+    f, table, seconds, radius_m = second.scenarios, second.table, second.moves, scene.radius_m
+    count, steps, terms = f.rows.shape[0], f.rows.shape[2], second.terms
+    size, horizon = min(ahead.shape[1], steps), int(second.horizon_s / STEP_S)
     x, y, heading = ahead[0], ahead[1], ahead[2]
     values, after_turn, cell_m = table.values, table.after_turn, table.cell_m
     classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
     room = second.room
-    before, best, found = room.before, room.best, room.rows[2]
+    before, best, running = room.before, room.best, room.rows[2]
     for one in range(count):
         rows = f.rows[one]
-        future = Ahead(rows[_X], rows[_Y], rows[_SIN], rows[_COS], rows[_BESIDE], f.sigma_m, f.weight)
-        _running(ahead[0:1], ahead[1:2], 0, size, future, terms, room.rows)
+        _running(ahead[0:1], ahead[1:2], 0, size, _ahead(f, one, 0), terms, room.rows)
         before[one, 0] = turned = 0.0
         for k in range(1, size):
             if (k - 1) % _STRIDE == 0:
                 m = min(k + 1, size - 1)
                 after = _asked(after_turn, cell_m, rows, classes, turn_share, one, m, (x[m], y[m], heading[m]))
                 turned = STEP_S / table.mean_leg_s * f.weight[m] * after
-            before[one, k] = before[one, k - 1] + 0.5 * STEP_S * (found[k - 1] + found[k]) + turned
+            before[one, k] = before[one, k - 1] + 0.5 * STEP_S * (running[k - 1] + running[k]) + turned
         best[one] = np.inf
         for valued in _VALUED:
             k = min(max(end, valued), size - 1)
@@ -518,7 +515,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
         for at in branches:
             if at >= size or at >= horizon:
                 break
-            _lasts(seconds, ahead[3, at] * radius_m, at, horizon, foretold, n)
+            _lasts(seconds, ahead[3, at] * radius_m, at, horizon, steps, n)
             for one in range(count):
                 paid = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
                 first[one] = min(first[one], paid + _least_from(f, one, at, n))
@@ -528,7 +525,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
     for at in branches:
         if at >= size or at >= horizon:
             break
-        level, longest = _lasts(seconds, ahead[3, at] * radius_m, at, horizon, foretold, n)
+        level, longest = _lasts(seconds, ahead[3, at] * radius_m, at, horizon, steps, n)
         promising = False
         for one in range(count):
             first[one] = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
