@@ -80,24 +80,20 @@ class LineTracking:
         Returns:
             Rows of (time s, east m, north m), (n, 3).
         """
-        return kernel.flown(
-            start,
-            np.asarray(waypoints, float).reshape(-1, 2),
-            circling_of(circle),
-            self.first_is_line,
-            self.switch_m,
-            kernel.Airframe(
-                self.airspeed_m_s,
-                self.wind.east_m_s,
-                self.wind.north_m_s,
-                self.roll_lag_s,
-                self.bank_max_rad,
-                self.roll_rate_max_rad_s,
-            ),
-            self._law,
-            duration_s,
-        )
+        places = np.asarray(waypoints, float).reshape(-1, 2)
+        return kernel.flown(start, places, circling_of(circle), self._guidance, duration_s)
 
     @property
-    def _law(self) -> kernel.Law:
-        return kernel.Law(self.gain_per_m(1.0), self.look_ahead_m(1.0))
+    def _guidance(self) -> kernel.Guidance:
+        return kernel.Guidance(
+            self.gain_per_m(1.0),
+            self.look_ahead_m(1.0),
+            self.switch_m,
+            self.first_is_line,
+            self.roll_lag_s,
+            self.bank_max_rad,
+            self.roll_rate_max_rad_s,
+            self.airspeed_m_s,
+            self.wind.east_m_s,
+            self.wind.north_m_s,
+        )

@@ -19,22 +19,22 @@ _STEP_S = 0.25
 _LINE_INTERCEPT = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
 
 
-class Law(NamedTuple):
-    """The guidance law: gain_per_s / v is g, look_ahead_s * v is l, at a ground speed v."""
+class Guidance(NamedTuple):
+    """The guidance law: gain_per_s / v is g, look_ahead_s * v is l, at a ground speed v; the aircraft, and the wind.
+
+    A leg ends switch_m before its waypoint. first_is_line: whether the first leg is a line.
+    """
 
     gain_per_s: float
     look_ahead_s: float
-
-
-class Airframe(NamedTuple):
-    """Speed and limits of the aircraft, and the wind."""
-
-    airspeed_m_s: float
-    wind_east_m_s: float
-    wind_north_m_s: float
+    switch_m: float
+    first_is_line: bool
     roll_lag_s: float
     bank_max_rad: float
     roll_rate_max_rad_s: float
+    airspeed_m_s: float
+    wind_east_m_s: float
+    wind_north_m_s: float
 
 
 @compiled
@@ -55,7 +55,7 @@ def is_done(
 
 
 @compiled
-def _pursue(error_rad: float, speed_m_s: float, law: Law) -> float:
+def _pursue(error_rad: float, speed_m_s: float, law: Guidance) -> float:
     error_rad = remainder(error_rad)
     return law.gain_per_s / speed_m_s * math.sin(max(-0.5 * math.pi, min(0.5 * math.pi, error_rad)))
 
@@ -70,7 +70,7 @@ def to_line_per_m(
     from_north_m: float,
     to_east_m: float,
     to_north_m: float,
-    law: Law,
+    law: Guidance,
 ) -> float:
     """Return the curvature that leads to the line from a waypoint to the next, or to that one if the first is NaN."""
     if math.isnan(from_east_m):
@@ -83,7 +83,7 @@ def to_line_per_m(
 
 @compiled
 def to_circle_per_m(
-    east_m: float, north_m: float, course_rad: float, speed_m_s: float, circle: Circling, law: Law
+    east_m: float, north_m: float, course_rad: float, speed_m_s: float, circle: Circling, law: Guidance
 ) -> float:
     """Return the curvature that leads onto a circle."""
     east_m, north_m = east_m - circle.east_m, north_m - circle.north_m
@@ -103,11 +103,11 @@ def to_circle_per_m(
 
 
 @compiled
-def _ground_speed_m_s(course_rad: float, frame: Airframe) -> float:
+def _ground_speed_m_s(course_rad: float, law: Guidance) -> float:
     sine, cosine = math.sin(course_rad), math.cos(course_rad)
-    along_m_s = frame.wind_east_m_s * sine + frame.wind_north_m_s * cosine
-    across_m_s = frame.wind_east_m_s * cosine - frame.wind_north_m_s * sine
-    air_m_s2 = frame.airspeed_m_s * frame.airspeed_m_s - across_m_s * across_m_s
+    along_m_s = law.wind_east_m_s * sine + law.wind_north_m_s * cosine
+    across_m_s = law.wind_east_m_s * cosine - law.wind_north_m_s * sine
+    air_m_s2 = law.airspeed_m_s * law.airspeed_m_s - across_m_s * across_m_s
     return max(along_m_s + math.sqrt(max(air_m_s2, 0.0)), 1.0)
 
 
@@ -116,22 +116,19 @@ def flown(
     start: LinePoint,
     waypoints: FloatArray,
     circle: Circling,
-    first_is_line: bool,
-    switch_m: float,
-    frame: Airframe,
-    law: Law,
+    law: Guidance,
     duration_s: float,
 ) -> FloatArray:
     """Return rows of (time s, east m, north m) (n, 3) of a flight of waypoints (k, 2) to a circle."""
     east_m, north_m, course_rad, curvature_per_m = start
-    from_east_m, from_north_m = (east_m, north_m) if first_is_line else (np.nan, np.nan)
+    from_east_m, from_north_m = (east_m, north_m) if law.first_is_line else (np.nan, np.nan)
     rows, leg = np.empty((math.ceil(duration_s / _STEP_S) + 1, 3)), 0
-    lagged = 1.0 - math.exp(-_STEP_S / frame.roll_lag_s)
+    lagged = 1.0 - math.exp(-_STEP_S / law.roll_lag_s)
     for step in range(len(rows)):
         rows[step, 0], rows[step, 1], rows[step, 2] = step * _STEP_S, east_m, north_m
-        speed_m_s = _ground_speed_m_s(course_rad, frame)
+        speed_m_s = _ground_speed_m_s(course_rad, law)
         while leg < len(waypoints) and is_done(
-            east_m, north_m, from_east_m, from_north_m, waypoints[leg, 0], waypoints[leg, 1], switch_m
+            east_m, north_m, from_east_m, from_north_m, waypoints[leg, 0], waypoints[leg, 1], law.switch_m
         ):
             from_east_m, from_north_m, leg = waypoints[leg, 0], waypoints[leg, 1], leg + 1
         if leg == len(waypoints):
@@ -141,9 +138,9 @@ def flown(
             wanted_per_m = to_line_per_m(
                 east_m, north_m, course_rad, speed_m_s, from_east_m, from_north_m, to_east_m, to_north_m, law
             )
-        tightest_per_m = GRAVITY_M_S2 * math.tan(frame.bank_max_rad) / speed_m_s**2
+        tightest_per_m = GRAVITY_M_S2 * math.tan(law.bank_max_rad) / speed_m_s**2
         wanted_per_m = max(-tightest_per_m, min(tightest_per_m, wanted_per_m))
-        ramp_per_m = GRAVITY_M_S2 * frame.roll_rate_max_rad_s / speed_m_s**2 * _STEP_S
+        ramp_per_m = GRAVITY_M_S2 * law.roll_rate_max_rad_s / speed_m_s**2 * _STEP_S
         change_per_m = max(-ramp_per_m, min(ramp_per_m, (wanted_per_m - curvature_per_m) * lagged))
         way_m = speed_m_s * _STEP_S
         turned_rad = (curvature_per_m + change_per_m / 2.0) * way_m
