@@ -14,6 +14,7 @@ from sidelong.mission.core.requirement import GRAVITY_M_S2
 from sidelong.mission.geometry.line_kernel import Circling, LinePoint, remainder
 
 IntArray = npt.NDArray[np.int64]
+Place = tuple[float, float]  # east, north
 
 _STEP_S = 0.25
 _LINE_INTERCEPT = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
@@ -38,20 +39,12 @@ class Guidance(NamedTuple):
 
 
 @compiled
-def is_done(
-    east_m: float,
-    north_m: float,
-    from_east_m: float,
-    from_north_m: float,
-    to_east_m: float,
-    to_north_m: float,
-    switch_m: float,
-) -> bool:
-    """Return whether a leg ends here: near its waypoint, or abreast of it. from_east_m is NaN on a first leg."""
-    past_east_m, past_north_m = east_m - to_east_m, north_m - to_north_m
+def is_done(at_m: Place, begin_m: Place, end_m: Place, switch_m: float) -> bool:
+    """Return whether a leg ends here: near its waypoint, or abreast of it. begin_m is NaN on a first leg."""
+    past_east_m, past_north_m = at_m[0] - end_m[0], at_m[1] - end_m[1]
     if math.hypot(past_east_m, past_north_m) <= switch_m:
         return True
-    return (to_east_m - from_east_m) * past_east_m + (to_north_m - from_north_m) * past_north_m >= 0.0
+    return (end_m[0] - begin_m[0]) * past_east_m + (end_m[1] - begin_m[1]) * past_north_m >= 0.0
 
 
 @compiled
@@ -62,31 +55,21 @@ def _pursue(error_rad: float, speed_m_s: float, law: Guidance) -> float:
 
 @compiled
 def to_line_per_m(
-    east_m: float,
-    north_m: float,
-    course_rad: float,
-    speed_m_s: float,
-    from_east_m: float,
-    from_north_m: float,
-    to_east_m: float,
-    to_north_m: float,
-    law: Guidance,
+    at_m: Place, course_rad: float, speed_m_s: float, begin_m: Place, end_m: Place, law: Guidance
 ) -> float:
     """Return the curvature that leads to the line from a waypoint to the next, or to that one if the first is NaN."""
-    if math.isnan(from_east_m):
-        return _pursue(math.atan2(to_east_m - east_m, to_north_m - north_m) - course_rad, speed_m_s, law)
-    line_rad = math.atan2(to_east_m - from_east_m, to_north_m - from_north_m)
-    right_m = (east_m - to_east_m) * math.cos(line_rad) - (north_m - to_north_m) * math.sin(line_rad)
+    if math.isnan(begin_m[0]):
+        return _pursue(math.atan2(end_m[0] - at_m[0], end_m[1] - at_m[1]) - course_rad, speed_m_s, law)
+    line_rad = math.atan2(end_m[0] - begin_m[0], end_m[1] - begin_m[1])
+    right_m = (at_m[0] - end_m[0]) * math.cos(line_rad) - (at_m[1] - end_m[1]) * math.sin(line_rad)
     offset = max(-_LINE_INTERCEPT, min(_LINE_INTERCEPT, right_m / (law.look_ahead_s * speed_m_s)))
     return _pursue(line_rad - math.asin(offset) - course_rad, speed_m_s, law)
 
 
 @compiled
-def to_circle_per_m(
-    east_m: float, north_m: float, course_rad: float, speed_m_s: float, circle: Circling, law: Guidance
-) -> float:
+def to_circle_per_m(at_m: Place, course_rad: float, speed_m_s: float, circle: Circling, law: Guidance) -> float:
     """Return the curvature that leads onto a circle."""
-    east_m, north_m = east_m - circle.east_m, north_m - circle.north_m
+    east_m, north_m = at_m[0] - circle.east_m, at_m[1] - circle.north_m
     distance_m, radius_m = math.hypot(east_m, north_m), abs(circle.radius_m)
     turn = 1.0 if circle.radius_m > 0.0 else -1.0
     outside_m = distance_m - radius_m
@@ -112,32 +95,23 @@ def _ground_speed_m_s(course_rad: float, law: Guidance) -> float:
 
 
 @compiled
-def flown(
-    start: LinePoint,
-    waypoints: FloatArray,
-    circle: Circling,
-    law: Guidance,
-    duration_s: float,
-) -> FloatArray:
+def flown(start: LinePoint, waypoints: FloatArray, circle: Circling, law: Guidance, duration_s: float) -> FloatArray:
     """Return rows of (time s, east m, north m) (n, 3) of a flight of waypoints (k, 2) to a circle."""
     east_m, north_m, course_rad, curvature_per_m = start
-    from_east_m, from_north_m = (east_m, north_m) if law.first_is_line else (np.nan, np.nan)
+    begin_m = (east_m, north_m) if law.first_is_line else (np.nan, np.nan)
     rows, leg = np.empty((math.ceil(duration_s / _STEP_S) + 1, 3)), 0
     lagged = 1.0 - math.exp(-_STEP_S / law.roll_lag_s)
     for step in range(len(rows)):
+        at_m = (east_m, north_m)
         rows[step, 0], rows[step, 1], rows[step, 2] = step * _STEP_S, east_m, north_m
         speed_m_s = _ground_speed_m_s(course_rad, law)
-        while leg < len(waypoints) and is_done(
-            east_m, north_m, from_east_m, from_north_m, waypoints[leg, 0], waypoints[leg, 1], law.switch_m
-        ):
-            from_east_m, from_north_m, leg = waypoints[leg, 0], waypoints[leg, 1], leg + 1
+        while leg < len(waypoints) and is_done(at_m, begin_m, (waypoints[leg, 0], waypoints[leg, 1]), law.switch_m):
+            begin_m, leg = (waypoints[leg, 0], waypoints[leg, 1]), leg + 1
         if leg == len(waypoints):
-            wanted_per_m = to_circle_per_m(east_m, north_m, course_rad, speed_m_s, circle, law)
+            wanted_per_m = to_circle_per_m(at_m, course_rad, speed_m_s, circle, law)
         else:
-            to_east_m, to_north_m = waypoints[leg, 0], waypoints[leg, 1]
-            wanted_per_m = to_line_per_m(
-                east_m, north_m, course_rad, speed_m_s, from_east_m, from_north_m, to_east_m, to_north_m, law
-            )
+            end_m = (waypoints[leg, 0], waypoints[leg, 1])
+            wanted_per_m = to_line_per_m(at_m, course_rad, speed_m_s, begin_m, end_m, law)
         tightest_per_m = GRAVITY_M_S2 * math.tan(law.bank_max_rad) / speed_m_s**2
         wanted_per_m = max(-tightest_per_m, min(tightest_per_m, wanted_per_m))
         ramp_per_m = GRAVITY_M_S2 * law.roll_rate_max_rad_s / speed_m_s**2 * _STEP_S
