@@ -249,18 +249,30 @@ _WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at 
 _QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 
 
+class Joint(NamedTuple):
+    """What the lines of one aircraft are judged by next to the others.
+
+    Attributes:
+        scene: the scene of its decision.
+        scenarios: what the target may do.
+        cover: what the others cover.
+        question: what the aircraft decides with alone.
+        team: what is decided with together.
+        scratch: arrays to work in.
+    """
+
+    scene: Scene
+    scenarios: Scenarios
+    cover: Cover
+    question: Question
+    team: Team
+    scratch: Scratch
+
+
 @compiled
-def _team_rate(
-    scene: Scene,
-    f: Scenarios,
-    cover: Cover,
-    question: Question,
-    team: Team,
-    x_m: float,
-    y_m: float,
-    time_s: float,
-) -> float:
-    """Return the running cost at a place of the departure's frame, over all futures, without discount."""
+def _team_rate(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
+    """Return the running cost at a place of the departure's frame, over all scenarios, without discount."""
+    scene, f, cover, question, team, _ = joint
     c, d, s = question.context.terms, scene.doubt, scene.mirror * team.wanted
     k = min(int(time_s / STEP_S), FORESEEN - 1)
     total = 0.0
@@ -279,25 +291,17 @@ def _team_rate(
 
 
 @compiled
-def _turn_cost(
-    scene: Scene,
-    f: Scenarios,
-    cover: Cover,
-    team: Team,
-    x_m: float,
-    y_m: float,
-    time_s: float,
-    found: FloatArray,
-) -> float:
-    """Return for how long the target's turning now would leave all off the side, over all futures and turns."""
-    s = scene.mirror * team.wanted
+def _turn_cost(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
+    """Return for how long the target's turning now would leave all off the side, over all scenarios and turns."""
+    scene, f, cover, _, team, scratch = joint
+    s, off_s = scene.mirror * team.wanted, scratch.off_s
     k = min(int(time_s / STEP_S), FORESEEN - 1)
     total = 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        off_after_turns(team, scene, s * off_x, off_y, cover.turned[one, p], found)
+        off_after_turns(team, scene, s * off_x, off_y, cover.turned[one, p], off_s)
         for t in range(len(team.turns_rad)):
-            total += f.weight[one] * team.chances[t] * min(found[t], cover.after[one, k, t])
+            total += f.weight[one] * team.chances[t] * min(off_s[t], cover.after[one, k, t])
     return team.turn * total
 
 
@@ -349,19 +353,12 @@ def _continued(
 
 
 @compiled
-def _edges_after(
-    scene: Scene,
-    f: Scenarios,
-    question: Question,
-    end: Pose,
-    time_s: float,
-    curvature_per_m: float,
-    places: FloatArray,
-) -> float:
-    """Return what the edges of the band cost after the end of a line, on the cheapest continuation of each future.
+def _edges_after(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -> float:
+    """Return what the edges of the band cost after the end of a line, on the cheapest continuation of each scenario.
 
-    The aircraft stays on the circle, flies straight on, or turns as tightly as it can, either way. places: room.
+    The aircraft stays on the circle, flies straight on, or turns as tightly as it can, either way.
     """
+    scene, f, question, places = joint.scene, joint.scenarios, joint.question, joint.scratch.places
     c, d, total, tight_per_m, made = question.context.terms, scene.doubt, 0.0, 1.0 / scene.turn_radius_m, 0
     to_per_m = (curvature_per_m, 0.0, -tight_per_m, tight_per_m)
     for one in range(len(f.weight)):
@@ -387,21 +384,12 @@ def _edges_after(
 
 
 @compiled
-def _end_value(
-    scene: Scene,
-    f: Scenarios,
-    cover: Cover,
-    question: Question,
-    team: Team,
-    end: Pose,
-    time_s: float,
-    curvature_per_m: float,
-    scratch: Scratch,
-) -> float:
+def _end_value(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -> float:
     """Return what is to be paid from the end of a line on: its share alone, and together.
 
     There it circles with that curvature.
     """
+    scene, f, cover, question, team, scratch = joint
     x_m, y_m, heading_rad = end
     k, s, total, back = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0
     for one in range(len(f.weight)):
@@ -409,29 +397,21 @@ def _end_value(
         value = wanted_value(scene, f, question, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
         total += f.weight[one] * min(value, cover.now[one, k])
         back += f.weight[one] * _way_back(scene, question, math.hypot(off_x, off_y))
-    turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, scratch.off_s)
+    turn, gap = _circling_cost(joint, end, time_s, curvature_per_m)
     return (
         total
         + _TAIL_S * team.opposite * gap
         + team.alone_end * _role_value(f, question, x_m, y_m, heading_rad, time_s)
         + _CIRCLING_S / question.table.mean_leg_s * turn
         + back
-        + _edges_after(scene, f, question, end, time_s, curvature_per_m, scratch.places)
+        + _edges_after(joint, end, time_s, curvature_per_m)
     )
 
 
 @compiled
-def _circling_cost(
-    scene: Scene,
-    f: Scenarios,
-    cover: Cover,
-    team: Team,
-    end: Pose,
-    time_s: float,
-    curvature_per_m: float,
-    found: FloatArray,
-) -> tuple[float, float]:
+def _circling_cost(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -> tuple[float, float]:
     """Return what turns of the target cost, and the share of its courses that no aircraft covers, over a lap."""
+    scene, f, cover = joint.scene, joint.scenarios, joint.cover
     x_m, y_m, heading_rad = end
     middle_x = x_m + math.cos(heading_rad) / curvature_per_m
     middle_y = y_m - math.sin(heading_rad) / curvature_per_m
@@ -442,7 +422,7 @@ def _circling_cost(
         at_rad = heading_rad + math.copysign(2.0 * math.pi * q / _LAP, curvature_per_m)
         at_x = middle_x - math.cos(at_rad) / curvature_per_m
         at_y = middle_y + math.sin(at_rad) / curvature_per_m
-        turn += _turn_cost(scene, f, cover, team, at_x, at_y, at_s, found)
+        turn += _turn_cost(joint, at_x, at_y, at_s)
         k = min(int(at_s / STEP_S), FORESEEN - 1)
         for one in range(len(f.weight)):
             _, off_x, off_y = from_target(f.place, f.step_s, one, at_x, at_y, at_s)
@@ -451,53 +431,39 @@ def _circling_cost(
 
 
 @compiled
-def team_lines_costs(
-    lines: Lines,
-    start: Pose,
-    scene: Scene,
-    f: Scenarios,
-    cover: Cover,
-    question: Question,
-    team: Team,
-    end_per_m: float,
-    costs: FloatArray,
-) -> None:
+def team_lines_costs(lines: Lines, start: Pose, joint: Joint, end_per_m: float, costs: FloatArray) -> None:
     """Fill in what each line costs all together, as :func:`mission.predictive.rollout_kernel.lines_costs` does.
 
     end_per_m: the curvature of the circles that they end in.
     """
-    time_s, weight, hazard_per_s = lines.time_s, lines.weight, 1.0 / question.table.mean_leg_s
+    time_s, weight, hazard_per_s = lines.time_s, lines.weight, 1.0 / joint.question.table.mean_leg_s
     n, lines_count = len(time_s), len(lines.trunk)
     x, y = placed(lines, start)
     heading_rad = start.heading_rad + lines.turned_rad
-    scratch = scratch_for(team)
     rates, turn_rates, ends = np.empty(n), np.empty(n), np.empty(lines_count)
     for s in range(n):
-        rates[s] = weight[s] * _team_rate(scene, f, cover, question, team, x[s], y[s], time_s[s])
+        rates[s] = weight[s] * _team_rate(joint, x[s], y[s], time_s[s])
     for s in turn_samples(lines):
-        turn = _turn_cost(scene, f, cover, team, x[s], y[s], time_s[s], scratch.off_s)
-        turn_rates[s] = hazard_per_s * weight[s] * turn
+        turn_rates[s] = hazard_per_s * weight[s] * _turn_cost(joint, x[s], y[s], time_s[s])
     for i in range(lines_count):
         s = lines.own_first[i + 1] - 1
-        end = Pose(x[s], y[s], heading_rad[s])
-        ends[i] = weight[s] * _end_value(scene, f, cover, question, team, end, time_s[s], end_per_m, scratch)
+        ends[i] = weight[s] * _end_value(joint, Pose(x[s], y[s], heading_rad[s]), time_s[s], end_per_m)
     costs[:lines_count] = 0.0
     add_up(lines, rates, turn_rates, ends, 1.0, costs)
 
 
 @compiled
-def team_look_ahead(
-    scene: Scene, f: Scenarios, cover: Cover, question: Question, team: Team, costs: FloatArray
-) -> float:
+def team_look_ahead(joint: Joint, costs: FloatArray) -> float:
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
+    scene, question, team = joint.scene, joint.question, joint.team
     # No other plan departs before it was uploaded: until then the circle is flown that a line ends in. Whole seconds,
     # because lines of the same length are kept.
     beyond_m = scene.air.airspeed_m_s * math.ceil(max(scene.latency_s - _QUICK_S, 0.0))
     among, prices = alternatives(scene, question, beyond_m), question.prices
     stay_costs = np.empty(len(among.stays.trunk))
     stay_per_m = scene.mirror / scene.circle.radius_m
-    team_lines_costs(among.moves, among.start, scene, f, cover, question, team, 1.0 / scene.radius_m, costs)
-    team_lines_costs(among.stays, among.stays_start, scene, f, cover, question, team, stay_per_m, stay_costs)
+    team_lines_costs(among.moves, among.start, joint, 1.0 / scene.radius_m, costs)
+    team_lines_costs(among.stays, among.stays_start, joint, stay_per_m, stay_costs)
     add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
     return least(stay_costs)
 
@@ -538,8 +504,8 @@ def team_decide(
         every = winding(scene, question.context.motions, question.context.watcher, question.context.turns)
         every, _ = along_route(scene, question, every)
     f = first_of(every, 1)
-    cover = cover_of(scene, f, others, first_s, question, team)
-    stay_cost = team_look_ahead(scene, f, cover, question, team, costs)
+    cover, scratch = cover_of(scene, f, others, first_s, question, team), scratch_for(team)
+    stay_cost = team_look_ahead(Joint(scene, f, cover, question, team, scratch), costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)
         alone_stay = look_two_moves_ahead(scene, foreseen, answered_by, sight, 0.0, alone)
