@@ -21,13 +21,10 @@ class Ellipse:
     orientation_rad: float
 
     def outline(self, corners: int) -> list[tuple[float, float]]:
-        """Return points of the ellipse in one closed round.
+        """Return points (east, north) of the ellipse from its centre in one closed round, m.
 
         Args:
             corners: Number of points; the first one is repeated at the end.
-
-        Returns:
-            (east, north) of each point from the centre, m.
         """
         sin, cos = math.sin(self.orientation_rad), math.cos(self.orientation_rad)
         points = []

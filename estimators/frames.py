@@ -38,11 +38,7 @@ class LocalPlane:
     origin_longitude_deg: float
 
     def east_north_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-        """Return a geodetic position in the plane.
-
-        Returns:
-            (east, north) from the origin, m.
-        """
+        """Return a geodetic position in the plane, (east, north) from the origin, m."""
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
         place = _earth_centred_m(latitude_deg, longitude_deg)
         offset = (place[0] - origin[0], place[1] - origin[1], place[2] - origin[2])

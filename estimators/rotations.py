@@ -88,10 +88,6 @@ def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quat
 
 
 def sight_direction(quaternion: Quaternion) -> Vector:
-    """Return the direction of a line of sight: its forward axis in the parent frame.
-
-    Returns:
-        Unit vector in the parent frame.
-    """
+    """Return the direction of a line of sight: its forward axis as a unit vector in the parent frame."""
     w, x, y, z = quaternion
     return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)

@@ -48,14 +48,11 @@ class Ground:
         return height_and_slope(self.grid, east_m, north_m)[0]
 
     def heights_at_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> FloatArray:
-        """Return the heights at places, arrays of one shape.
+        """Return the heights at places, arrays of one shape, in that shape, m; NaN where unknown.
 
         Args:
             east_m: East in the local plane, m, any shape.
             north_m: North in the local plane, m, the same shape.
-
-        Returns:
-            Heights, m, of that shape; NaN where unknown.
         """
         east, north = np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)
         return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
@@ -87,14 +84,11 @@ class Ground:
     def horizon_m(
         self, east_m: float, north_m: float, height_m: float, azimuths: int, rings: int, ring_m: float
     ) -> npt.NDArray[np.float32]:
-        """Return the heights from which a point is visible. Voids hide nothing.
+        """Return the heights (azimuths, rings) from which a point is visible, m. Voids hide nothing.
 
         Args:
             azimuths: Number of azimuths; the first is north, the others follow clockwise.
             ring_m: Difference of two distances, and the first distance, m.
-
-        Returns:
-            Heights, m, (azimuths, rings).
         """
         return horizon(self.grid, east_m, north_m, height_m, azimuths, rings, ring_m)
 

@@ -31,11 +31,7 @@ class Circle:
         return 1.0 / self.radius_m if self.clockwise else -1.0 / self.radius_m
 
     def position_at_course(self, course_rad: float) -> tuple[float, float]:
-        """Return the point of the circle at which it is flown on a course.
-
-        Returns:
-            (east, north) in the local plane, m.
-        """
+        """Return the point (east, north) of the circle at which it is flown on a course, m."""
         # The centre lies to the right (cos, -sin) of a clockwise flight.
         signed_radius_m = self.radius_m if self.clockwise else -self.radius_m
         return (
@@ -44,11 +40,7 @@ class Circle:
         )
 
     def course_at(self, east_m: float, north_m: float) -> float:
-        """Return the course flown at the point of the circle nearest to a position.
-
-        Returns:
-            Course, clockwise from north, rad.
-        """
+        """Return the course flown at the point of the circle nearest to a position, rad."""
         outward_rad = math.atan2(east_m - self.east_m, north_m - self.north_m)
         return outward_rad + (math.pi / 2 if self.clockwise else -math.pi / 2)
 

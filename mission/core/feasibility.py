@@ -47,10 +47,9 @@ def in_words(changes: Iterable[Change]) -> str:
 
 
 def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...]:
-    """Return why no planner can keep the requirement: a circle too tight, a target too fast, a band too narrow.
+    """Return possible changes where no planner can keep the requirement, none where one can.
 
-    Returns:
-        Possible changes; empty if the requirement can be kept.
+    The circle may be too tight, the target too fast, the band too narrow.
     """
     return (
         *_circle_too_tight(aircraft),

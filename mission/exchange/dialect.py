@@ -126,8 +126,4 @@ class AutopilotDialect(Protocol):
         """Return the command to fly a circle without a mission."""
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
-        """Return the circle that the autopilot reports in ``circle_mode``.
-
-        Returns:
-            The circle; radius 0 if it is not reported. None for any other report.
-        """
+        """Return the circle that a report of ``circle_mode`` states, radius 0: none; None for other reports."""

@@ -188,11 +188,7 @@ SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 
 
 def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: float) -> int:
-    """Return the first item that is ahead on a path.
-
-    Returns:
-        Number of the item, at most that of the circle.
-    """
+    """Return the number of the first item that is ahead on a path, at most that of the circle."""
     for seq in range(layout.first, layout.end - 1):
         east_m, north_m = place_of(layout.items[seq], plane)
         nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))

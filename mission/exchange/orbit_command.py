@@ -39,11 +39,7 @@ _AHEAD_RADII = 4.0
 
 
 def leading_circle(plan: Plan, aircraft: AircraftState, bank_max_rad: float) -> Circle | None:
-    """Return the circle to command now.
-
-    Returns:
-        The circle; None if the plan's own circle is to be flown from now on.
-    """
+    """Return the circle to command now; None if the plan's own circle is to be flown from now on."""
     radius_m, speed_m_s = plan.circle.radius_m, aircraft.ground_speed_m_s
     min_m = min(speed_m_s**2 / (GRAVITY_M_S2 * math.tan(bank_max_rad)), radius_m)
     state = dead_reckoned(aircraft, _RESPONSE_S, 1.0 / min_m)

@@ -42,11 +42,7 @@ class Suspicion:
         self.active = False
 
     def is_confirmed_by(self, link_s: float) -> bool:
-        """Process a report that does not fit.
-
-        Returns:
-            Whether it proves that another operator is in command.
-        """
+        """Process a report that does not fit; return whether it proves that another operator is in command."""
         self.active = True
         while self._reports_s and link_s - self._reports_s[0] > _REMEMBERED_S:
             self._reports_s.popleft()

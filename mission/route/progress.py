@@ -86,11 +86,7 @@ class RouteFollower:
         self._way, self._at_s = way_of(route), -math.inf
 
     def update(self, target: TargetEstimate) -> RouteProgress | None:
-        """Process an estimate, in order of time.
-
-        Returns:
-            The progress; None if less than a second has passed since the last one.
-        """
+        """Process an estimate, in order of time; None if less than a second has passed since the last one."""
         if target.time_s < self._at_s + _UPDATE_S:
             return None
         self._at_s = target.time_s

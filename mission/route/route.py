@@ -86,9 +86,6 @@ def route_of(
         north_m: North of the way points (n,).
         lap: Whether the last way point connects to the first one.
 
-    Returns:
-        The route.
-
     Raises:
         ValueError: There are fewer than two different points, or a coordinate is out of range.
     """

@@ -53,16 +53,13 @@ class Fences:
         return not union_all(without_holes).buffer(-radius_m - self._margin_m).is_empty
 
     def rejection(self, plan: Plan, height_m: float) -> str | None:
-        """Return which part of a plan breaks which fence.
+        """Return in words which part of a plan breaks which fence; None if no fence is broken.
 
         The whole transition and the whole circle are checked; of a plan without a transition the circle alone, as the
         autopilot's path to it is unknown.
 
         Args:
             height_m: Height above home of a plan without heights, m.
-
-        Returns:
-            In words; None if no fence is broken.
         """
         if self._floor_m is not None and height_m < self._floor_m:
             return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"

@@ -167,8 +167,7 @@ class _Problem:
 def _shifted(problem: _Problem, waypoints: FloatArray, tolerance_m: float) -> tuple[FloatArray, float]:
     """Shift the waypoints square to the line by Gauss-Newton steps, weighted to where the deviation is greatest.
 
-    Returns:
-        The waypoints, and how far the model flies from the planned line at most, m.
+    Returns them, and how far the model flies from the planned line at most, m.
     """
     right_m, worst_m = problem.deviations_m(waypoints)
     normals = problem.normals(waypoints)
@@ -343,11 +342,7 @@ class MissionLayout:
         return replace(self, first=index) if index in self else self
 
     def with_line(self, line: Sequence[MissionItem]) -> MissionLayout:
-        """Return the mission with the present path in place and another path as the next one.
-
-        Returns:
-            The layout; its first item is the start of the next path.
-        """
+        """Return the mission with the present path in place and another path, its first item, as the next one."""
         fits = len(line) <= self.first - self.head
         first = self.head if fits else self.end
         end = first + len(line)

@@ -72,13 +72,10 @@ class LineTracking:
     def fly(
         self, start: LinePoint, waypoints: Sequence[Point] | FloatArray, circle: Circle, duration_s: float
     ) -> FloatArray:
-        """Return the path that the autopilot flies through waypoints to a circle.
+        """Return rows (n, 3) of time s, east m and north m: what the autopilot flies through waypoints to a circle.
 
         Args:
             waypoints: Waypoints (east, north), m, (k, 2).
-
-        Returns:
-            Rows of (time s, east m, north m), (n, 3).
         """
         places = np.asarray(waypoints, float).reshape(-1, 2)
         return kernel.flown(start, places, circling_of(circle), self._guidance, duration_s)

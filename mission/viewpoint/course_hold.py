@@ -47,11 +47,7 @@ class CourseHold:
         self._memories = kernel.fresh_memory(1.0)
 
     def update(self, target: TargetEstimate) -> float | None:
-        """Process an estimate.
-
-        Returns:
-            Course to watch from, rad; None until the target has moved.
-        """
+        """Process an estimate; return the course to watch from, rad, None until the target has moved."""
         now = known(target)
         course_rad, _ = kernel.courses_of(Estimates(now, now), 0.0, self._memories)
         return None if math.isnan(course_rad) else course_rad
