@@ -204,12 +204,3 @@ def climbing_clearance_m(
         if height_m >= to_m:
             break
     return clearance_m
-
-
-@compiled
-def mean_height(grid: Grid, east_m: FloatArray, north_m: FloatArray) -> float:
-    """Return the mean height of the ground at places (n,); NaN if any is not known."""
-    total_m = 0.0
-    for i in range(east_m.size):
-        total_m += height_and_slope(grid, east_m[i], north_m[i])[0]
-    return total_m / east_m.size

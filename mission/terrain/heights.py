@@ -27,9 +27,9 @@ from sidelong.estimators.terrain.ground_kernel import (
     Raster,
     climbing_clearance_m,
     height_and_slope,
+    heights_at,
     highest_along,
     highest_at,
-    mean_height,
 )
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
@@ -92,7 +92,9 @@ class FlightHeights:
         if rules.above == "home":
             return self._fixed(plan, floor_m, line_floor_m, flown_m)
         watched_m = math.nan if target_m is None else height_and_slope(self._grid, *target_m)[0]
-        wanted_m = rules.height_m + (mean_height(self._grid, *ring) if math.isnan(watched_m) else watched_m)
+        wanted_m = rules.height_m + (
+            float(heights_at(self._grid, *ring).mean()) if math.isnan(watched_m) else watched_m
+        )
         low_m = max(floor_m, wanted_m - _HEIGHT_SLACK * rules.height_m)
         high_m = max(low_m, wanted_m + _HEIGHT_SLACK * rules.height_m)
         if flown_m is None:
