@@ -73,7 +73,10 @@ class Separation:
                 continue
             flat_m = math.sqrt(self.min_m**2 - vertical_m**2)
             if own is None:
-                own = _places(aircraft, present or plan, plan, wind, airspeed_m_s, _duration_s(plan, airspeed_m_s))
+                # A plan is followed for its transition and a lap.
+                duration_s = (plan.transition_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s
+                count = 1 + round(min(duration_s, _LONGEST_S) / _STEP_S)
+                own = flown_places(aircraft, present or plan, plan, wind, airspeed_m_s, _STEP_S, count)
             apart_m = self._least_m(own, aircraft.time_s, other, neighbour, wind, vertical_m, airspeed_m_s)
             if apart_m < self.min_m:
                 return f"it would come within {apart_m:.0f} m of {name}"
@@ -127,9 +130,8 @@ class Separation:
         else:
             speed_m_s = airspeed_of(state, wind)
             late = max(0, round(lag_s / _STEP_S))  # their places are counted from their own report
-            theirs = _places(state, neighbour.present, neighbour.coming, wind, speed_m_s, _STEP_S * (n - 1 + late))[
-                :, late:
-            ]
+            plans = neighbour.present, neighbour.coming
+            theirs = flown_places(state, *plans, wind, speed_m_s, _STEP_S, n + late)[:, late:]
         growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
         ours, theirs = np.ascontiguousarray(own[:, :n]), np.ascontiguousarray(theirs)
         return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
@@ -156,17 +158,6 @@ def flown_places(
         found,
     )
     return found
-
-
-def _places(
-    state: AircraftState, present: Plan, coming: Plan | None, wind: Wind, speed_m_s: float, duration_s: float
-) -> FloatArray:
-    return flown_places(state, present, coming, wind, speed_m_s, _STEP_S, 1 + round(duration_s / _STEP_S))
-
-
-def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
-    """Return how long a plan is followed: its transition and a lap."""
-    return min((plan.transition_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s, _LONGEST_S)
 
 
 def airspeed_of(state: AircraftState, wind: Wind) -> float:

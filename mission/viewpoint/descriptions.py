@@ -10,11 +10,6 @@ _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "w
 _SAME_PLACE_M = 3.0
 
 
-def compass_word(bearing_rad: float) -> str:
-    """Return the nearest of the eight compass directions in words."""
-    return _WINDS[round(bearing_rad / (math.pi / 4)) % 8]
-
-
 def describe_new_circle(old: Circle, new: Circle) -> str:
     """Return where one circle lies from another in words."""
     return describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
@@ -24,4 +19,5 @@ def describe_move(east_m: float, north_m: float) -> str:
     """Return a shift in words: ``212 m east``."""
     if math.hypot(east_m, north_m) < _SAME_PLACE_M:
         return "on to the same circle"
-    return f"{math.hypot(east_m, north_m):.0f} m {compass_word(math.atan2(east_m, north_m))}"
+    direction = _WINDS[round(math.atan2(east_m, north_m) / (math.pi / 4)) % 8]
+    return f"{math.hypot(east_m, north_m):.0f} m {direction}"
