@@ -18,9 +18,8 @@ from sidelong.app.errors import InputError
 from sidelong.app.records.animation import animated_svg
 from sidelong.app.records.track import ROUTE_POINTS, FlownTrack, PositionTrack, ring
 from sidelong.estimators.estimate import TargetEstimate
-from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT
+from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, plan_file
 from sidelong.mission.upload.mission_item import MissionItem, e7
-from sidelong.mission.upload.plan_file import plan_file
 
 _KML = "http://www.opengis.net/kml/2.2"
 _KML_COLOURS = {"aircraft": "ff0080ff", "target": "ff0000ff", "circle": "ffffaa00", "route": "8000d7ff"}

@@ -13,9 +13,8 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.paper.transition import abcd
-from sidelong.mission.upload.items import circle_item, plan_items
+from sidelong.mission.upload.items import circle_item, plan_file, plan_items
 from sidelong.mission.upload.mission_item import MissionItem
-from sidelong.mission.upload.plan_file import plan_file
 
 PLANE = LocalPlane(47.4, 8.5)
 OUTLINE = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]

@@ -12,8 +12,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.paper.transition import abcd
-from sidelong.mission.upload.items import circle_item, plan_items
-from sidelong.mission.upload.plan_file import plan_file
+from sidelong.mission.upload.items import circle_item, plan_file, plan_items
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)
