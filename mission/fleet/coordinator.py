@@ -118,16 +118,16 @@ class Proximity:
         self, now_s: float, fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]
     ) -> dict[str, str]:
         """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to."""
-        flying = [one for one in _all_of(fleet, foreign) if one.height_m >= _AIRBORNE_M]
-        flying.sort(key=lambda one: (one.vehicle is None, -one.height_m, one.name))
+        flying = [craft for craft in _all_of(fleet, foreign) if craft.height_m >= _AIRBORNE_M]
+        flying.sort(key=lambda craft: (craft.vehicle is None, -craft.height_m, craft.name))
         for upper, lower in combinations(flying, 2):
             if upper.vehicle is not None:
                 self._compare(now_s, upper, lower)
-        self._pairs = {key: one for key, one in self._pairs.items() if now_s - one.seen_s < CLEAR_AFTER_S}
+        self._pairs = {key: pair for key, pair in self._pairs.items() if now_s - pair.seen_s < CLEAR_AFTER_S}
         raised: dict[str, str] = {}
-        for one in self._pairs.values():
-            if one.text:
-                raised[one.upper] = f"{raised[one.upper]}; {one.text}" if one.upper in raised else one.text
+        for pair in self._pairs.values():
+            if pair.text:
+                raised[pair.upper] = f"{raised[pair.upper]}; {pair.text}" if pair.upper in raised else pair.text
         return raised
 
     def _compare(self, now_s: float, upper: _Flying, lower: _Flying) -> None:
@@ -149,12 +149,12 @@ class Proximity:
     def _crosses(self, upper: _Flying, lower: _Flying) -> bool:
         vertical_m = abs(upper.height_m - lower.height_m)
         circles = [
-            one.vehicle.plans.present.circle
-            for one in (upper, lower)
-            if one.vehicle is not None
-            and one.vehicle.role is not Role.LEAVE
-            and one.vehicle.plans is not None
-            and one.vehicle.plans.present is not None
+            craft.vehicle.plans.present.circle
+            for craft in (upper, lower)
+            if craft.vehicle is not None
+            and craft.vehicle.role is not Role.LEAVE
+            and craft.vehicle.plans is not None
+            and craft.vehicle.plans.present is not None
         ]
         return (
             vertical_m < MIN_SEPARATION_M
@@ -164,17 +164,17 @@ class Proximity:
 
 
 def _all_of(fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]) -> Iterator[_Flying]:
-    for one in fleet:
-        if one.report is not None and not one.yielded:
-            yield _Flying(one.member.name, one.report.state, one.report.height_m, one)
+    for vehicle in fleet:
+        if vehicle.report is not None and not vehicle.yielded:
+            yield _Flying(vehicle.member.name, vehicle.report.state, vehicle.report.height_m, vehicle)
     for other in foreign:
         yield _Flying(other.identity, other.state, other.height_m, None, other.member)
 
 
-def _apart_m(now_s: float, one: _Flying, other: _Flying) -> float:
+def _apart_m(now_s: float, first: _Flying, other: _Flying) -> float:
     """Return the distance at ``now_s`` by the latest reports, m; infinite where a report is too old."""
     places = []
-    for state in (one.state, other.state):
+    for state in (first.state, other.state):
         age_s = now_s - state.time_s
         if age_s > _REPORT_MAX_AGE_S:
             return math.inf
@@ -182,7 +182,7 @@ def _apart_m(now_s: float, one: _Flying, other: _Flying) -> float:
         places.append(
             (state.east_m + gone_m * math.sin(state.course_rad), state.north_m + gone_m * math.cos(state.course_rad))
         )
-    return math.hypot(math.dist(*places), one.height_m - other.height_m)
+    return math.hypot(math.dist(*places), first.height_m - other.height_m)
 
 
 _REASONS = {
@@ -267,26 +267,26 @@ class FleetCoordinator:
         targets: Sequence[FleetTarget],
         make_judge: MakeJudge,
     ) -> None:
-        names = [one.name for one in members]
-        if len(set(names)) < len(names) or len({one.name for one in targets}) < len(targets):
+        names = [member.name for member in members]
+        if len(set(names)) < len(names) or len({target.name for target in targets}) < len(targets):
             raise ValueError("every aircraft and every target needs a name of its own")
         if not targets or not members:
             raise ValueError("a fleet needs an aircraft and a target")
         self._vehicles = {
-            one.name: FleetVehicle(one, target=own, watches=own)
-            for one in members
-            for own in (one.target or targets[0].name,)
+            member.name: FleetVehicle(member, target=own, watches=own)
+            for member in members
+            for own in (member.target or targets[0].name,)
         }
-        self._targets = {one.name: one for one in targets}
-        payloads = {one.name: one.tracker for one in members}
-        self._tracks = {one.name: JointTrack(payloads) for one in targets}
-        for one in targets:
-            if one.requirement.either_side or one.requirement.sector is not None:
+        self._targets = {target.name: target for target in targets}
+        payloads = {member.name: member.tracker for member in members}
+        self._tracks = {target.name: JointTrack(payloads) for target in targets}
+        for target in targets:
+            if target.requirement.either_side or target.requirement.sector is not None:
                 raise ValueError("several aircraft share the sides of a target: side has to be left or right")
         self._judges = RoleJudges(make_judge)
-        for one in targets:
-            self._ask(one.name, one.requirement)
-        self._assignments = {one.name: RoleAssignment() for one in targets}
+        for target in targets:
+            self._ask(target.name, target.requirement)
+        self._assignments = {target.name: RoleAssignment() for target in targets}
         self._estimates: Mapping[str, TargetEstimate | None] = {}  # as of the last second
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._proximity = Proximity()
@@ -319,7 +319,7 @@ class FleetCoordinator:
     @property
     def roles(self) -> Mapping[str, tuple[str, Role]]:
         """Each aircraft's target and role."""
-        return {name: (one.target, one.role) for name, one in self._vehicles.items()}
+        return {name: (vehicle.target, vehicle.role) for name, vehicle in self._vehicles.items()}
 
     # -- the step ---------------------------------------------------------------------------------------------
 
@@ -373,8 +373,8 @@ class FleetCoordinator:
         if abs(clock.step_s) < _STEP_MAX_S:
             return True
         now_s = clock.mission_s(clock.at_s) + clock.step_s
-        others = (one.clock for one in self._vehicles.values() if one is not vehicle and not one.lost)
-        return any(abs(one.mission_s(one.at_s) - now_s) < _STEP_MAX_S for one in others if not one.step_s)
+        others = (other.clock for other in self._vehicles.values() if other is not vehicle and not other.lost)
+        return any(abs(other.mission_s(other.at_s) - now_s) < _STEP_MAX_S for other in others if not other.step_s)
 
     def _reported(self, vehicle: FleetVehicle, event: VehicleReported) -> None:
         if not vehicle.clock.known:
@@ -449,7 +449,7 @@ class FleetCoordinator:
             vehicle.lost, vehicle.yielded = reason, yielded
             self._say(vehicle.member.name, f"is out: {reason}")
             self._next_s = -math.inf  # the others close the gap at once
-            if not any(one.takes_part for one in self._vehicles.values() if one.target == vehicle.target):
+            if not any(other.takes_part for other in self._vehicles.values() if other.target == vehicle.target):
                 self._launch_reserve(f"{vehicle.member.name} is out", vehicle.target)
 
     def _asked_for(self, event: ReliefRequested | SideRequested | RequirementReported | TargetRouteGiven) -> None:
@@ -512,7 +512,9 @@ class FleetCoordinator:
         self._relieve(estimates)
         too_near = self._proximity.watch(self._now_s, self._vehicles.values(), self._foreign.values())
         self._foreign = {
-            key: one for key, one in self._foreign.items() if self._now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S
+            key: craft
+            for key, craft in self._foreign.items()
+            if self._now_s - craft.mission_time_s < _FOREIGN_FORGOTTEN_S
         }
         for vehicle in self._vehicles.values():
             if vehicle.report is not None:
@@ -533,19 +535,19 @@ class FleetCoordinator:
             estimate = estimate if self._tracks[target].is_led else None
         ours = [
             Neighbour(
-                one.member.name,
-                shifted_state(one.report.state, by_s),
-                one.report.height_m,
+                other.member.name,
+                shifted_state(other.report.state, by_s),
+                other.report.height_m,
                 True,
-                one.target,
-                one.role,
+                other.target,
+                other.role,
             )
-            for one in self._vehicles.values()
-            if one is not vehicle and one.report is not None and not one.yielded
+            for other in self._vehicles.values()
+            if other is not vehicle and other.report is not None and not other.yielded
         ]
         others = [
-            Neighbour(one.identity, shifted_state(one.state, by_s), one.height_m, False)
-            for one in self._foreign.values()
+            Neighbour(craft.identity, shifted_state(craft.state, by_s), craft.height_m, False)
+            for craft in self._foreign.values()
         ]
         return FleetAdvice(
             self._now_s + by_s,
@@ -583,23 +585,30 @@ class FleetCoordinator:
     def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         """Give the aircraft out to the targets that are seen, as evenly as can be."""
         known = {
-            name: one for name, one in estimates.items() if one is not None and one.quality is not TrackQuality.LOST
+            name: estimate
+            for name, estimate in estimates.items()
+            if estimate is not None and estimate.quality is not TrackQuality.LOST
         }
-        free = [one for one in self._vehicles.values() if one.takes_part and estimates[one.target] is not None]
+        free = [
+            vehicle
+            for vehicle in self._vehicles.values()
+            if vehicle.takes_part and estimates[vehicle.target] is not None
+        ]
         if len(self._targets) < 2 or not known or not free:
             return
         costs = [
-            [self._judges.costs_from_afar(one, name, estimate) for name, estimate in known.items()] for one in free
+            [self._judges.costs_from_afar(vehicle, name, estimate) for name, estimate in known.items()]
+            for vehicle in free
         ]
-        at = [one.target for one in free]
+        at = [vehicle.target for vehicle in free]
         given, gained_s = spread_over(list(known), costs, at, _REASSIGN_COST_S)
         self._gains_since_s = min(self._gains_since_s, self._now_s) if gained_s > 0.0 else math.inf
         if math.isfinite(gained_s) and self._now_s - self._gains_since_s < _REASSIGN_AFTER_S:
             return
-        for one, target in zip(free, given, strict=True):
-            if one.target != target:
-                one.target = target
-                self._say(one.member.name, f"goes to {target}")
+        for vehicle, target in zip(free, given, strict=True):
+            if vehicle.target != target:
+                vehicle.target = target
+                self._say(vehicle.member.name, f"goes to {target}")
 
     def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
         if estimate is None or estimate.quality is TrackQuality.LOST:
@@ -634,18 +643,18 @@ class FleetCoordinator:
             if not vehicle.takes_part or not self._is_to_be_relieved(vehicle):
                 continue
             others = [
-                one
-                for one in self._vehicles.values()
-                if one is not vehicle and one.target == vehicle.target and one.takes_part
+                other
+                for other in self._vehicles.values()
+                if other is not vehicle and other.target == vehicle.target and other.takes_part
             ]
             vehicle.role = Role.WANTED  # with who takes over, until that one is there
             estimate, wanted = estimates[vehicle.target], self._targets[vehicle.target].requirement
             course_rad = self._judges.course_rad(vehicle.target)
             if estimate is not None and any(
-                one.role is Role.WANTED
-                and one.report is not None
-                and is_on_station(one.report.state, estimate, wanted, course_rad)
-                for one in others
+                other.role is Role.WANTED
+                and other.report is not None
+                and is_on_station(other.report.state, estimate, wanted, course_rad)
+                for other in others
             ):
                 self._leave(vehicle, "another aircraft has taken over")
             elif vehicle.remaining < _LEAVE_BELOW:
