@@ -86,27 +86,22 @@ class Watch:
     # -- as the flight's display -----------------------------------------------------------------------------
 
     def note(self, text: str) -> None:
-        """Take a message about the progress."""
         self._note(text)
 
     def say(self, announcement: Announce) -> None:
-        """Take an announcement."""
         self._note(announcement.text)
 
     def show(self, snapshot: Present) -> None:
-        """Take the state."""
         self._snapshot = snapshot
         self._news.set()
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
-        """Take the local plane, and the receiver of requests."""
         self.plane, self._request = plane, request
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         """Learn that watching has begun."""
 
     def ended(self, flown: FlightEnded | None, error: BaseException | None) -> None:
-        """Take how it ended."""
         self.summary = flown.summary if flown is not None and isinstance(flown.summary, Summary) else None
         self._error = error or (None if flown is None else flown.reason)
         self._over, self._request = True, None

@@ -52,7 +52,6 @@ _PARTS = "rest", "search and filter"  # of the first compilation, each in a proc
 
 
 def tracker_of(config: Config) -> Tracker:
-    """Return the target tracker for the configured sensors."""
     settings = tracker_settings(config.sensors, config.planner.lost_after_s)
     # A gimbal that follows the estimate shows where that is, whenever it was made.
     return Tracker(replace(settings, latency_sigma_s=0.0) if config.payload.point_gimbal else settings)
@@ -64,7 +63,6 @@ def _track_of(config: Config) -> Track:
 
 
 def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSettings:
-    """Return the tracker's settings for the configured sensors."""
     mount = sensors.mount_deg
 
     def chosen(component_id: int | None) -> SourceChoice | None:
@@ -144,7 +142,6 @@ def prepared(
     """Compile and compute ahead what the control step of a configuration needs.
 
     Args:
-        config: The configuration of one aircraft.
         progress: Receives the share (0 to 1) of the value table's computation, which takes seconds.
         announce: Receives a sentence before the compilation, which takes up to a minute, once for each version.
         kind: The kind of planner; None for the configured one, for an aircraft that flies alone.
@@ -168,8 +165,6 @@ def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None])
     What one of them fails to compile is compiled in this process when it is first called.
 
     Args:
-        config: The configuration.
-        kind: The kind of planner.
         announce: Receives a sentence with the share that is done, of the functions that most flights need.
     """
     announced = -1
@@ -226,7 +221,6 @@ def winds_m_s(config: Config) -> list[float]:
 
 
 def planner_needs(config: Config, progress: Callable[[float], None]) -> PlannerNeeds:
-    """Return what a planner of a configuration may be made of."""
     return PlannerNeeds(
         config.aircraft.aircraft(),
         config.requirement.requirement(),
@@ -365,8 +359,6 @@ def ground_of(config: Config, plane: LocalPlane, home_deg: HomeDeg) -> Ground | 
     """Return the ground about home, None where no elevation data is configured.
 
     Args:
-        config: The configuration.
-        plane: The local plane.
         home_deg: Latitude and longitude of home; None if it is not known: it is then taken at the plane's origin.
 
     Raises:

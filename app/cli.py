@@ -78,10 +78,6 @@ class _Commands(TyperGroup):
 def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
     """Return the lines of ``--help`` for arguments and options, by group.
 
-    Args:
-        command: A command of :func:`load_command`.
-        context: Its click context.
-
     Returns:
         (name, help) of each argument and option, by the group's title, in the order of their definition.
     """

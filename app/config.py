@@ -26,8 +26,7 @@ from pydantic_core import ErrorDetails
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM
 from sidelong.app.network import NetworkAddress
-from sidelong.app.payload.address import checked_payload_url
-from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
+from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, checked_payload_url
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from sidelong.app.records.text_file import read_toml
 from sidelong.app.sharing.contact import is_contact
@@ -186,7 +185,6 @@ class AircraftSection(Section):
     """Descent rate it reaches, m/s."""
 
     def aircraft(self) -> Aircraft:
-        """Return the planner's view of it."""
         return Aircraft(
             self.airspeed_m_s,
             self.radius_m,
@@ -227,7 +225,6 @@ class RequirementSection(Section):
         return self
 
     def requirement(self) -> Requirement:
-        """Return the planner's view of it."""
         plain = Requirement(
             self.range_min_m,
             self.range_max_m,
@@ -456,7 +453,6 @@ class RouteSection(Section):
 
     @property
     def is_known(self) -> bool:
-        """Whether there is a route."""
         return self.file is not None or self.system_id is not None
 
 
@@ -584,7 +580,6 @@ class Config(Section):
 
     @property
     def radius_words(self) -> float | str:
-        """The radius as configured."""
         return "auto" if self._radius_fits else self.aircraft.radius_m
 
     def wind_problem(self, airspeed_m_s: float) -> str:

@@ -36,10 +36,6 @@ def check_single(config: Config) -> list[str]:
 def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> list[str]:
     """Raise InputError, which names the field, if a file or mode cannot be used or a fence is no polygon.
 
-    Args:
-        config: The configuration of one aircraft or of a fleet.
-        targets: Those of a fleet.
-
     Returns:
         What of the tracks and routes is not used, in words.
     """

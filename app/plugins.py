@@ -31,7 +31,6 @@ def with_plugins(
 
     Args:
         group: ``sidelong.planners``, ``sidelong.payloads`` or ``sidelong.autopilots``.
-        own: Those of this distribution.
         methods: What each object needs to have, besides a name.
         taken: Names that are taken, besides those of ``own``.
         made: Makes the object of an entry point's name and what it loads; by default it calls a class.

@@ -101,8 +101,6 @@ class Judgement:
     """How each moment was: arrays of shape (n,).
 
     Attributes:
-        time_s: the times of the moments.
-        range_m: horizontal range.
         in_band: whether the range is allowed.
         on_side: whether the side is the required one; True where it is not known.
         on_side_now: the same by the target's present course.
@@ -138,15 +136,10 @@ class Score:
 
     Attributes:
         duration_s: the judged time.
-        time_in_band: fraction of time within the allowed range.
         time_on_side: fraction of time on the required side, of the time in which the side is known.
-        min_range_m: least horizontal range.
-        max_range_m: greatest horizontal range.
         source: what the target's positions are: the truth, or the estimate of the flight itself.
         time_unknown: fraction of time in which the flight could not judge itself.
         time_on_side_now: as ``time_on_side``, by the target's present course.
-        moves: departures to another circle within the judged time.
-        reversals: moves within 10 s of the last one.
     """
 
     duration_s: float
@@ -218,8 +211,6 @@ def score(
     """Sum up a judgement.
 
     Args:
-        judged: the moments, in order of time.
-        source: what the target's positions are.
         departures_s: when plans departed to another circle, ascending.
         end_s: until when the last moment counts; None: it does not count.
         known: whether each moment's inputs were sound, shape (n,); None: the truth is known.

@@ -97,7 +97,6 @@ class Truth:
 
         Args:
             places: Time, s, and position east and north of the aircraft, m.
-            plane: Plane of the positions.
 
         Raises:
             InputError: The aircraft is elsewhere in it.
@@ -158,7 +157,6 @@ def truth_if_whole(path: Path | None, until_s: float, announce: Callable[[str], 
     """Return the truth of a run that has ended.
 
     Args:
-        path: The truth file; None if there is none.
         until_s: When the run ended, by the vehicle's clock.
         announce: Called with the reason if the truth cannot be used.
 

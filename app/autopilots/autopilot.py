@@ -21,9 +21,6 @@ class Release:
     """A firmware release.
 
     Attributes:
-        major: First number.
-        minor: Second number.
-        patch: Third number.
         stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
         commit: First digits of the source's commit, "" where it is not reported. Releases are compared without it.
     """
@@ -80,7 +77,6 @@ class Parameter:
 
     Attributes:
         name: Its name in those releases.
-        purpose: What it is read for.
         key: What the rest of the program calls it: its name in the newest release. Empty: ``name``.
         unit: One unit of this parameter in units of ``key``, for example 0.01 for cm/s where ``key`` is in m/s.
         since: First release that has it.
@@ -98,7 +94,6 @@ class Parameter:
 
     @property
     def known_as(self) -> str:
-        """Its key."""
         return self.key or self.name
 
     def is_in(self, release: Release | None) -> bool:
@@ -160,7 +155,6 @@ class ParameterTable:
         )
 
     def found_for(self, purpose: Purpose) -> str:
-        """Return what is known for a purpose, as text."""
         serving = (one for one in self._listed if one.purpose is purpose)
         return "; ".join(
             f"{one.name} = {self.read[one.name]:g}" if one.name in self.read else f"{one.name} is not reported"
@@ -208,7 +202,6 @@ class SupportedReleases:
     """The releases of an autopilot that can be flown.
 
     Attributes:
-        oldest: First one.
         newest: Last series whose parameters and protocol are known.
         older_lack: What releases before ``oldest`` lack, as the end of a sentence.
     """

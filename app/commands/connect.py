@@ -25,9 +25,8 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.link.transport import checked_url
-from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.pan_limits import contradiction, pan_words
-from sidelong.app.payload.registry import KIND_NAMES
+from sidelong.app.payload.registry import KIND_NAMES, read_payload
 from sidelong.app.payload.session import PayloadStatus
 from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing
@@ -68,10 +67,7 @@ def connect(
     """
     checked_output(json)
     payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
-    of_options: Overrides = {
-        "payload": {"kind": payload_kind, "url": payload_url},
-        "link": {"urls": urls or None},
-    }
+    of_options: Overrides = {"payload": {"kind": payload_kind, "url": payload_url}, "link": {"urls": urls or None}}
     overrides = changed_keys(set_, of_options)
     if not names_a_fleet(config):
         settings = load_config(config, overrides)

@@ -12,8 +12,8 @@ import typer
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_name
-from sidelong.app.commands.output import checked_file, say, warn_of_log, writing
-from sidelong.app.commands.progress import share_progress
+from sidelong.app.commands.options import ConfigOption
+from sidelong.app.commands.output import checked_file, say, share_progress, warn_of_log, writing
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.export import MISSIONS, Format
@@ -22,8 +22,7 @@ from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.klv import KlvLog
 from sidelong.app.records.log import open_log
 from sidelong.app.records.log_context import LogContext
-from sidelong.app.records.mcap import LAYOUT, McapLog
-from sidelong.app.records.mcap_writer import McapWriter
+from sidelong.app.records.mcap import LAYOUT, McapLog, McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.records.text_file import whole_file
 from sidelong.app.records.track import FlownTrack, Mission
@@ -38,7 +37,7 @@ def export(
     source: Annotated[Path, typer.Argument(help="A run folder of ours, or a tlog, PX4 ULog or ArduPilot .bin.")],
     wanted: Annotated[Format, typer.Option("--format", help="What to write.")] = Format.KML,
     out: Annotated[Path | None, typer.Option("--out", help="The file; otherwise next to the source.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
+    config: ConfigOption = None,
 ) -> None:
     """Write a flight for other programs.
 
@@ -112,7 +111,6 @@ class _Aircraft(NamedTuple):
     context: LogContext
 
     def feed(self, sink: Sink) -> None:
-        """Feed all events and commands of the flight to the sink."""
         with share_progress(f"writing {self.name or self.source.name}") as progress:
             feed(self.source, sink, progress)
 

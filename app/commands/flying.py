@@ -12,8 +12,7 @@ from pathlib import Path
 
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.assembly import Prepared, prepared
-from sidelong.app.commands.output import console, say, warn
-from sidelong.app.commands.progress import table_progress
+from sidelong.app.commands.output import console, say, table_progress, warn
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
@@ -90,7 +89,6 @@ async def _recorded(
 
 
 def _aircraft(config: Config, folder: RunFolder, display: FlightDisplay, name: str, reserve: bool) -> FlyingAircraft:
-    """Return one of the aircraft to fly, with its records."""
     loop = asyncio.get_running_loop()
 
     def trouble(text: str) -> None:

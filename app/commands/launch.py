@@ -7,9 +7,20 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from sidelong.app.commands.options import MAP, OUTPUT, Overrides, RadiusOption, SetOption, changed_keys, panel
+from sidelong.app.commands.options import (
+    MAP,
+    OUTPUT,
+    AirspeedOption,
+    ConfigArgument,
+    Overrides,
+    PlannerOption,
+    RadiusOption,
+    SetOption,
+    TargetSpeedOption,
+    TerrainOption,
+    changed_keys,
+    panel,
+)
 from sidelong.app.commands.output import (
     JsonOption,
     checked_output,
@@ -38,11 +49,8 @@ from sidelong.app.errors import InputError, missing_package
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
 from sidelong.app.link.transport import checked_url
-from sidelong.app.payload.address import read_payload
-from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
-from sidelong.app.planners.registry import PLANNER_NAMES
+from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, read_payload
 from sidelong.app.process import heed_interrupts
-from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
 from sidelong.app.view.address import PageAddress, free_port, is_desktop, page_address
 
@@ -60,7 +68,7 @@ _DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive
 
 
 def launch(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
+    config: ConfigArgument = None,
     fleet: Annotated[int | None, _MISSION(min=1, max=MAX_AIRCRAFT, help="Number of aircraft for one target.")] = None,
     connect: Annotated[
         list[str] | None,
@@ -88,8 +96,8 @@ def launch(
     track: Annotated[
         str | None, _SIMULATION(metavar="NAME", help="Which of several tracks in the file of --target to use.")
     ] = None,
-    target_speed: Annotated[float | None, _MISSION(help="Highest speed to expect of the target, m/s.")] = None,
-    airspeed: Annotated[float | None, _MISSION(help="Airspeed while circling, m/s.")] = None,
+    target_speed: TargetSpeedOption = None,
+    airspeed: AirspeedOption = None,
     radius: RadiusOption = None,
     duration: Annotated[
         float, _MISSION(min=1.0, max=1e6, help="Watch this long, s of the vehicle's time.")
@@ -102,7 +110,7 @@ def launch(
     autopilot: Annotated[
         str | None, _SIMULATION(help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.")
     ] = None,
-    planner: Annotated[str | None, _MISSION(help=f"{' or '.join(PLANNER_NAMES)}.")] = None,
+    planner: PlannerOption = None,
     view: Annotated[
         bool | None, MAP("--view/--no-view", help="Show a live map in the browser; by default in a desktop session.")
     ] = None,
@@ -110,9 +118,7 @@ def launch(
     mcap: Annotated[
         bool, OUTPUT("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
     ] = False,
-    terrain: Annotated[
-        Path | None, _MISSION(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.")
-    ] = None,
+    terrain: TerrainOption = None,
     set_: SetOption = None,
     out: Annotated[Path, OUTPUT(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, OUTPUT("--quiet", help="Print the summary only.")] = False,
@@ -157,6 +163,8 @@ def launch(
     }
     overrides = changed_keys(set_, overrides)
     if mcap:
+        from sidelong.app.records.mcap import mcap_writer_class  # noqa: PLC0415  # it loads the filter
+
         mcap_writer_class()
     silent = quiet or str(json) == "-"
     settings = None

@@ -5,11 +5,13 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sidelong.app.errors import InputError
+from sidelong.app.planners.registry import PLANNER_NAMES
 
 Overrides = dict[str, dict[str, Any]]
 """Values of the configuration by section and key; None: not given."""
@@ -42,6 +44,15 @@ RadiusOption = Annotated[
 ]
 """A float, or "auto"."""
 
+AirspeedOption = Annotated[float | None, AIRCRAFT(help="Airspeed while circling, m/s.")]
+TargetSpeedOption = Annotated[float | None, AIRCRAFT(help="Highest speed to expect of the target, m/s.")]
+PlannerOption = Annotated[str | None, AIRCRAFT(help=f"{' or '.join(PLANNER_NAMES)}; else as configured.")]
+TerrainOption = Annotated[Path | None, AIRCRAFT(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.")]
+ConfigArgument = Annotated[Path | None, typer.Argument(help="Configuration (TOML).")]
+ConfigOption = Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")]
+TruthOption = Annotated[
+    Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -1,4 +1,4 @@
-"""What the commands write: on the terminal, and the JSON summary."""
+"""What the commands write: on the terminal, with the progress of long work, and the JSON summary."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 from typing import Annotated, Any, TextIO, cast
 
 from rich.console import Console
+from rich.markup import escape
 from rich.measure import Measurement
+from rich.progress import Progress
 from rich.table import Table
 
 from sidelong.app.commands.options import OUTPUT
 from sidelong.app.errors import InputError
+from sidelong.app.link.message import plain
 from sidelong.app.process import abandon
 from sidelong.app.records.text_file import write_text
 
@@ -181,3 +186,53 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_SHARE_EVERY_S = 10.0
+
+
+@contextmanager
+def share_progress(
+    name: str, clock_s: Callable[[], float] = monotonic, on: Console = console
+) -> Iterator[Callable[[float], None]]:
+    """Yield a function that takes the share 0..1 done: a bar, or without a terminal a line every ten seconds."""
+    bar = Progress(console=on, transient=True, disable=not on.is_terminal)
+    task = bar.add_task(escape(plain(name)), total=1.0)
+    announced_s = clock_s()
+
+    def advance(share: float) -> None:
+        nonlocal announced_s
+        bar.update(task, completed=share)
+        if bar.disable and clock_s() - announced_s >= _SHARE_EVERY_S:
+            announced_s = clock_s()
+            warn(f"{name}: {100.0 * share:.0f} %")
+
+    with bar:
+        yield advance
+
+
+def table_progress(announce: Callable[[str], None]) -> Callable[[float], None]:
+    """Return a callback that reports the progress of the value table's computation in steps of 25 %."""
+    printed = -1.0
+
+    def progress(share: float) -> None:
+        nonlocal printed
+        if printed < 0.0 or share - printed >= 0.25:
+            printed = share
+            announce(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
+
+    return progress
+
+
+@contextmanager
+def runs_progress(runs: int) -> Iterator[Callable[[int], None]]:
+    """Yield a function that takes how many runs are finished since the last call."""
+    flown = 0
+    with share_progress(f"{runs} runs", on=Console(stderr=True)) as advance:
+
+        def finished(count: int) -> None:
+            nonlocal flown
+            flown += count
+            advance(flown / runs)
+
+        yield finished

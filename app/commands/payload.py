@@ -18,11 +18,10 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.payload_input import PayloadRunner, driver_of
 from sidelong.app.link.transport import Transport, opened
 from sidelong.app.network import NetworkAddress
-from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.driver import Measured
 from sidelong.app.payload.messages import COMPONENT, fields_of, packed
 from sidelong.app.payload.pan_limits import pan_words
-from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
+from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, read_payload
 from sidelong.app.payload.session import PayloadStatus
 from sidelong.app.process import run
 from sidelong.estimators.rotations import sight_direction
@@ -50,7 +49,6 @@ def payload_values(status: PayloadStatus) -> dict[str, Any]:
 
 
 def payload_lines(name: str, status: PayloadStatus) -> list[str]:
-    """Return lines that begin with the payload's name."""
     values = payload_values(status)
     model = values["model"] or "model unknown"
     firmware = f", firmware {values['firmware']}" if values["firmware"] else ""
@@ -79,7 +77,6 @@ def payload_lines(name: str, status: PayloadStatus) -> list[str]:
 
 
 def degrees_of(limits_rad: tuple[float, float] | None) -> list[float] | None:
-    """Return limits in degrees."""
     return None if limits_rad is None else [round(math.degrees(limit_rad), 1) for limit_rad in limits_rad]
 
 

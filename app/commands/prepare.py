@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from sidelong.app.commands.options import SetOption, changed_keys
-from sidelong.app.commands.output import say
-from sidelong.app.commands.progress import table_progress
+from sidelong.app.commands.options import ConfigArgument, SetOption, changed_keys
+from sidelong.app.commands.output import say, table_progress
 from sidelong.app.config import check_alone, check_flyable, load_config
 
 
-def prepare(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None, set_: SetOption = None
-) -> None:
+def prepare(config: ConfigArgument = None, set_: SetOption = None) -> None:
     """Compile the inner loops and compute the planner's value tables, so that the next start takes seconds.
 
     Run it after each installation, as the user who flies. Machine code and tables are kept in the user's cache; set

@@ -24,14 +24,30 @@ from sidelong.app.analysis.summary import Summary, SummaryCollector, describe_ca
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.assembly import Prepared, mission_controller_of, prepared
 from sidelong.app.autopilots.registry import autopilot_by_name
-from sidelong.app.commands.options import MAP, OUTPUT, Overrides, SetOption, changed_keys
-from sidelong.app.commands.output import JsonOption, checked_output, console, say, warn_of_log, write_json
-from sidelong.app.commands.progress import share_progress, table_progress
+from sidelong.app.commands.options import (
+    MAP,
+    OUTPUT,
+    ConfigOption,
+    Overrides,
+    PlannerOption,
+    SetOption,
+    TruthOption,
+    changed_keys,
+)
+from sidelong.app.commands.output import (
+    JsonOption,
+    checked_output,
+    console,
+    say,
+    share_progress,
+    table_progress,
+    warn_of_log,
+    write_json,
+)
 from sidelong.app.config import Config, check_flyable, load_config, validated, with_values
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
-from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.view.address import PageAddress, page_address
@@ -50,11 +66,9 @@ _Wanted = tuple[Path | None, Overrides]
 
 def replay(
     log: Annotated[Path, typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.")],
-    truth: Annotated[
-        Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
-    planner: Annotated[str | None, typer.Option(help=f"Another planner: {' or '.join(PLANNER_NAMES)}.")] = None,
+    truth: TruthOption = None,
+    config: ConfigOption = None,
+    planner: PlannerOption = None,
     set_: SetOption = None,
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")

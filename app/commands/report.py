@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from sidelong.app.analysis.truth import read_truth
-from sidelong.app.commands.output import say, warn_of_log, writing
-from sidelong.app.commands.progress import share_progress
+from sidelong.app.commands.options import ConfigOption, TruthOption
+from sidelong.app.commands.output import say, share_progress, warn_of_log, writing
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, recording
 from sidelong.app.records.text_file import write_text
@@ -23,10 +23,8 @@ def report(
         typer.Option("--out", help="The page; otherwise report.html in the run folder, or next to the log."),
     ] = None,
     png: Annotated[Path | None, typer.Option(help="Write each figure into this folder as PNG too.")] = None,
-    truth: Annotated[
-        Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
+    truth: TruthOption = None,
+    config: ConfigOption = None,
 ) -> None:
     """Write one HTML file about a flight: paths, range, angles, errors, uploads, decisions. It opens offline.
 

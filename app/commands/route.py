@@ -12,8 +12,16 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from sidelong.app.commands.output import JsonOption, checked_file, checked_output, console, say, write_json, writing
-from sidelong.app.commands.progress import share_progress
+from sidelong.app.commands.output import (
+    JsonOption,
+    checked_file,
+    checked_output,
+    console,
+    say,
+    share_progress,
+    write_json,
+    writing,
+)
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.records.route_file import RoutePoints, read_route
 from sidelong.app.records.text_file import write_text
@@ -85,7 +93,6 @@ def route(
 
 
 def _values(found: Route, east_m: np.ndarray, north_m: np.ndarray, points: RoutePoints) -> dict[str, Any]:
-    """Return the numbers of a route, with warnings in words."""
     leg_m = np.hypot(np.diff(east_m), np.diff(north_m))
     gap_m = float(np.hypot(east_m[-1] - east_m[0], north_m[-1] - north_m[0]))
     near_m, share = _near_parts(found)

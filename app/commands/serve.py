@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sidelong.app.commands.options import MAP, SetOption, changed_keys
+from sidelong.app.commands.options import MAP, ConfigArgument, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, say, shielded_output, write_json
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_single
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def serve(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
+    config: ConfigArgument = None,
     connect: Annotated[list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.")] = None,
     view: Annotated[bool, MAP("--view", help="Serve the live map, which begins and ends watches, too.")] = False,
     set_: SetOption = None,

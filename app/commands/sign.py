@@ -1,18 +1,164 @@
-"""``sidelong sign``: a key for signed links, made here and given to a vehicle."""
+"""``sidelong sign``: a key for signed links, made here, given to a vehicle and removed from it (SETUP_SIGNING)."""
 
 from __future__ import annotations
 
+import ipaddress
+import queue
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.commands.output import console, say
-from sidelong.app.errors import InputError
-from sidelong.app.link.key_file import key_in_use, make_key, read_key
-from sidelong.app.link.key_setup import KeySetup, checked_local_url
-from sidelong.app.link.signing import signing_time
+from sidelong.app.errors import FlightError, InputError
+from sidelong.app.link.frames import Frame, FrameSplitter
+from sidelong.app.link.key_file import KeyInUse, key_in_use, make_key, read_key
+from sidelong.app.link.signing import KEY_BYTES, RADIO_STATUS_ID, LinkSigning, signing_time
+from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_INVALID
+from sidelong.app.link.transport import Peer, checked_url, opened
+
+_OWN = (245, 190)
+_LISTEN_S = 2.0  # for a radio: its status comes every second
+_TRIES, _TRY_S = 8, 1.0
+_ASKED_BACK_S = 1.0
+_AUTOPILOT = 1
+
+
+def checked_local_url(url: str) -> str:
+    """Return the URL as ``checked_url`` does. Raises InputError where the key would go over a network."""
+    scheme, _, rest = url.partition("://")
+    address = checked_url(url)
+    if scheme.startswith("serial"):
+        return address
+    host = address.partition("://")[2].rpartition(":")[0]
+    if not ipaddress.ip_address(host).is_loopback:
+        raise InputError(
+            f"{url!r}: a key is sent in the clear and only over a cable; connect the vehicle by USB "
+            f"(serial:///dev/ttyACM0:115200) or give a loopback address instead of {rest.rpartition(':')[0]}."
+        )
+    return address
+
+
+class KeySetup:
+    """A vehicle on a local link. Use as ``with``."""
+
+    def __init__(self, url: str, key: KeyInUse) -> None:
+        address = checked_local_url(url)
+        self._url, self._key = url, key
+        self._signing = LinkSigning(key.key, key.times, 0, _OWN)
+        self._packer = dialect.MAVLink(None, srcSystem=_OWN[0], srcComponent=_OWN[1])
+        self._splitters: dict[Peer, FrameSplitter] = {}
+        self._frames: queue.Queue[Frame] = queue.Queue()
+        try:
+            self._transport = opened(address)
+        except OSError as error:
+            raise InputError(f"{url!r} could not be opened ({error.strerror or error}); check the device.") from error
+
+    def __enter__(self) -> KeySetup:
+        self._transport.start(self._received)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._transport.close()
+
+    def _received(self, data: bytes, peer: Peer) -> bool:
+        frames = self._splitters.setdefault(peer, FrameSplitter()).split(data)
+        for frame in frames:
+            self._frames.put(frame)
+        return bool(frames)
+
+    # -- the two things to do ------------------------------------------------------------------------------
+
+    def give(self, timeout_s: float) -> bool:
+        """Set the key up; return whether the vehicle refuses on this very link what is unsigned.
+
+        Raises InputError where this must not be done now, FlightError when the vehicle does not take the key.
+        """
+        system_id = self._checked(timeout_s)
+        setup = dialect.MAVLink_setup_signing_message(
+            system_id, _AUTOPILOT, self._key.key.for_setup(), signing_time(time.time())
+        )
+        if not self._announced(setup, system_id, signed=False, proves=self._fresh):
+            raise FlightError(f"{self._url}: the vehicle does not sign with the key; does its firmware know signing?")
+        return not self._answers_unsigned(system_id)
+
+    def take_back(self, timeout_s: float) -> None:
+        """End signing on the vehicle. Raises as ``give`` does."""
+        system_id = self._checked(timeout_s)
+        setup = dialect.MAVLink_setup_signing_message(system_id, _AUTOPILOT, [0] * KEY_BYTES, 0)
+        if not self._announced(setup, system_id, signed=True, proves=lambda frame: not frame.signed):
+            raise FlightError(f"{self._url}: the vehicle still signs; is this the key that it was given?")
+
+    # -- steps ---------------------------------------------------------------------------------------------
+
+    def _checked(self, timeout_s: float) -> int:
+        """Return the vehicle's system id; refuse an armed vehicle, and one behind a radio."""
+        heartbeat = self._awaited(timeout_s, _is_autopilot)
+        if heartbeat is None:
+            raise InputError(f"{self._url!r}: no autopilot was received within {timeout_s:g} s; check the link.")
+        if self._awaited(_LISTEN_S, lambda frame: frame.message_id == RADIO_STATUS_ID) is not None:
+            raise InputError(f"{self._url!r} goes over a radio: a key is sent in the clear; use a cable.")
+        if heartbeat.payload.ljust(9, b"\0")[6] & ARMED_FLAG:
+            raise InputError("the vehicle is armed; disarm it first: a key is set up on the ground only.")
+        return heartbeat.system_id
+
+    def _announced(self, setup: Any, system_id: int, *, signed: bool, proves: Callable[[Frame], bool]) -> bool:
+        """Send until an autopilot's heartbeat proves that it was taken: the message itself is never answered."""
+        for _ in range(_TRIES):
+            self._send(setup, signed)
+            proof = self._awaited(
+                _TRY_S, lambda frame: _is_autopilot(frame) and frame.system_id == system_id and proves(frame)
+            )
+            if proof is not None:
+                return True
+        return False
+
+    def _answers_unsigned(self, system_id: int) -> bool:
+        version = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+        asked = dialect.MAVLink_command_long_message(
+            system_id, _AUTOPILOT, dialect.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0
+        )
+        self._send(asked, signed=False)
+        answer = dialect.MAVLINK_MSG_ID_COMMAND_ACK
+        return self._awaited(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
+
+    def _fresh(self, frame: Frame) -> bool:
+        with self._key.locked:
+            return self._signing.refusal(frame, signing_time(time.time())) is None
+
+    def _send(self, message: Any, signed: bool) -> None:
+        for each in (_heartbeat(), message):
+            data = Frame(each.pack(self._packer)).renumbered(self._packer.seq, signed=signed)
+            self._packer.seq = (self._packer.seq + 1) & 0xFF
+            if signed:
+                with self._key.locked:
+                    data = self._signing.signed(data, signing_time(time.time()))
+            self._transport.send(data)
+
+    def _awaited(self, timeout_s: float, wanted: Callable[[Frame], bool]) -> Frame | None:
+        end_s = time.monotonic() + timeout_s
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            try:
+                frame = self._frames.get(timeout=left_s)
+            except queue.Empty:
+                return None
+            if wanted(frame):
+                return frame
+        return None
+
+
+def _is_autopilot(frame: Frame) -> bool:
+    is_heartbeat = frame.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT and frame.component_id == _AUTOPILOT
+    return bool(is_heartbeat and frame.payload.ljust(9, b"\0")[5] != AUTOPILOT_INVALID)
+
+
+def _heartbeat() -> Any:
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+    )
 
 
 def sign(

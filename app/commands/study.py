@@ -14,7 +14,15 @@ from typing import Annotated, Any
 import typer
 from pydantic import Field, TypeAdapter, ValidationError
 
-from sidelong.app.commands.options import AIRCRAFT, OUTPUT, RadiusOption, SetOption, changed_keys, panel
+from sidelong.app.commands.options import (
+    AIRCRAFT,
+    OUTPUT,
+    AirspeedOption,
+    RadiusOption,
+    SetOption,
+    changed_keys,
+    panel,
+)
 from sidelong.app.commands.output import (
     JsonOption,
     checked_file,
@@ -22,10 +30,10 @@ from sidelong.app.commands.output import (
     console,
     latitude_longitude_deg,
     print_whole,
+    runs_progress,
     write_json,
     writing,
 )
-from sidelong.app.commands.progress import runs_progress
 from sidelong.app.config import load_config, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.study.benchmark import Benchmark, benchmark_table
@@ -34,7 +42,7 @@ from sidelong.app.study.fleet import FleetPlannerName
 from sidelong.app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from sidelong.app.study.measures import EXPLAINED
 from sidelong.app.study.parallel import Workers, on_cluster, on_processes
-from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.recorded import recorded_targets, route_next_to
 from sidelong.app.study.report import (
     export_runs,
     study_json,
@@ -43,7 +51,6 @@ from sidelong.app.study.report import (
     study_title,
     sweep_table,
 )
-from sidelong.app.study.routes import route_next_to
 from sidelong.app.study.settings import (
     CONTROLLER,
     LAG_S,
@@ -104,7 +111,7 @@ def study(
     benchmark: Annotated[
         bool, _COMPARISON("--benchmark", help="Fly the fixed targets, aircraft and noise of the benchmark.")
     ] = False,
-    airspeed: Annotated[float | None, AIRCRAFT(help="Airspeed, m/s; 10 by default.")] = None,
+    airspeed: AirspeedOption = None,
     radius: RadiusOption = None,
     target_speed_max: Annotated[
         float | None,

@@ -22,8 +22,8 @@ from sidelong.app.errors import InputError
 from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.records.journal import JournalReader
-from sidelong.app.records.mapped_file import Progress
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
+from sidelong.app.records.text_file import Progress
 from sidelong.app.report import html
 from sidelong.app.report.sources import FlightRecord, read_flight, read_summary
 from sidelong.mission.core.requirement import Requirement

@@ -39,7 +39,6 @@ class Frame:
 
     @property
     def source(self) -> tuple[int, int]:
-        """System and component."""
         return self.system_id, self.component_id
 
     @property

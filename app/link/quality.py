@@ -102,7 +102,6 @@ class LinkQuality:
             counts.missed += 0 if is_late else ahead
 
     def sent(self, size: int, now_s: float) -> None:
-        """Count bytes that went out."""
         for counts in (self.whole, self._second(now_s)):
             counts.sent_bytes += size
 
@@ -117,7 +116,6 @@ class LinkQuality:
         self._answered_s = now_s
 
     def radio(self, rssi: int, remote_rssi: int) -> None:
-        """Store the signal strengths that the radio reports."""
         self._rssi = (rssi, remote_rssi)
 
     def measured(self, now_s: float) -> Measured:

@@ -23,7 +23,6 @@ class RangeMeasured:
 
     Attributes:
         time_s: best estimate of the time of measurement, s on the driver's clock.
-        slant_range_m: distance along the line of sight, m.
     """
 
     time_s: float
@@ -37,7 +36,6 @@ class AnglesMeasured:
     Attributes:
         time_s: best estimate of the time of measurement, s on the driver's clock.
         quaternion_wxyz: rotation from the sight frame (forward, right, down) to ``frame``.
-        frame: what the quaternion is relative to.
     """
 
     time_s: float
@@ -114,11 +112,7 @@ class Identity:
 
 
 class PayloadDriver(Protocol):
-    """One connection's protocol state.
-
-    Attributes:
-        identity: What the payload reports of itself.
-    """
+    """One connection's protocol state."""
 
     identity: Identity
 

@@ -59,7 +59,6 @@ class RoundTrips:
         return min(self._latest_s, default=None)
 
     def sent(self, kind: Hashable, now_s: float) -> None:
-        """Note that a request was sent."""
         self._sent_s[kind] = now_s
 
     def awaits(self, kind: Hashable, now_s: float) -> bool:
@@ -78,7 +77,6 @@ class RoundTrips:
         return 0.5 * (sent_s + now_s)
 
     def clear(self) -> None:
-        """Discard pending requests."""
         self._sent_s.clear()
 
 
@@ -86,8 +84,6 @@ class FramedDriver(PayloadDriver):
     """State of one connection.
 
     Args:
-        settings: settings that concern every protocol.
-        framer: splits the received bytes into frames.
         periods_s: periods of what is sent repeatedly, by name.
         range_unit_m: unit of the range by the manual, m.
         yaw_sign: 1 where yaw is positive to the right by the manual, else -1.

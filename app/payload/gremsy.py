@@ -68,7 +68,6 @@ class GremsyDriver(FramedDriver):
         return [self._packed(message) for message in messages]
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
-        """Return the command that turns the gimbal."""
         flags = (
             mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
             | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK

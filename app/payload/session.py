@@ -31,7 +31,6 @@ class PayloadStatus:
     """Present data and state of a payload.
 
     Attributes:
-        identity: the identity that the payload reports.
         range_hz: ranges per second over the last 2 s.
         angles_hz: attitudes per second over the last 2 s.
         round_trip_s: shortest recent time between a request and its reply, s; None where it is not known.
@@ -96,7 +95,6 @@ class PayloadSession:
 
     Args:
         name: how reports call the payload.
-        driver: the protocol.
         report: receives each report, one sentence without its full stop.
         range_delay_s: age of a range when the payload sends it, s.
         angles_delay_s: the same of the angles, s.
@@ -162,7 +160,6 @@ class PayloadSession:
         return list(self._driver.aircraft(pose, now_s))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> list[bytes]:
-        """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
         return list(self._driver.point(pitch_rad, yaw_rad))
 
     @property
@@ -171,7 +168,6 @@ class PayloadSession:
         return self._driver.identity.pan_limits_rad
 
     def status(self, now_s: float) -> PayloadStatus:
-        """Return what the payload delivers now."""
         range_hz, angles_hz = (
             sum(time_s > now_s - _RATE_OVER_S for time_s in times_s) / _RATE_OVER_S
             for times_s in (self._ranges_s, self._angles_s)

@@ -20,7 +20,7 @@ from statistics import median
 from typing import Any
 
 from sidelong.app.records.entry import Entry, Made, Translator, global_position, in_order
-from sidelong.app.records.mapped_file import Progress, mapped, unseen
+from sidelong.app.records.text_file import Progress, mapped, unseen
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 _HEADER = b"\xa3\x95"

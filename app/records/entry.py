@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sidelong.app.link.message import Message
-from sidelong.app.records.mapped_file import Progress
+from sidelong.app.records.text_file import Progress
 
 _ABSURD = 1e10
 _JUMP_US = 60_000_000
@@ -104,7 +104,6 @@ class Translator:
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the entries that are looked at."""
         return frozenset(self._makers)
 
     def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:

@@ -29,7 +29,7 @@ import numpy as np
 
 from sidelong.app.errors import InputError
 from sidelong.app.records.appender import Appender
-from sidelong.app.records.mapped_file import Progress, unseen
+from sidelong.app.records.text_file import Progress, unseen
 from sidelong.estimators.frames import LocalPlane
 
 if TYPE_CHECKING:
@@ -150,7 +150,6 @@ class JournalWriter(Appender):
         super().__init__(path, on_trouble, opening=encode(header))
 
     def write(self, event: Any) -> None:
-        """Append a frozen dataclass."""
         self.append(encode(event))
 
 

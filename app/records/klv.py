@@ -54,7 +54,6 @@ class KlvLog:
         self._next_s = -math.inf
 
     def event(self, event: Event) -> None:
-        """Take an event."""
         admitted, outcomes = self._sensing.take(event)
         for outcome in outcomes:
             if outcome.accepted and isinstance(outcome.sighting, Sighting):
@@ -67,7 +66,6 @@ class KlvLog:
         """Take a command: the metadata has none."""
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _values(self, p: PositionReading) -> dict[int, Any]:

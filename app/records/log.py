@@ -14,7 +14,7 @@ from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
 from sidelong.app.records.dataflash import ArdupilotMessages, dataflash_contents, read_dataflash
 from sidelong.app.records.entry import Entry, Translator
 from sidelong.app.records.log_context import ContextBuilder, LogContext
-from sidelong.app.records.mapped_file import Progress, unseen
+from sidelong.app.records.text_file import Progress, unseen
 from sidelong.app.records.tlog import is_mavlink_1, is_tlog, read_tlog, tlog_contents
 from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
 from sidelong.app.records.ulog import Px4Messages, read_ulog, ulog_contents

@@ -78,7 +78,6 @@ class ContextBuilder:
         self._others: set[int] = set()
 
     def take(self, message: Message) -> None:
-        """Take the next message."""
         fields, system_id = message.fields, message.system_id
         if message.component_id != _AUTOPILOT_COMPONENT:
             return
@@ -131,7 +130,6 @@ class ContextBuilder:
             self._kind = kind
 
     def context(self) -> LogContext:
-        """Return the context by the messages so far."""
         boot_s = median(self._boots_s) if self._boots_s else -1.0
         booted = datetime.fromtimestamp(boot_s, UTC) if 0.0 <= boot_s < _TIME_MAX_S else None
         home_m = self._reckoned_m if self._home_m is None else self._home_m

@@ -40,7 +40,6 @@ def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[
     Args:
         parent: The folder in which the run folder will be made; it need not exist yet.
         duration_s: How long the flight watches.
-        aircraft: How many aircraft are recorded.
         warn: Called with a sentence if the space is less than the flight needs.
 
     Raises:
@@ -186,11 +185,8 @@ def rotate(
     None is deleted by a clock that is not confirmed now, or was not when the folder was made.
 
     Args:
-        parent: Where the run folders are.
         budget_bytes: What all of them may take.
         keep: How old they may be.
-        now: This computer's time.
-        log: Receives a sentence for each folder that is deleted.
         present: The folder of the present run, which stays.
         synchronised: Whether the time is synchronised; None: as the system reports.
 

@@ -31,7 +31,6 @@ class Sensing:
 
     Attributes:
         attitude: The latest accepted one.
-        tracker: The tracker, with the flight's estimates.
     """
 
     def __init__(self, tracker: Tracker) -> None:

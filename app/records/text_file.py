@@ -1,14 +1,16 @@
-"""Small text files: read within bounds, where each error is one sentence, and written whole or not at all."""
+"""Files: texts within bounds, with errors of one sentence, written whole or not at all; long ones mapped."""
 
 from __future__ import annotations
 
 import codecs
 import contextlib
+import mmap
 import os
 import re
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -102,3 +104,22 @@ def _explained(error: str, text: str) -> str:
 
 def _cut(text: str, longest: int = 160) -> str:
     return text if len(text) <= longest else text[: longest - 3] + "..."
+
+
+Progress = Callable[[float], None]
+"""Called with the completed fraction, 0 to 1."""
+
+
+def unseen(_share: float) -> None:
+    """Show no progress."""
+
+
+@contextmanager
+def mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
+    """Map a file into memory; an empty one cannot be mapped and is b''. Raises OSError."""
+    with path.open("rb") as opened:
+        if path.stat().st_size == 0:
+            yield b""
+            return
+        with mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import all as dialect
 from sidelong.app.link.frames import Frame, frame_at
 from sidelong.app.link.message import Message
 from sidelong.app.records.appender import Appender
-from sidelong.app.records.mapped_file import Progress, mapped, unseen
+from sidelong.app.records.text_file import Progress, mapped, unseen
 
 _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _MARKER = re.compile(rb"[\xfd\xfe]")
@@ -124,7 +124,6 @@ def _unwanted_end(data: mmap | bytes, at: int, max_bytes: Mapping[int, int]) -> 
     Their checksums are not computed: such a frame is no longer than its message is, and a stamped frame follows it.
 
     Args:
-        data: the log.
         at: where the stamp of the first one begins.
         max_bytes: the payload's size of each unwanted message, by its id.
     """

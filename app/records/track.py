@@ -73,7 +73,6 @@ class FlownTrack:
     route: Route | None = None
 
     def named(self, what: str) -> str:
-        """Return the name of one of its tracks."""
         return f"{self.label} {what}" if self.label else what
 
     def of_targets(self) -> dict[str, list[TargetEstimate]]:

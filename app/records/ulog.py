@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sidelong.app.records.entry import Entry, Made, Translator, global_position, in_order
-from sidelong.app.records.mapped_file import Progress, mapped, unseen
+from sidelong.app.records.text_file import Progress, mapped, unseen
 from sidelong.estimators.frames import LocalPlane
 
 MAGIC = b"ULog\x01\x12\x35"

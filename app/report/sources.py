@@ -23,8 +23,8 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.log import RecordedLog, open_log
 from sidelong.app.records.log_context import LogContext
-from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.run_folder import RunFolder, recording
+from sidelong.app.records.text_file import Progress, unseen
 from sidelong.app.report.history import FlightHistory, FlightRequirements, HistoryBuilder
 from sidelong.app.report.series import estimate_errors
 from sidelong.estimators.frames import LocalPlane

@@ -28,9 +28,6 @@ class ContactBeacon:
 
     Args:
         name: ``adsb:ICAO`` (six hexadecimal digits) or ``ais:MMSI`` (nine digits).
-        plane: the local plane of the mission.
-        now_s: returns the time of the vehicle's clock, s.
-        put: called with each reading.
         announce: called once, when the contact is received first.
     """
 
@@ -49,7 +46,6 @@ class ContactBeacon:
         self._measured_s = -math.inf
 
     def on_message(self, name: str, fields: Mapping[str, Any]) -> None:
-        """Take a message of the vehicle's link."""
         if name != self._message or self._now_s() == -math.inf:
             return
         if int(fields["ICAO_address" if self._message == _ADSB else "MMSI"]) != self._id:

@@ -77,7 +77,6 @@ def aircraft_event(
     height_above_ellipsoid_m: float | None,
     names: CotNames = CotNames(),
 ) -> bytes:
-    """Return the event for the aircraft itself."""
     event = _event(uid, names.own_type, _MACHINE_GPS, now)
     hae = _UNKNOWN if height_above_ellipsoid_m is None else f"{height_above_ellipsoid_m:.1f}"
     _point(event, plane, (aircraft.east_m, aircraft.north_m), hae=hae)

@@ -37,7 +37,6 @@ class _Periodic:
         self._target = ""
 
     def show(self, snapshot: Present) -> None:
-        """Send the estimate if it is time to."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or estimate is None or estimate.quality is TrackQuality.LOST:
             return

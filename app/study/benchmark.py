@@ -20,9 +20,8 @@ from sidelong.app.study.fleet import FleetPlannerName, FleetResult
 from sidelong.app.study.fleet_study import fly_fleets, values_of
 from sidelong.app.study.measures import BAND, LEAST, MOVES, REVERSALS, SIDE, decision_ms
 from sidelong.app.study.parallel import on_processes
-from sidelong.app.study.recorded import RecordedTarget, recorded_targets
+from sidelong.app.study.recorded import RecordedTarget, own_route, recorded_targets, route_next_to
 from sidelong.app.study.report import right_aligned
-from sidelong.app.study.routes import own_route, route_next_to
 from sidelong.app.study.settings import (
     CONTROLLER,
     OWN_PLANNERS,
@@ -62,8 +61,6 @@ class Row:
     """Results of one planner with one aircraft: arrays (runs,).
 
     Attributes:
-        aircraft: The aircraft.
-        planner: Name of the planner.
         measures: Array of each run's values, by the name of the measure.
         decision_p99_ms: 99th percentile of the processor time of a decision.
     """
@@ -117,7 +114,6 @@ class Benchmark:
 
     @property
     def total(self) -> int:
-        """Number of runs."""
         each = len(self._planners) + (4 if self._all else 0)
         return sum(each * len(settings.numbers) for settings in self._settings)
 

@@ -71,12 +71,8 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
     """One aircraft of a run, taken over on its first circle.
 
     Args:
-        settings: the design that is flown.
-        flown: the scene.
         target: the same by ticks.
-        circle: the first circle.
         noise_rng: noise of the payload.
-        make_planner: makes its planner.
         config: the mission, where it is not that of the design.
         ground: what it flies over; None: flat ground. It is known to the core if the configuration counts the height
             from the ground.
@@ -84,7 +80,6 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
     Attributes:
         rows: time, east, north, height above home, after each step.
         departed_s: when each plan departed.
-        watch: times the decisions.
     """
 
     def __init__(

@@ -35,7 +35,6 @@ class ExternalController:
             command: Program and arguments; no shell interprets them.
             curvature_max_per_m: Largest curvature that the aircraft flies, 1/m.
             range_m: Least and greatest range, m.
-            side: The required side, left or right.
 
         Raises:
             InputError: The command is empty, or the program cannot be started.
@@ -78,7 +77,6 @@ class ExternalController:
         return turn_rate_rad_s / speed_m_s
 
     def __enter__(self) -> ExternalController:
-        """Return the controller."""
         return self
 
     def __exit__(

@@ -122,7 +122,6 @@ class _Errors:
         self._squared: list[tuple[float, float]] = []
 
     def note(self, found: TargetEstimate | None, truth: TargetTruth) -> None:
-        """Compare an estimate with the truth."""
         if found is not None:
             off = np.array((found.east_m - truth.east_m, found.north_m - truth.north_m))
             self._squared.append((float(off @ off), float(off @ np.linalg.solve(found.covariance[:2, :2], off))))
@@ -177,7 +176,6 @@ class FleetRun:
         return member
 
     def fly(self, losses: Sequence[Loss] = ()) -> FleetResult:
-        """Fly to the end."""
         vehicle, ticked_s = self._members[0].craft.simulated, -math.inf
         while vehicle.time_s < self._scene.duration_s - 1e-6:
             time_s = vehicle.time_s

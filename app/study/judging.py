@@ -23,7 +23,6 @@ class JudgedTrack:
         time_s: shape (n,).
         aircraft_m: east and north, shape (n, 2).
         target_m: east and north, shape (n, 2).
-        judged: how each step was.
     """
 
     time_s: FloatArray
@@ -40,8 +39,6 @@ class RunResult:
         time_in_band: fraction of time within the allowed range.
         time_on_side: fraction of time on the required side, by the course made good.
         time_on_side_now: the same by the present course.
-        min_range_m: least horizontal range.
-        max_range_m: greatest horizontal range.
         moves_per_hour: departures to another circle.
         reversals_per_hour: those within 10 s of the last one.
         observation_spread_deg: standard deviation of the observation angle.
@@ -75,7 +72,6 @@ def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
     """Judge each step of a run.
 
     Args:
-        settings: the design that was flown.
         log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more).
     """
     velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
@@ -94,11 +90,9 @@ def judged(
     """Sum up a run.
 
     Args:
-        settings: the design that was flown.
         log: as :func:`judged_log` takes it.
         changed_s: when each plan departed.
         decision_s: processor time of the decisions that were measured.
-        keep_track: whether to keep the path.
         over_ground: time in sight, the same where that is possible, and the least clearance.
     """
     steps = judged_log(settings, log)
@@ -139,7 +133,6 @@ def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, flo
     """Return the shares of time on the side, on it by the present course, and in the band, by at least one aircraft.
 
     Args:
-        settings: the design that was flown.
         logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6).
     """
     each = [judged_log(settings, log) for log in logs]

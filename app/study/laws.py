@@ -75,7 +75,6 @@ class SteeredAircraft:
         self.rows: list[tuple[float, float, float]] = []
 
     def state(self, time_s: float) -> AircraftState:
-        """Return where it is, as laws see it."""
         craft = self._craft
         speed_m_s = craft.ground_speed_m_s
         curvature_per_m = GRAVITY_M_S2 * math.tan(craft.roll_rad) * self._across / max(speed_m_s, 1.0) ** 2
@@ -105,7 +104,6 @@ class SteeredAircraft:
         return [outcome.sighting for reading in readings for outcome in self.tracker.add(reading)]
 
     def fly(self, time_s: float) -> None:
-        """Fly one step by the command."""
         craft, (curvature_per_m, airspeed_m_s) = self._craft, self.command
         self.rows.append((time_s, craft.east_m, craft.north_m))
         bank_rad = math.atan(craft.ground_speed_m_s**2 * curvature_per_m / (GRAVITY_M_S2 * self._across))
@@ -122,8 +120,6 @@ def fly_steered(
     """Fly a run to its end.
 
     Args:
-        flown: the scene.
-        crafts: the aircraft.
         estimate: takes the sightings of each aircraft at a time, and returns the estimate.
         steer: returns the command of each aircraft.
 

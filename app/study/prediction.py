@@ -78,7 +78,6 @@ class Prediction:
     """What simulated flights next to random targets came to.
 
     Attributes:
-        flights: Their number.
         time_in_band: Share of the time in the range band.
         time_on_side: Share of the time on the required side; None if no target moved.
         time_within_pan_limits: Share of the time in which the gimbal can look at the target; None without limits.
@@ -117,7 +116,6 @@ class Prediction:
         return ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return the prediction for the JSON summary."""
         names = "time_in_band", "time_on_side", "time_within_pan_limits"
         shares: dict[str, Share | None] = {name: getattr(self, name) for name in names}
         shown = {name: None if share is None else asdict(share) for name, share in shares.items()}

@@ -23,7 +23,6 @@ _COLUMNS = ("planner", "run", "target", "draw", "seed", *MEASURES, "key")
 
 
 def study_title(result: StudyResult) -> str:
-    """Return one line that describes the study."""
     s, aircraft = result.settings, result.settings.aircraft()
     sensors = "perfect sensors" if s.perfect_sensors else "noisy laser and gimbal"
     target = f"to {s.requirement().target_speed_max_m_s:g} m/s"
@@ -40,12 +39,10 @@ def study_title(result: StudyResult) -> str:
 
 
 def study_parts(settings: StudySettings) -> str:
-    """Return one line that names the parts that were flown."""
     return f"closed loop, {settings.autopilot}: {PARTS}"
 
 
 def measures_of(settings: StudySettings) -> tuple[Measure, ...]:
-    """Return the measures of a study."""
     measures = ON_FLAT_GROUND if settings.hills is None else OVER_HILLS
     return (*measures, WITHIN_PAN_LIMITS) if settings.aircraft().has_pan_limit else measures
 

@@ -127,16 +127,13 @@ class StudySettings:
 
     @property
     def wind(self) -> Wind:
-        """The steady wind."""
         speed_m_s, from_deg = self.config.simulation.wind_speed_m_s, self.config.simulation.wind_from_deg
         if from_deg == 270.0:
             return Wind(speed_m_s, 0.0)
         return Wind(-speed_m_s * math.sin(math.radians(from_deg)), -speed_m_s * math.cos(math.radians(from_deg)))
 
     def aircraft(self) -> Aircraft:
-        """Return the planner's view of the aircraft."""
         return self.config.aircraft.aircraft()
 
     def requirement(self) -> Requirement:
-        """Return the requirement."""
         return self.config.requirement.requirement()

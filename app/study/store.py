@@ -105,7 +105,6 @@ class ResultStore:
             raise InputError(f"--store: {file} cannot be used ({error}); give the name of a new file.") from error
 
     def close(self) -> None:
-        """Close the file."""
         self._db.close()
 
     def missing(self, runs: Iterable[RunId]) -> list[RunId]:

@@ -39,7 +39,6 @@ class PlannerResult:
     have the same gaps as another's.
 
     Attributes:
-        runs: which runs.
         measures: arrays (runs,) by the name of the measure.
         decision_s: processor time of the measured decisions of all runs together.
     """
@@ -50,13 +49,11 @@ class PlannerResult:
 
     @staticmethod
     def of(runs: Iterable[tuple[RunId, RunResult]]) -> PlannerResult:
-        """Sum up runs."""
         ids, results = zip(*runs, strict=True)
         measures = {name: np.array([getattr(one, name) for one in results]) for name in MEASURES}
         return PlannerResult(ids, measures, np.concatenate([one.decision_s for one in results]))
 
     def __getitem__(self, name: str) -> FloatArray:
-        """Return a measure of each run."""
         return self.measures[name]
 
 
@@ -70,7 +67,6 @@ class StudyResult:
 
     @property
     def settings(self) -> StudySettings:
-        """The settings of the design."""
         return self.design.settings
 
     @property
@@ -130,7 +126,6 @@ class Study:
 
 
 def flown(settings: StudySettings, planner: str, runs: Sequence[RunId], table: ValueTable | None) -> list[RunResult]:
-    """Fly some runs."""
     return [one_flown(settings, planner, one.number, table) for one in runs]
 
 

@@ -16,14 +16,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-
-from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.feasibility import Change, fits_band, unflyable
-from sidelong.mission.core.path import Path
+from sidelong.mission.core.feasibility import Change, unflyable
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
 from sidelong.mission.paper.planner import stand_off_m
-from sidelong.mission.paper.transition import abcd, min_move_m, root, transition_length_m
+from sidelong.mission.paper.transition import min_move_m, root, transition_length_m
 
 _THRESHOLD_MAX = 1.0  # beyond, the aircraft would leave the band by design
 
@@ -146,125 +142,3 @@ def largest_psi_c_rad(aircraft: Aircraft, requirement: Requirement) -> float:
     if straight_left_m(min_rad) <= 0.0:
         return min_rad
     return root(straight_left_m, min_rad, math.pi / 2)
-
-
-_THRESHOLD_END = 2.0
-_AIRSPEED_STEPS = 60
-_LAP_STEPS = 90
-
-
-@dataclass(frozen=True, slots=True)
-class ThresholdBounds:
-    """Every C in [least, greatest] keeps its promises; best leaves ``room_m`` at both ends.
-
-    max_range_m is the proven bound at the best C.
-    """
-
-    least: float
-    greatest: float
-    best: float
-    room_m: float
-    max_range_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Optimum:
-    """The aircraft, at the airspeed and on the circle at which the best threshold leaves the most room.
-
-    target_speed_max_m_s is the fastest straight target for which a threshold exists there.
-    """
-
-    aircraft: Aircraft
-    bounds: ThresholdBounds
-    target_speed_max_m_s: float
-
-
-def _longest_move(aircraft: Aircraft, requirement: Requirement) -> tuple[float, Path]:
-    """Return d_max and the way there; a move too short for ABCD counts as the shortest that exists."""
-    radius_m, psi_c_rad = aircraft.radius_m, math.pi / 2
-    move_m = max(scope(aircraft, requirement, psi_c_rad).longest_move_m, min_move_m(radius_m, psi_c_rad))
-    return move_m, abcd(Circle(0.0, 0.0, radius_m, True), Circle(move_m, 0.0, radius_m, True), psi_c_rad)
-
-
-def max_range_m(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return the greatest range around the longest move d_max: in the lap before it and on the way."""
-    speed_m_s, target_m_s, radius_m = aircraft.airspeed_m_s, requirement.target_speed_max_m_s, aircraft.radius_m
-    cross_track_m = stand_off_m(aircraft, requirement)
-    move_m, path = _longest_move(aircraft, requirement)
-    on_path = np.hypot(path.east_m - move_m - target_m_s * path.arc_m / speed_m_s, path.north_m + cross_track_m)
-    before_rad = np.linspace(0.0, 2.0 * math.pi, _LAP_STEPS)  # turn still to go until A
-    course_rad = path.course_rad[0] - before_rad
-    behind_m = target_m_s * before_rad * radius_m / speed_m_s
-    on_lap = np.hypot(
-        -radius_m * np.cos(course_rad) - (move_m - behind_m), radius_m * np.sin(course_rad) + cross_track_m
-    )
-    return float(max(on_path.max(), on_lap.max()))
-
-
-def threshold_bounds(aircraft: Aircraft, requirement: Requirement) -> ThresholdBounds | None:
-    """Return which thresholds C work for this aircraft, and the best; None where none does."""
-    if not fits_band(aircraft, requirement) or requirement.target_speed_max_m_s >= aircraft.airspeed_m_s:
-        return None
-
-    def headroom_m(threshold: float) -> float:
-        return requirement.range_max_m - max_range_m(aircraft, replace(requirement, threshold=threshold))
-
-    def spare_m(threshold: float) -> float:
-        return scope(aircraft, replace(requirement, threshold=threshold)).straight_left_m
-
-    least = max(scope(aircraft, requirement).min_threshold, _in_time(aircraft, requirement))
-    if least >= _THRESHOLD_END or headroom_m(least) < 0.0:
-        return None
-    greatest = root(headroom_m, least, _THRESHOLD_END)
-    best = least
-    if spare_m(least) < headroom_m(least):
-        best = root(lambda threshold: spare_m(threshold) - headroom_m(threshold), least, greatest)
-    room_m = min(spare_m(best), headroom_m(best))
-    return ThresholdBounds(least, greatest, best, room_m, requirement.range_max_m - headroom_m(best))
-
-
-def optimise(aircraft: Aircraft, requirement: Requirement, airspeed_range_m_s: tuple[float, float]) -> Optimum | None:
-    """Return the best airspeed in a range, flying the aircraft's circle or the tightest its bank allows there.
-
-    Faster means shorter laps, until the bank limit widens the circle: the best speed is where the circle takes all
-    of the bank, sqrt(R g tan bank), or the end of the range. None where no speed has a threshold.
-    """
-    best: Optimum | None = None
-    limit_m_s = math.sqrt(aircraft.radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
-    speeds_m_s = np.append(np.linspace(*airspeed_range_m_s, _AIRSPEED_STEPS), np.clip(limit_m_s, *airspeed_range_m_s))
-    for airspeed_m_s in np.sort(speeds_m_s):
-        flown = replace(aircraft, airspeed_m_s=float(airspeed_m_s))
-        flown = replace(flown, radius_m=max(aircraft.radius_m, flown.min_radius_m))
-        bounds = threshold_bounds(flown, requirement)
-        if bounds is not None and (best is None or bounds.room_m > best.bounds.room_m):
-            best = Optimum(flown, bounds, math.nan)
-    if best is None:
-        return None
-    return replace(best, target_speed_max_m_s=fastest_target_m_s(best.aircraft, requirement))
-
-
-def fastest_target_m_s(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return the top speed of a straight target up to which a threshold exists, by bisection; 0 if none does."""
-    low_m_s, high_m_s = 0.0, aircraft.airspeed_m_s
-    while high_m_s - low_m_s > 1e-3:
-        middle_m_s = (low_m_s + high_m_s) / 2.0
-        if threshold_bounds(aircraft, replace(requirement, target_speed_max_m_s=middle_m_s)) is None:
-            high_m_s = middle_m_s
-        else:
-            low_m_s = middle_m_s
-    return low_m_s
-
-
-def _in_time(aircraft: Aircraft, requirement: Requirement) -> float:
-    """Return the least C with which the aircraft is at A again before the target is d_max ahead once more."""
-
-    def early_m(threshold: float) -> float:
-        move_m, path = _longest_move(aircraft, replace(requirement, threshold=threshold))
-        flown_m = path.length_m + math.pi * aircraft.radius_m  # from D to A, psi_c = pi/2 each way short of a lap
-        return move_m - requirement.target_speed_max_m_s * flown_m / aircraft.airspeed_m_s
-
-    if early_m(0.0) >= 0.0:
-        return 0.0
-    if early_m(_THRESHOLD_END) <= 0.0:
-        return math.inf
-    return root(early_m, 0.0, _THRESHOLD_END)

@@ -12,8 +12,7 @@ from rich.console import Console
 from sidelong.app.analysis.summary import SummaryCollector
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.cli import run
-from sidelong.app.commands.output import shielded_output, standard
-from sidelong.app.commands.progress import share_progress
+from sidelong.app.commands.output import share_progress, shielded_output, standard
 from sidelong.app.config import load_config
 from sidelong.app.link.message import plain, plain_fields
 from sidelong.app.view.panel import Panel

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from sidelong.app import cli
 from sidelong.app.cli import app
-from sidelong.app.commands.progress import share_progress
+from sidelong.app.commands.output import share_progress
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.link.raw_links import opened_links

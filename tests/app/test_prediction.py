@@ -113,10 +113,6 @@ def test_the_side_alone_can_be_the_shortcoming():
     assert Prediction(2, Share.of([1.0, 1.0]), Share.of([0.9, 0.91])).shortcoming(Config()) == ""
 
 
-def test_the_best_numbers_are_of_the_paper_only():
-    assert "--planner paper" in str(CliRunner().invoke(app, ["check", "--optimise"]).exception)
-
-
 def test_the_t_of_student_is_scipys():
     freedoms = np.arange(1, 100)
     assert np.allclose([t_95(one) for one in freedoms], stdtrit(freedoms, 0.975), rtol=0.0, atol=3e-4)

@@ -11,8 +11,7 @@ import pytest
 
 from sidelong.app.errors import InputError
 from sidelong.app.records.route_file import read_route
-from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.routes import route_next_to
+from sidelong.app.study.recorded import recorded_targets, route_next_to
 from sidelong.estimators.frames import LocalPlane
 
 _PLACES = ((47.40, 8.50), (47.41, 8.50), (47.41, 8.52))

@@ -12,8 +12,7 @@ import pytest
 
 from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
 from sidelong.app.study.fleet_study import fleet_json
-from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.routes import own_route
+from sidelong.app.study.recorded import own_route, recorded_targets
 from sidelong.app.study.settings import (
     PREDICTIVE,
     StudySettings,

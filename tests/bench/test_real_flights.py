@@ -34,8 +34,7 @@ from sidelong.app.flight.simulated import free_udp_port
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.simulation.kinematic import STEP_S
 from sidelong.app.study.judging import judged
-from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.routes import route_next_to
+from sidelong.app.study.recorded import recorded_targets, route_next_to
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, PlanStatus, UploadPlan

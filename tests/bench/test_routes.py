@@ -23,8 +23,7 @@ import shapely
 from sidelong.app.study.benchmark import CLASSES, AircraftClass
 from sidelong.app.study.closed_loop import BOOT_S, fly, run
 from sidelong.app.study.fleet import run_fleet
-from sidelong.app.study.recorded import RecordedTarget, recorded_targets
-from sidelong.app.study.routes import own_route, route_next_to
+from sidelong.app.study.recorded import RecordedTarget, own_route, recorded_targets, route_next_to
 from sidelong.app.study.settings import (
     PREDICTIVE,
     STUDIED,

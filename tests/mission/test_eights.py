@@ -8,8 +8,7 @@ import pytest
 
 from sidelong.app.study.benchmark import TRACKS
 from sidelong.app.study.closed_loop import run
-from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.routes import own_route
+from sidelong.app.study.recorded import own_route, recorded_targets
 from sidelong.app.study.settings import (
     PREDICTIVE,
     StudySettings,

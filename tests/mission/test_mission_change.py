@@ -21,7 +21,7 @@ from sidelong.mission.core.events import (
 )
 from sidelong.mission.core.plan import Decision
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from tests.mission.test_watch import HERE, RADIUS_M, SPEED_M_S, fly
+from tests.mission.test_control_step import HERE, RADIUS_M, SPEED_M_S, fly
 
 
 class Staying:

@@ -4,7 +4,7 @@ import pytest
 
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
-from sidelong.app.payload.address import read_payload
+from sidelong.app.payload.registry import read_payload
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from sidelong.app.errors import InputError
-from sidelong.app.records.mcap import LAYOUT, McapLog
-from sidelong.app.records.mcap_writer import McapWriter
+from sidelong.app.records.mcap import LAYOUT, McapLog, McapWriter
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
