@@ -12,8 +12,15 @@ The names below are the public interface for programs. Each is imported when it 
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING
+
+if not os.path.isdir(os.path.join(os.path.dirname(__file__), "app")):  # noqa: PTH112, PTH118, PTH120  # faster
+    raise SystemExit(
+        "sidelong: this copy has files in place of the links sidelong/app, estimators, mission and sitl; make the "
+        "links with: git config core.symlinks true && git checkout -- sidelong (on Windows with developer mode on)"
+    )
 
 if TYPE_CHECKING:
     from sidelong.app.api import FlightError, InputError, Watch, watch

@@ -125,3 +125,18 @@ def test_a_helper_finds_installed_packages_before_those_of_the_user(installed, w
     assert done.returncode == 0, done.stderr
     ours, helpers = done.stdout.split()
     assert ours == helpers
+
+
+def test_a_copy_without_symbolic_links_is_refused_in_a_sentence_with_the_way_out(tmp_path):
+    """Where git may not make links, it writes files with their destinations."""
+    copy = tmp_path / "sidelong"
+    copy.mkdir()
+    for file in (ROOT / "sidelong").glob("*.py"):
+        shutil.copy(file, copy)
+    for name in ("app", "estimators", "mission", "sitl"):
+        (copy / name).write_text(f"../{name}")
+    words = [sys.executable, "-m", "sidelong", "--help"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "git config core.symlinks true" in done.stderr

@@ -132,49 +132,48 @@ class ParameterTable:
     def __init__(self, parameters: Iterable[Parameter], release: Release | None, read: Mapping[str, float]) -> None:
         every = tuple(parameters)
         self.read = read
-        self._found = {one.known_as: one for one in reversed(every) if one.name in read}
-        expected = [one for one in every if one.is_in(release)]
-        self._missing = tuple(one for one in expected if one.known_as not in self._found)
-        self._listed = tuple(dict.fromkeys(self._found.get(one.known_as, one) for one in expected))
+        self._found = {parameter.known_as: parameter for parameter in reversed(every) if parameter.name in read}
+        expected = [parameter for parameter in every if parameter.is_in(release)]
+        self._missing = tuple(parameter for parameter in expected if parameter.known_as not in self._found)
+        self._listed = tuple(dict.fromkeys(self._found.get(parameter.known_as, parameter) for parameter in expected))
 
     @property
     def values(self) -> dict[str, float]:
         """The values by key, in the units of the newest release."""
-        return {key: self.read[one.name] * one.unit for key, one in self._found.items()}
+        return {key: self.read[parameter.name] * parameter.unit for key, parameter in self._found.items()}
 
     @property
     def missing(self) -> tuple[str, ...]:
         """One sentence for each parameter that the autopilot does not have."""
         gone: dict[str, list[Parameter]] = {}
-        for one in self._missing:
-            gone.setdefault(one.known_as, []).append(one)
+        for parameter in self._missing:
+            gone.setdefault(parameter.known_as, []).append(parameter)
         return tuple(
-            f"the autopilot has no parameter {' or '.join(one.name for one in ones)}: "
+            f"the autopilot has no parameter {' or '.join(parameter.name for parameter in ones)}: "
             f"its {ones[0].purpose} is not checked"
             for ones in gone.values()
         )
 
     def found_for(self, purpose: Purpose) -> str:
-        serving = (one for one in self._listed if one.purpose is purpose)
+        names = [parameter.name for parameter in self._listed if parameter.purpose is purpose]
         return "; ".join(
-            f"{one.name} = {self.read[one.name]:g}" if one.name in self.read else f"{one.name} is not reported"
-            for one in serving
+            f"{name} = {self.read[name]:g}" if name in self.read else f"{name} is not reported" for name in names
         )
 
     def notes(self) -> tuple[ParameterNote, ...]:
         """Return the parameters that matter, with what their values mean."""
         return tuple(
-            ParameterNote(one.name, value, "" if value is None else one.notes.get(value, ""))
-            for one in self._listed
-            for value in (self.read.get(one.name),)
+            ParameterNote(parameter.name, value, "" if value is None else parameter.notes.get(value, ""))
+            for parameter in self._listed
+            for value in (self.read.get(parameter.name),)
         )
 
     def as_on_board(self, required: Iterable[RequiredParameter]) -> tuple[RequiredParameter, ...]:
         """Return requirements that are given by key under the release's own names and in its own units."""
         return tuple(
-            RequiredParameter(own.name, self.read[own.name], one.value / own.unit, one.why)
-            for one in required
-            for own in (self._found[one.name],)
+            RequiredParameter(own.name, self.read[own.name], parameter.value / own.unit, parameter.why)
+            for parameter in required
+            for own in (self._found[parameter.name],)
         )
 
 

@@ -120,13 +120,13 @@ def _rows(flight: FlownTrack) -> Iterator[dict[str, Any]]:
     moments: list[tuple[str, float, Any, dict[str, Any]]] = [
         ("circle", since_s, circle, {"clockwise": int(circle.clockwise)}) for since_s, circle in flight.circles
     ]
-    moments += [("aircraft", one.time_s, one, {}) for one in flight.aircraft]
+    moments += [("aircraft", place.time_s, place, {}) for place in flight.aircraft]
     for name, estimates in flight.of_targets().items():
         moments += [(name, e.time_s, e, {"sigma_m": _sigma_m(e), "quality": e.quality.value}) for e in estimates]
-    for what, time_s, one, own in moments:
-        latitude_deg, longitude_deg = flight.degrees(one.east_m, one.north_m)
+    for what, time_s, place, own in moments:
+        latitude_deg, longitude_deg = flight.degrees(place.east_m, place.north_m)
         measured = ("height_m", "velocity_east_m_s", "velocity_north_m_s", "radius_m")
-        values = own | {name: getattr(one, name) for name in measured if hasattr(one, name)}
+        values = own | {name: getattr(place, name) for name in measured if hasattr(place, name)}
         yield {
             "time_s": round(time_s, 6),
             "utc": flight.utc(time_s) or "",
@@ -163,8 +163,8 @@ def _features(flight: FlownTrack) -> Iterator[dict[str, Any]]:
 
     for track in flight.tracks():
         utc = [flight.utc(place.time_s) for place in track.places] if flight.booted else None
-        line = [(one.longitude_deg, one.latitude_deg, *one.height_m) for one in track.places]
-        drawn = feature(track.name, "LineString", line, time_s=[one.time_s for one in track.places], utc=utc)
+        line = [(place.longitude_deg, place.latitude_deg, *place.height_m) for place in track.places]
+        drawn = feature(track.name, "LineString", line, time_s=[place.time_s for place in track.places], utc=utc)
         if track.kind == "aircraft":  # heights are above home where its altitude is not known
             drawn["properties"]["height_above"] = "home" if flight.home_altitude_m is None else "sea level"
         if len(line) > 1:
@@ -188,9 +188,9 @@ def _gpx(flights: Sequence[FlownTrack]) -> str:
     for flight in flights:
         for track in flight.tracks():
             segment = GPXTrackSegment()
-            for one in track.places:
-                above_sea_m = one.height_m[0] if one.height_m and flight.home_altitude_m is not None else None
-                point = GPXTrackPoint(one.latitude_deg, one.longitude_deg, above_sea_m, flight.at(one.time_s))
+            for place in track.places:
+                above_sea_m = place.height_m[0] if place.height_m and flight.home_altitude_m is not None else None
+                point = GPXTrackPoint(place.latitude_deg, place.longitude_deg, above_sea_m, flight.at(place.time_s))
                 segment.points.append(point)
             made = GPXTrack(track.name)
             made.segments.append(segment)
@@ -236,13 +236,14 @@ def _kml_track(mark: Xml.Element, flight: FlownTrack, track: PositionTrack) -> N
     aloft = "relativeToGround" if flight.home_altitude_m is None else "absolute"
     _child(line, "altitudeMode", aloft if track.kind == "aircraft" else "clampToGround")
     places = [
-        (f"{one.longitude_deg:.8f}", f"{one.latitude_deg:.8f}", f"{sum(one.height_m):.2f}") for one in track.places
+        (f"{place.longitude_deg:.8f}", f"{place.latitude_deg:.8f}", f"{sum(place.height_m):.2f}")
+        for place in track.places
     ]
     if flight.booted is None:
         _child(line, "coordinates", " ".join(map(",".join, places)))
         return
-    for one in track.places:
-        _child(line, "when", flight.utc(one.time_s))
+    for place in track.places:
+        _child(line, "when", flight.utc(place.time_s))
     for place in places:
         _child(line, "gx:coord", " ".join(place))
 
