@@ -244,8 +244,8 @@ def _kml_track(mark: Xml.Element, flight: FlownTrack, track: PositionTrack) -> N
         return
     for place in track.places:
         _child(line, "when", flight.utc(place.time_s))
-    for place in places:
-        _child(line, "gx:coord", " ".join(place))
+    for coordinates in places:
+        _child(line, "gx:coord", " ".join(coordinates))
 
 
 def _child(parent: Xml.Element, tag: str, text: str | None = None, **attributes: str) -> Xml.Element:
