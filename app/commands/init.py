@@ -126,6 +126,7 @@ _EXAMPLES = {
     "link.urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
     "link.few_messages": "true",
     "link.take_over_from": '["RTL"]',
+    "link.role": '"companion"',
     "link.signing_key_file": '"vehicle.key"',
     "planner.winds_m_s": "[4.0, 8.0]",
     "aircraft.pan_limit_deg": "135.0",
