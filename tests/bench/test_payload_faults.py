@@ -25,6 +25,7 @@ from tests.bench.size import size
 from tests.faults.flight import FLAVOURS, STEP_S, FaultedFlight, Scenario
 from tests.faults.flight_campaign import (
     MISLED_RANGE_MIN_M,
+    PAYLOAD_INPUTS,
     REPORTED_WITHIN_S,
     WRONG_SHARE_MAX,
     Misled,
@@ -38,10 +39,15 @@ from tests.faults.flight_faults import (
     Fault,
     delayed,
     flagged,
+    lengthening,
     other_device,
+    pitching,
     repeated,
+    rising,
     scaled,
     turned,
+    turning,
+    wrong_at,
 )
 
 DURATION_S = 240.0
@@ -73,6 +79,24 @@ ERRORS = {
 ERRORS_DURATION_S, CORRECTED_AFTER_S = float(size(540, 150)), 60.0
 SIDE_LOST_MAX = 8.0  # points, on average
 LEAST_RANGE_MIN_M = 40.0  # ranges 100 m too long put the target nearer than the track until they are found
+
+DRIFTS = {  # with the error of the estimate from which the time counts, in how many s it is reported, and in which words
+    "ranges +0.15 m/s to 90 m": (lengthening(0.15, 90.0), 20.0, 90.0, ""),
+    "ranges +0.3 m/s to 90 m": (lengthening(0.3, 90.0), 20.0, 90.0, ""),
+    "ranges +0.6 m/s to 90 m": (lengthening(0.6, 90.0), 20.0, 90.0, ""),
+    "ranges -0.3 m/s to -60 m": (lengthening(0.3, -60.0), 20.0, 90.0, ""),
+    "pitch +0.05 degrees/s to 15": (pitching(0.05, 15.0), 20.0, 90.0, ""),
+    "pitch -0.1 degrees/s to -15": (pitching(0.1, -15.0), 20.0, 90.0, ""),
+    "height +0.3 m/s to 60 m": (rising(0.3, 60.0), 20.0, 90.0, ""),
+    "height -0.3 m/s to -60 m": (rising(0.3, -60.0), 20.0, 90.0, ""),
+    "yaw +0.05 degrees/s to 30": (turning(0.05, 30.0), 10.0, 60.0, "yaw"),
+    "yaw +0.15 degrees/s to 30": (turning(0.15, 30.0), 10.0, 60.0, "yaw"),
+    "yaw -0.5 degrees/s to -40": (turning(0.5, -40.0), 10.0, 60.0, "yaw"),
+    "ranges 1.15 times at 90 +- 30 degrees of north": (wrong_at(90.0, 60.0, 1.15, False), 10.0, 60.0, "ranges"),
+    "ranges 0.85 times at -90 +- 30 degrees of the nose": (wrong_at(-90.0, 60.0, 0.85, True), 10.0, 60.0, "ranges"),
+    "ranges 1.2 times at -90 +- 20 degrees of the nose": (wrong_at(-90.0, 40.0, 1.2, True), 10.0, 60.0, "ranges"),
+}
+DRIFTS_DURATION_S, DRIFTING_RANGE_MIN_M = float(size(540, 150)), 90.0
 
 IN_ONE_OF_TWO = {
     "none": lambda: scaled(1.0),
@@ -156,6 +180,58 @@ def test_large_errors_of_the_payload_are_reported_and_corrected():
         )
     assert min(sides.values()) > sides["none"] - SIDE_LOST_MAX
     assert min(least_m for *_, least_m in flown) > LEAST_RANGE_MIN_M
+
+
+class _Compared(FaultedFlight):
+    """Notes the error of the estimate in use, m, once a second."""
+
+    def __init__(self, *given) -> None:
+        super().__init__(*given)
+        self.errors_m: list[tuple[float, float]] = []
+
+    def step(self) -> None:
+        super().step()
+        now_s, snapshot = self.simulated.time_s, self.controller.snapshot()
+        if snapshot.estimate is not None and round(now_s / STEP_S) % 10 == 0:
+            truth = self.simulated.target.at(now_s)
+            error_m = math.hypot(snapshot.estimate.east_m - truth.east_m, snapshot.estimate.north_m - truth.north_m)
+            self.errors_m.append((now_s, 0.0 if snapshot.unknown else error_m))
+
+
+def _drifting_flight(order: tuple[str, int]) -> tuple[str, int, float, float, float, float, str]:
+    """Return the fault, its target, when the estimate was wrong, s, how much later it was reported, s, ...
+
+    ... the least range, m, the share of the flight that was claimed wrongly, and the first words.
+    """
+    name, seed = order
+    change, wrong_m, _, words = DRIFTS[name]
+    begin_s = 60.0 + 7.0 * (seed % 5)
+    scenario = Scenario(seed, list(FLAVOURS)[seed % 2], DRIFTS_DURATION_S)
+    flight = _Compared(scenario, [Fault(name, begin_s, math.inf, change)])
+    flown = flight.fly()
+    reported = [(at_s, one.text) for at_s, one in flown.health if at_s > begin_s and one.input in PAYLOAD_INPUTS]
+    reported += [one for one in flown.announced if one[0] > begin_s and one[1].startswith(("the laser's", "the gimbal's"))]
+    at_s, text = min((one for one in reported if words in one[1]), default=(math.inf, ""))
+    wrong_s = min((at_s for at_s, error_m in flight.errors_m if at_s > begin_s and error_m > wrong_m), default=math.inf)
+    late_s = 0.0 if at_s <= wrong_s else at_s - wrong_s
+    wrongly = flown.wrongly_in_band_s / scenario.duration_s
+    return name, seed, wrong_s - begin_s, late_s, min(flown.range_m), wrongly, text
+
+
+def test_drifts_of_the_payload_are_reported_and_keep_the_least_range():
+    flown = _flown(_drifting_flight, DRIFTS)
+    print(f"\n{'drift':52}{'flights':>8}{'reported, s: median':>20}{'worst':>7}{'least range, m':>16}{'wrongly in band, %':>20}")
+    missed = []
+    for name, (_, _, limit_s, _) in DRIFTS.items():
+        rows = [row for row in flown if row[0] == name]
+        late_s = [row[3] for row in rows]
+        print(
+            f"{name:52}{len(rows):8}{statistics.median(late_s):20.0f}{max(late_s):7.0f}{min(row[4] for row in rows):16.0f}"
+            f"{100.0 * max(row[5] for row in rows):20.1f}"
+        )
+        missed += [row for row in rows if row[3] > limit_s or row[4] < DRIFTING_RANGE_MIN_M or row[5] > WRONG_SHARE_MAX]
+    print(*missed, sep="\n")
+    assert not missed
 
 
 def _flight_together(order: tuple[str, float, int]) -> tuple[str, float, list[float], list[bool], float, float]:

@@ -25,7 +25,7 @@ TARGET_SPEED_M_S = 6.0  # a target that turns round while it is not seen: twice 
 MISLED_RANGE_MIN_M, REPORTED_WITHIN_S, WRONG_SHARE_MAX = 80.0, 15.0, 0.02
 YIELD_WITHIN_S = 8.0
 STEP_MAX_S = 0.05
-_PAYLOAD_INPUTS = (Input.LASER, Input.GIMBAL, Input.SIGHTINGS)
+PAYLOAD_INPUTS = (Input.LASER, Input.GIMBAL, Input.SIGHTINGS)
 _TARGETS, _CAMPAIGN_TARGETS = 12, 96  # a fault meets one of this many; each is flown once without faults to compare
 
 
@@ -95,7 +95,7 @@ def misled_by(flown: Flown, alongside: Flown, fault: Fault, *, alone: bool) -> M
 
     After a turn of the target the claimed side is wrong for some seconds without any fault: these are subtracted.
     """
-    reported_s = [at_s for at_s, one in flown.health if at_s > fault.begin_s and one.input in _PAYLOAD_INPUTS]
+    reported_s = [at_s for at_s, one in flown.health if at_s > fault.begin_s and one.input in PAYLOAD_INPUTS]
     return Misled(
         alone,
         reported_s[0] - fault.begin_s if reported_s else math.inf,

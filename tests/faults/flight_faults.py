@@ -293,13 +293,74 @@ def scaled(factor: float, more_m: float = 0.0) -> Change:
 
 def turned(degrees: float) -> Change:
     """Turn the gimbal's orientation about the vertical, to the right."""
-    cos, sin = math.cos(math.radians(degrees) / 2.0), math.sin(math.radians(degrees) / 2.0)
+    return turning(math.inf, degrees)
+
+
+def turning(degrees_s: float, until_degrees: float) -> Change:
+    """Turn the gimbal's orientation about the vertical, at this rate to the right up to this angle."""
 
     def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        angle_rad = math.radians(_ramp(degrees_s, until_degrees, since_s))
+        cos, sin = math.cos(angle_rad / 2.0), math.sin(angle_rad / 2.0)
         w, x, y, z = message.fields["q"]
         return with_fields(message, q=[cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
 
     return only(GIMBAL, change)
+
+
+def _ramp(rate_s: float, until: float, since_s: float) -> float:
+    return math.copysign(min(abs(rate_s) * since_s, abs(until)), until) if since_s > 0.0 else 0.0
+
+
+def pitching(degrees_s: float, until_degrees: float) -> Change:
+    """Raise the gimbal's orientation at this rate up to this angle."""
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        angle_rad = math.radians(_ramp(degrees_s, until_degrees, since_s))
+        cos, sin = math.cos(angle_rad / 2.0), math.sin(angle_rad / 2.0)
+        w, x, y, z = message.fields["q"]
+        return with_fields(message, q=[cos * w - sin * y, cos * x - sin * z, cos * y + sin * w, cos * z + sin * x])
+
+    return only(GIMBAL, change)
+
+
+def lengthening(m_s: float, until_m: float) -> Change:
+    """Add an error to the laser's range that grows at this rate up to this length."""
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        distance_cm = message.fields["current_distance"] + 100.0 * _ramp(m_s, until_m, since_s)
+        return with_fields(message, current_distance=max(round(distance_cm), 0))
+
+    return only(LASER, change)
+
+
+def rising(m_s: float, until_m: float) -> Change:
+    """Let the barometric height drift at this rate up to this difference."""
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        off_mm = round(1000.0 * _ramp(m_s, until_m, since_s))
+        return with_fields(message, **{key: message.fields[key] + off_mm for key in ("alt", "relative_alt")})
+
+    return only(VEHICLE[:1], change)
+
+
+def wrong_at(centre_deg: float, width_deg: float, factor: float, of_nose: bool) -> Change:
+    """Multiply ranges where the line of sight is at some bearings, counted from the nose or from north."""
+    seen = {"nose": 0.0, "sight": 0.0}
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        if message.name == "ATTITUDE":
+            seen["nose"] = message.fields["yaw"]
+        elif message.name in GIMBAL:
+            w, x, y, z = message.fields["q"]
+            seen["sight"] = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        else:
+            off_deg = math.degrees(seen["sight"] - of_nose * seen["nose"]) - centre_deg
+            if abs(math.remainder(off_deg, 360.0)) < width_deg / 2.0:
+                return with_fields(message, current_distance=round(message.fields["current_distance"] * factor))
+        return message
+
+    return only(("ATTITUDE", *GIMBAL, *LASER), change)
 
 
 def delayed(names: tuple[str, ...], seconds: float) -> Change:
