@@ -32,7 +32,7 @@ _NEAR_M = 0.01  # no direction is known of a nearer target
 _SINE_MIN = 0.02  # of the depression of a line of sight that ends on the ground
 _FREEDOM = 4.0  # of Student's distribution
 _STIFF_M, _STIFFEST_M, _LOOSENED_M, _STIFF_ITERATIONS = 0.1, 0.02, 0.04, 3
-_ITERATIONS_MAX, _SETTLED_S, _SETTLED = 24, 0.002, 0.05
+_ITERATIONS_MAX, _SETTLED = 40, 0.3  # of the cost
 
 
 class Readings(NamedTuple):
@@ -168,11 +168,10 @@ def fit_readings(
     looks, off_m = np.empty((len(sights), 3)), np.empty(len(ranges))
     information = np.zeros((shares, shares))
     scale_m2 = scale_m * scale_m if scale_m > 0.0 else _STIFF_M * _STIFF_M
-    by_knots, by_shared, cost = np.empty(4), np.zeros(shares), math.inf
+    by_knots, by_shared, cost, last = np.empty(4), np.zeros(shares), math.inf, math.inf
     for iteration in range(-1, _ITERATIONS_MAX):
         look(readings, shared[0], looks)
         free = iteration >= (1 if scale_m > 0.0 else _STIFF_ITERATIONS)
-        before_m2 = scale_m2
         if iteration == _STIFF_ITERATIONS and scale_m == 0.0:
             scale_m2 = _LOOSENED_M * _LOOSENED_M
         elif free:
@@ -288,13 +287,15 @@ def fit_readings(
                     for axis in range(2):
                         band[4 - 2 * (j - i), 2 * (k + j) + axis] += bent * (-2.0 if j == 1 else 1.0)
         cost += (knots - 2) * math.log(scale_m2)
-        settled = abs(scale_m2 / before_m2 - 1.0) < _SETTLED and max(abs(step[0]), abs(step[1])) < _SETTLED_S
-        if free and iteration > 1 and settled:
-            break
         border = right[:, :shares].copy()
         for i in range(2 * knots):
             band[4, i] += 1e-9
         solve_banded(band, right)
+        for i in range(2 * knots):  # the path's own freedom: a straight path is likely at any size of turns
+            cost += math.log(band[4, i])
+        if free and iteration > 1 and abs(last - cost) < _SETTLED:
+            break
+        last = cost
         for s in range(shares):
             step[s] = right_shared[s]
             for i in range(2 * knots):
