@@ -24,10 +24,11 @@ import itertools
 import math
 import statistics
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
@@ -69,12 +70,18 @@ _STUCK = "it repeats the same range while the aircraft turns: check its power, i
 _FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
 _YAW_FROZEN = "its yaw is frozen while the aircraft turns: check its pan motor, its pan limits and its driver"
 _DRIFTS = {
-    "pitch": "its pitch drifts and is off by about {:+.0f} degrees: check its gyro and its mounting",
+    "pitch": "its pitch drifts and is off by about {:+.0f} degrees, or the aircraft's height drifts: check its gyro, "
+    "its mounting and the barometer",
     "range": "its ranges drift by about {:+.0f} m a minute and are off by about {:+.0f} m: check its lens, its "
     "temperature and its driver",
     "yaw": "its yaw drifts by about {:+.0f} degrees a minute and is off by about {:+.0f} degrees: check its gyro and "
     "the aircraft's heading",
 }
+
+_SECTOR = (
+    "its ranges are off by about {:+.0f} % where it looks about {:.0f} degrees to the right of {}: check its window "
+    "and what is in its path"
+)
 
 _ROW_EVERY_S, _GAP_MAX_S = 0.19, 3.0
 _WINDOW_S = 300.0
@@ -139,19 +146,20 @@ SURE_S = 0.045
 """Standard deviation of a delay that is known."""
 _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
 # 4. drifts
-_DRIFT_S, _DRIFT_SPAN_MIN_S = 100.0, 40.0
+_DRIFT_S, _DRIFT_SPAN_MIN_S, _GROWS_S = 100.0, 40.0, 50.0  # a drift may have begun within the window
 _DRIFT_EVERY_S = 20.0, 10.0  # while nothing drifts, and while something seems to
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
 _SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
-_GROWN_SHARE = 0.5  # of a drifting error has to grow within the window: else it is constant, and corrected
+_GROWN_YAW, _GROWN_M = math.radians(1.8), 5.0  # a drift is at least so much in its last seconds
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
 _WORTH_SHARE = 0.3  # of the evidence that is asked for: with less in sight a drift is not fitted
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
-_YAW_EVIDENCE, _RANGE_EVIDENCE, _DRIFTING_SIGMA_M = 35.0, 45.0, 1.0
-_SECTOR_RAD, _SECTOR_COUNT, _SECTOR_OFF, _ELSEWHERE_OFF = math.radians(15.0), 5, 0.06, 0.02
-_SECTOR_GAIN, _SECTOR_VISITS, _VISIT_S = 0.6, 2, 5.0
+_YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
+_WANDER_MIN_M = 10.0  # less is within what the ellipse of the estimate and the band allow for
+_SECTOR_RAD, _SECTOR_COUNT, _SECTOR_VISITS, _VISIT_S = math.radians(15.0), 5, 2, 5.0
+_SECTOR_OFF, _SECTOR_SIGMA, _SECTOR_EVIDENCE = 0.06, 0.05, 60.0  # shares of the range
 
 _NO_ATTITUDE = 4 * (math.nan,)
 _AXES: tuple[Vector, ...] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -342,7 +350,8 @@ class PayloadFit:
         self.found: Delays | None = None
         self.is_late = self.is_confirmed = False
         self.is_changed = True
-        self._fit_s = self._drift_s = -math.inf
+        self._fit_s = self._drift_s = self._wander_s = -math.inf
+        self._wander = 0.0, 0.0  # suspected error of the estimate m, and its growth m/s
 
     def _expect_another_laser(self) -> None:
         self._range_repeats, self._range_stays = _Repeats(_SAME_RANGE_M), _Repeats(_EXACT_M)
@@ -803,7 +812,7 @@ class PayloadFit:
 
     def _judge_errors(self, now_s: float) -> None:
         """Fit drifts and constant errors from time to time."""
-        if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(self._drift_seen or self._drift)]:
+        if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(self._drift_seen or self._drift or self.wander_m(now_s))]:
             self._drift_s = now_s
             self._judge_drift(now_s)
         if self._drift_fault or now_s < self._fit_s:
@@ -836,9 +845,12 @@ class PayloadFit:
         if last_s - first_s < _FIT_SPAN_MIN_S or min(len(sights), len(ranges)) < _READINGS_MIN:
             return None
         if frame:
-            sights[:, 1:] = sights[:, 1:] @ np.array([rotate(self._parent_from_mount, axis) for axis in _AXES])
+            sights[:, 1:4] = sights[:, 1:4] @ np.array([rotate(self._parent_from_mount, axis) for axis in _AXES])
             attitudes[:, 3] = np.unwrap(attitudes[:, 3])
-        settings = self._settings
+        end_s, settings = max(sights[-1, 0], ranges[-1, 0]), self._settings
+        sights, ranges = (
+            np.column_stack((one, np.maximum(one[:, 0] - end_s, -_GROWS_S))) for one in (sights, ranges)
+        )
         pitch_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad) if self._on_ground else 0.0
         noise = settings.yaw_sigma_rad, settings.range_sigma_m, pitch_rad, self._ground_sigma_m
         return Readings(positions, attitudes, sights, ranges, frame, noise, delays_s)
@@ -857,7 +869,10 @@ class PayloadFit:
         strained = best.scale_m > _TURNS_M or (abs(best.shared) > _STRAINED * sigmas).any()
         span_s = float(readings.ranges[-1, 0] - readings.ranges[0, 0])
         if self._erring is not None or (strained and self._may_err and span_s > _ERRING_SPAN_S):
-            best = self._fit_erring(readings, best)
+            plain = self._solve(
+                readings, self._sigmas, np.zeros(SHARED), best.scale_m
+            )  # a lesser minimum is strained
+            best = self._fit_erring(readings, min(best, plain, key=lambda one: one.cost))
         tan_yaw, range_m = best.shared[2:4].tolist()
         if self._erring is None or self._on_ground:
             range_m = 0.0  # it may be the target's height
@@ -951,7 +966,7 @@ class PayloadFit:
     def _judge_drift(self, now_s: float) -> None:
         """Compare drifts, and ranges that are wrong at some bearings only, with errors that stay the same."""
         readings = None
-        if self._may_err and not self._on_ground and not self._late_count:  # a delay looks like many things
+        if self._may_err and not self._on_ground:
             readings = self._readings(now_s, _DRIFT_S, self.used_s, self._device_s)
         if readings is None or readings.ranges[-1, 0] - readings.ranges[0, 0] < _DRIFT_SPAN_MIN_S:
             return
@@ -969,44 +984,62 @@ class PayloadFit:
         """Return what drifts, and the fault in words; both empty if nothing does."""
         sigmas = np.array([_PINNED_S, _PINNED_S, self._sigmas[2], _DRIFTING_SIGMA_M, _PINNED_YAW, _PINNED_RANGE])
         start, known = np.zeros(SHARED), []  # constant errors that are corrected are no drift
-        if not self.is_confirmed and self._sound is not None:
+        if self._sound is not None and (self._late_count or not self.is_confirmed):
             sigmas[:2] = self._sigmas[:2]
             start[:2] = self._sound.shared[:2] + self._settings.latencies_s - np.array(self.used_s)
         if self._erring is not None:
             known, sigmas[3] = [2, 3], self._sigmas[3]
 
-        def fit(rate: int | None = None) -> Fit:
-            one, tails = sigmas.copy(), np.zeros(SHARED, np.bool_)
-            tails[known] = True
-            if rate is not None:
-                tails[[rate - 2, rate]] = True
-                one[[rate - 2, rate]] = self._sigmas[rate - 2], _RATE_SIGMAS[rate - 4]
-            return Fit(*fit_readings(readings, one, tails, start, 0.0))
+        def fit(growth: int = 0, given: Readings = readings, sigma: float = 0.0, scale_m: float = 0.0) -> Fit:
+            """Return the best fit; growth: which shared number may be large, with this standard deviation."""
+            one, heavy = sigmas.copy(), np.zeros(SHARED, np.bool_)
+            heavy[known] = True
+            if growth:
+                heavy[growth], one[growth] = True, sigma or _RATE_SIGMAS[growth - 4]
+                if not sigma:  # at the end of a drift the error is large
+                    heavy[growth - 2], one[growth - 2] = True, self._sigmas[growth - 2]
+            return Fit(*fit_readings(given, one, heavy, start, scale_m))
 
-        sound, looks = fit(), np.empty((len(readings.sights), 3))
-        look(readings, 0.0, looks)
-        looks[:, 0] = np.unwrap(looks[:, 0])
-        bearing_rad, down_rad = (np.interp(readings.ranges[:, 0], readings.sights[:, 0], looks[:, k]) for k in (0, 1))
-        if sector := _sector(readings, bearing_rad, sound.off_m):
-            return "sector", sector
-        if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
-            return "", ""
-        eased = 0.5 if self._drift else 1.0
+        sound, eased = fit(), 0.5 if self._drift else 1.0
         by_yaw, by_range = (
             fit(rate) if _gain_of_freeing(sound, sigmas, rate) > _WORTH_SHARE * eased * evidence else sound
             for rate, evidence in ((4, _YAW_EVIDENCE), (5, _RANGE_EVIDENCE))
         )
-        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings, bearing_rad, down_rad)
+        best = min(by_yaw, by_range, key=lambda one: one.cost)
+        if sound.cost - best.cost > _SUSPICIOUS:  # it may have ended in a lesser minimum
+            sound = min(sound, fit(scale_m=best.scale_m), key=lambda one: one.cost)
+        looks = np.empty((len(readings.sights), 3))
+        look(readings, 0.0, looks)
+        looks[:, 0] = np.unwrap(looks[:, 0])
+        bearing_rad, down_rad = (np.interp(readings.ranges[:, 0], readings.sights[:, 0], looks[:, k]) for k in (0, 1))
+        level_m = readings.ranges[:, 1] * np.cos(down_rad)
+        gain, sector = 0.0, ""
+        for whose, inside, middle_rad in _sectors(readings, bearing_rad, sound.off_m):
+            marked = np.column_stack((readings.ranges[:, :2], inside * level_m))
+            wrong = fit(5, readings._replace(ranges=marked), _SECTOR_SIGMA)
+            if sound.cost - wrong.cost > max(_SECTOR_EVIDENCE, gain) and abs(wrong.shared[5]) > _SECTOR_OFF:
+                gain, share = sound.cost - wrong.cost, 100.0 * float(wrong.shared[5])
+                sector = _SECTOR.format(share, math.degrees(middle_rad) % 360.0, whose)
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
+        self._bound(
+            readings,
+            float(np.median(level_m)),
+            by_yaw if yaw_gain > _SUSPICIOUS else None,
+            by_range if range_gain > _SUSPICIOUS else None,
+        )
+        if sector and gain > max(yaw_gain, range_gain):
+            self.evidence = gain
+            return "sector", sector
+        if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
+            return "", ""
+        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings, bearing_rad, down_rad)
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
-        span_s = float(readings.ranges[-1, 0] - readings.ranges[0, 0])
-        yaw_grows, range_grows = (
-            bool(self._drift) or abs(one.shared[k + 2]) * span_s > _GROWN_SHARE * abs(one.shared[k])
-            for one, k in ((by_yaw, 2), (by_range, 3))
-        )
+        span_s = min(float(readings.ranges[-1, 0] - readings.ranges[0, 0]), _GROWS_S)
+        yaw_grows = abs(by_yaw.shared[4]) * span_s > eased * _GROWN_YAW  # else it is constant, and corrected
+        range_grows = abs(by_range.shared[5]) * span_s > eased * _GROWN_M
         looks_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M and range_grows
         is_range = looks_long and pitch_rad / (range_m * pitch_of_range_rad_m) > _SINKS_MIN
         is_yaw = yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
@@ -1022,12 +1055,29 @@ class PayloadFit:
                 return what, _DRIFTS[what].format(*numbers)
         return "", ""
 
+    def _bound(self, readings: Readings, level_m: float, by_yaw: Fit | None, by_range: Fit | None) -> None:
+        """Bound the error of the estimate by the drifts that are likely, though not yet certain."""
+        self._wander = 0.0, 0.0
+        for one, k, metres in ((by_yaw, 2, level_m), (by_range, 3, 1.0)):
+            if one is not None:
+                pair = one.information[np.ix_([k, k + 2], [k, k + 2])] / _READINGS_SIGMAS**2
+                pair += np.diag([1e-9, 1e-9])
+                off_m = abs(float(one.shared[k])) + 2.0 * math.sqrt(float(np.linalg.inv(pair)[0, 0]))
+                self._wander = max(self._wander, (metres * off_m, metres * abs(float(one.shared[k + 2]))))
+        self._wander_s = float(readings.ranges[-1, 0])
+
+    def wander_m(self, time_s: float) -> float:
+        """Return how far the estimate may be off by a drift that is suspected; 0 while the motion shows none, m."""
+        off_m, rate_m_s = self._wander
+        bound_m = off_m + rate_m_s * max(time_s - self._wander_s, 0.0)
+        return bound_m if bound_m > _WANDER_MIN_M else 0.0
+
     def _pitch_drift(self, readings: Readings, bearing_rad: FloatArray, down_rad: FloatArray) -> tuple[float, ...]:
         """Return the pitch error at the end by the height of the target over the ground, and its change, rad.
 
         The third value is the pitch error that one metre of a range error looks like, rad/m.
         """
-        time_s, slant_m = readings.ranges.T
+        time_s, slant_m, _ = readings.ranges.T
         rows = self._history.since(time_s[0] - _GAP_MAX_S)
         level_m = slant_m * np.cos(down_rad)
         off_m = np.interp(time_s, rows[:, 1], rows[:, 6]) - slant_m * np.sin(down_rad)
@@ -1099,7 +1149,7 @@ def _between(log: FloatArray, first_s: float, last_s: float, gaps_s: list[tuple[
 
 
 def _scaled(readings: Readings, factor: float) -> Readings:
-    return readings if factor == 1.0 else readings._replace(ranges=readings.ranges * (1.0, factor))
+    return readings if factor == 1.0 else readings._replace(ranges=readings.ranges * (1.0, factor, 1.0))
 
 
 def _gain_of_freeing(found: Fit, sigmas: FloatArray, rate: int) -> float:
@@ -1117,41 +1167,30 @@ def _gain_of_freeing(found: Fit, sigmas: FloatArray, rate: int) -> float:
     return 0.5 * float(pull @ step + pull @ found.shared)
 
 
-def _sector(readings: Readings, bearing_rad: FloatArray, off_m: FloatArray) -> str:
-    """Return in words at which bearings alone the ranges are off; empty where they are not.
+def _sectors(
+    readings: Readings, bearing_rad: FloatArray, off_m: FloatArray
+) -> Iterator[tuple[str, npt.NDArray[np.bool_], float]]:
+    """Yield at which bearings alone the ranges may be off: from what, which ranges (n,), the middle of these rad.
 
     Args:
         readings: of the fit.
         bearing_rad: of each range, without jumps by a turn.
         off_m: what the path explains of each range, less what was measured.
     """
-    time_s, slant_m = readings.ranges.T
+    time_s, slant_m, _ = readings.ranges.T
     own_s, _, _, east_m_s, north_m_s = readings.positions.T
     course_rad = np.interp(time_s, own_s, np.unwrap(np.arctan2(east_m_s, north_m_s)))
-    off, best, text = -off_m / slant_m, _SECTOR_GAIN, ""
-    is_off = abs(off) > _SECTOR_OFF
     for whose, angle_rad in (("the nose", bearing_rad - course_rad), ("north", bearing_rad)):
         bins = np.floor(np.mod(angle_rad, math.tau) / _SECTOR_RAD).astype(int)
-        counts = np.bincount(bins)
-        if not ((counts >= _SECTOR_COUNT) & (2 * np.bincount(bins[is_off], minlength=len(counts)) >= counts)).any():
-            continue  # as nearly always: no median is off
-        often = np.flatnonzero(counts >= _SECTOR_COUNT).tolist()
-        medians = {k: abs(float(np.median(off[bins == k]))) for k in often}
-        wrong = [k for k, value in medians.items() if value > _SECTOR_OFF]
-        inside = np.isin(bins, wrong)
-        visits = 1 + (np.diff(time_s[inside]) > _VISIT_S).sum()
-        right = sum(value < _ELSEWHERE_OFF for value in medians.values())
-        if not wrong or right < len(wrong) or visits < _SECTOR_VISITS:
+        often = np.flatnonzero(np.bincount(bins) >= _SECTOR_COUNT).tolist()
+        medians = {k: -float(np.median((off_m / slant_m)[bins == k])) for k in often}
+        if not medians or max(medians.values()) - min(medians.values()) < _SECTOR_OFF:
             continue
-        gain = float(is_off[inside].mean() - is_off[~inside].mean())
-        if gain > best:
-            middle = cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _SECTOR_RAD) for k in wrong))
-            best, share = gain, 100.0 * float(np.median(off[inside & is_off]))
-            text = (
-                f"its ranges are off by about {share:+.0f} % where it looks about {math.degrees(middle) % 360.0:.0f} "
-                f"degrees to the right of {whose}: check its window and what is in its path"
-            )
-    return text
+        middle = 0.5 * (max(medians.values()) + min(medians.values()))
+        wrong = [k for k, value in medians.items() if (value > middle) is (middle > 0.0)]
+        inside = np.isin(bins, wrong)
+        if (np.diff(time_s[inside]) > _VISIT_S).sum() + 1 >= _SECTOR_VISITS:
+            yield whose, inside, cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _SECTOR_RAD) for k in wrong))
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:

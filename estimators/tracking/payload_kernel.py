@@ -21,7 +21,7 @@ from sidelong.estimators.compiled import compiled
 FloatArray = npt.NDArray[np.float64]
 
 SHARED = 6
-"""Gimbal delay s, laser delay s, tangent of the yaw error, error of the level range m; rates of the last two, 1/s."""
+"""Gimbal delay s, laser delay s, tangent of the yaw error, error of the level range m; growth of the last two."""
 EARTH, VEHICLE, BODY = range(3)
 MAX_DELAY_S, MIN_DELAY_S = 3.0, -0.1
 """A payload cannot measure after its stamp; clocks of vehicle and payload may differ by a little."""
@@ -41,8 +41,10 @@ class Readings(NamedTuple):
     Attributes:
         positions: of the aircraft: time s, east m, north m, velocity east m/s, velocity north m/s.
         attitudes: time s, roll rad, pitch rad, yaw rad without jumps by a turn; not read for ``EARTH``.
-        sights: time s, direction of the line of sight in its frame: north or forward, east or right, down.
-        ranges: time s, slant range m.
+        sights: time s, direction of the line of sight in its frame: north or forward, east or right, down; and the
+            factor of the growth of the yaw error, s before the end.
+        ranges: time s, slant range m; and the factor of the growth of the range error: s before the end, or the
+            level range m where ranges are wrong by a share at some bearings only.
         frame: ``EARTH``, ``VEHICLE`` or ``BODY``.
         noise: of a yaw rad, of a laser's range m; of pitch rad and ground m for ranges to the ground, else 0, 0.
         latencies_s: of gimbal and laser, as configured; the stamps are without them.
@@ -142,8 +144,8 @@ def fit_readings(
 ) -> tuple[FloatArray, float, FloatArray, float, FloatArray]:
     """Return the best fit near a start.
 
-    The shared numbers are those of :data:`SHARED`, (6,). The error of the level range is that at the end, and so is
-    that of the yaw.
+    The shared numbers are those of :data:`SHARED`, (6,). Errors of yaw and level range are those
+    where their growth counts nothing: at the end.
 
     Args:
         readings: the readings.
@@ -203,7 +205,7 @@ def fit_readings(
             k, sight = 0, 0
             for n in range(len(rows)):
                 time_s = rows[n, 0] - shared[device]
-                since_s = rows[n, 0] - end_s
+                since = rows[n, -1]
                 k, own_east_m, own_north_m, own_ve, own_vn = aircraft_at(readings.positions, k, time_s)
                 at = (time_s - begin_s) / _KNOT_S
                 knot = min(max(int(at), 0), knots - 2)
@@ -215,11 +217,11 @@ def fit_readings(
                 if device == 0:
                     east, north = math.sin(looks[n, 0]), math.cos(looks[n, 0])
                     ahead_m = way_e * east + way_n * north
-                    tan_yaw = shared[2] + shared[4] * since_s
+                    tan_yaw = shared[2] + shared[4] * since
                     residual = way_e * north - way_n * east + ahead_m * tan_yaw
                     by_e, by_n = north + east * tan_yaw, north * tan_yaw - east
                     by_shared[0] = speed_n * east - speed_e * north + ahead_m * looks[n, 2]
-                    by_shared[2], by_shared[4] = ahead_m, ahead_m * since_s
+                    by_shared[2], by_shared[4] = ahead_m, ahead_m * since
                     sigma = readings.noise[0] * max(abs(ahead_m), _NEAR_M)
                 else:
                     while sight < len(sights) - 2 and sights[sight + 1, 0] - shared[0] < time_s:
@@ -245,8 +247,8 @@ def fit_readings(
                         continue
                     distance_m = math.hypot(way_e, way_n)
                     by_e, by_n = way_e / max(distance_m, _NEAR_M), way_n / max(distance_m, _NEAR_M)
-                    residual = off_m[n] = distance_m - level_m + shared[3] + shared[5] * since_s
-                    by_shared[1], by_shared[3], by_shared[5] = -by_e * speed_e - by_n * speed_n, 1.0, since_s
+                    residual = off_m[n] = distance_m - level_m + shared[3] + shared[5] * since
+                    by_shared[1], by_shared[3], by_shared[5] = -by_e * speed_e - by_n * speed_n, 1.0, since
                     if readings.noise[2] > 0.0:
                         sigma = math.hypot(slant_m * readings.noise[2], readings.noise[3]) / max(sine, _SINE_MIN)
                     else:

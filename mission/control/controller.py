@@ -306,7 +306,26 @@ class StandoffController:
         limit_s = _UNSEEN_S if self.health.is_usable(Input.GIMBAL) else _GIMBAL_SILENT_S
         unseen = f"the target has not been seen for {unseen_s:.0f} s" if limit_s < unseen_s < math.inf else ""
         jumped = _JUMPED if self.health.payload.is_suspect(self.time_s) else ""
-        return self.health.unknown or self.door.doubt or jumped or unseen
+        return self.health.unknown or self.door.doubt or jumped or unseen or self._wanders()
+
+    @property
+    def _doubt_of_place(self) -> str:
+        wanders = self.health.payload.wander_m(self.time_s) > 0.0
+        return "the target may not be where it is seen" if wanders else "the target is not seen"
+
+    def _wanders(self) -> str:
+        """Return that the payload may have drifted by more than the target is within the band; empty: no."""
+        wander_m, aircraft, target = self.health.payload.wander_m(self.time_s), self.aircraft, self.estimate
+        if not wander_m or aircraft is None or target is None:
+            return ""
+        range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
+        requirement = self.settings.requirement
+        margin_m = min(range_m - requirement.range_min_m, requirement.range_max_m - range_m)
+        return (
+            f"the payload may have drifted: the target can be {wander_m:.0f} m elsewhere"
+            if wander_m > margin_m
+            else ""
+        )
 
     def _read(self, reading: Reading) -> None:
         tracker = self.tracker
@@ -388,7 +407,8 @@ class StandoffController:
         reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
         if reach is not None:
             away = self._hold_away(aircraft, present, reach)
-            if away or fault or target.quality is TrackQuality.GOOD:
+            wanders = self.health.payload.wander_m(self.time_s) > 0.0
+            if away or fault or (target.quality is TrackQuality.GOOD and not wanders):
                 return away
         if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
             self._hold(f"target unseen for {unseen_s:.0f} s")
@@ -407,7 +427,7 @@ class StandoffController:
         announced: tuple[StepOutput, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
             decision = replace(
-                decision, plan=None, reason="staying: the target is not seen and may be too near there"
+                decision, plan=None, reason=f"staying: {self._doubt_of_place} and may be too near there"
             )
         if decision.plan is not None:
             cleared = self.surroundings.cleared(decision.plan)
@@ -462,10 +482,10 @@ class StandoffController:
             plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
             plan = self.surroundings.first_cleared(plans)
         if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
-            self._hold("the target is not seen")
+            self._hold(self._doubt_of_place)
             return ()
         return self.changes.upload(
-            self.time_s, plan, self._wind, f"moving away: the target is not seen and may be within {keep_m:.0f} m"
+            self.time_s, plan, self._wind, f"moving away: {self._doubt_of_place} and may be within {keep_m:.0f} m"
         )
 
     def _again(self, present: Plan) -> Plan:

@@ -178,7 +178,7 @@ class UnseenTarget:
         self._last: tuple[float, Reach] | None = None  # with the time that it holds for
 
     def reach(self, now_s: float, estimate: TargetEstimate, fault: bool, speed_max_m_s: float) -> Reach | None:
-        """Return where the target can be, None while it is seen.
+        """Return where the target can be, None while it is seen and the payload's errors are known.
 
         A track that begins again may be a wrong one: it counts only some seconds later.
 
@@ -194,7 +194,8 @@ class UnseenTarget:
         if unseen_s <= _BLIND_S and not fault:
             if now_s - self._lost_s >= _PROBATION_S or self._last is None:
                 self._last = None
-                return None
+                wander_m = self._tracker.payload.wander_m(now_s)
+                return Reach(estimate.east_m, estimate.north_m, wander_m, estimate.speed_m_s) if wander_m else None
             since_s, reach = self._last
             return reach.after(now_s - since_s)
         speed_m_s = max(speed_max_m_s, estimate.speed_m_s)

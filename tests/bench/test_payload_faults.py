@@ -210,9 +210,13 @@ def _drifting_flight(order: tuple[str, int]) -> tuple[str, int, float, float, fl
     flight = _Compared(scenario, [Fault(name, begin_s, math.inf, change)])
     flown = flight.fly()
     reported = [(at_s, one.text) for at_s, one in flown.health if at_s > begin_s and one.input in PAYLOAD_INPUTS]
-    reported += [one for one in flown.announced if one[0] > begin_s and one[1].startswith(("the laser's", "the gimbal's"))]
+    reported += [
+        one for one in flown.announced if one[0] > begin_s and one[1].startswith(("the laser's", "the gimbal's"))
+    ]
     at_s, text = min((one for one in reported if words in one[1]), default=(math.inf, ""))
-    wrong_s = min((at_s for at_s, error_m in flight.errors_m if at_s > begin_s and error_m > wrong_m), default=math.inf)
+    wrong_s = min(
+        (at_s for at_s, error_m in flight.errors_m if at_s > begin_s and error_m > wrong_m), default=math.inf
+    )
     late_s = 0.0 if at_s <= wrong_s else at_s - wrong_s
     wrongly = flown.wrongly_in_band_s / scenario.duration_s
     return name, seed, wrong_s - begin_s, late_s, min(flown.range_m), wrongly, text
@@ -220,7 +224,9 @@ def _drifting_flight(order: tuple[str, int]) -> tuple[str, int, float, float, fl
 
 def test_drifts_of_the_payload_are_reported_and_keep_the_least_range():
     flown = _flown(_drifting_flight, DRIFTS)
-    print(f"\n{'drift':52}{'flights':>8}{'reported, s: median':>20}{'worst':>7}{'least range, m':>16}{'wrongly in band, %':>20}")
+    print(
+        f"\n{'drift':52}{'flights':>8}{'reported, s: median':>20}{'worst':>7}{'least range, m':>16}{'wrongly in band, %':>20}"
+    )
     missed = []
     for name, (_, _, limit_s, _) in DRIFTS.items():
         rows = [row for row in flown if row[0] == name]
@@ -229,7 +235,9 @@ def test_drifts_of_the_payload_are_reported_and_keep_the_least_range():
             f"{name:52}{len(rows):8}{statistics.median(late_s):20.0f}{max(late_s):7.0f}{min(row[4] for row in rows):16.0f}"
             f"{100.0 * max(row[5] for row in rows):20.1f}"
         )
-        missed += [row for row in rows if row[3] > limit_s or row[4] < DRIFTING_RANGE_MIN_M or row[5] > WRONG_SHARE_MAX]
+        missed += [
+            row for row in rows if row[3] > limit_s or row[4] < DRIFTING_RANGE_MIN_M or row[5] > WRONG_SHARE_MAX
+        ]
     print(*missed, sep="\n")
     assert not missed
 

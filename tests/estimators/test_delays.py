@@ -227,8 +227,8 @@ def test_clock_that_is_set_back_begins_the_fit_again():
 def test_a_target_straight_below_has_no_direction():
     time_s = np.arange(0.0, 60.0, 0.5)
     still = np.zeros((len(time_s), 4))
-    down = np.column_stack([time_s, still[:, :2], np.ones(len(time_s))])
-    ranges = np.column_stack([time_s, np.full(len(time_s), 100.0)])
+    down = np.column_stack([time_s, still[:, :2], np.ones(len(time_s)), time_s - time_s[-1]])
+    ranges = np.column_stack([time_s, np.full(len(time_s), 100.0), time_s - time_s[-1]])
     at = np.column_stack([time_s, still])
     scene = Readings(at, at[:, :4].copy(), down, ranges, EARTH, (0.01, 1.0, 0.0, 0.0), (0.0, 0.0))
     _, _, _, cost, _ = fit_readings(scene, np.ones(SHARED), np.zeros(SHARED, np.bool_), np.zeros(SHARED), 0.0)
