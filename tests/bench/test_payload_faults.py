@@ -80,7 +80,7 @@ ERRORS_DURATION_S, CORRECTED_AFTER_S = float(size(540, 150)), 60.0
 SIDE_LOST_MAX = 8.0  # points, on average
 LEAST_RANGE_MIN_M = 40.0  # ranges 100 m too long put the target nearer than the track until they are found
 
-DRIFTS = {  # with the error of the estimate from which the time counts, in how many s it is reported, and in which words
+DRIFTS = {  # error of the estimate m, within how many s after it the fault is reported, and a word of that report
     "ranges +0.15 m/s to 90 m": (lengthening(0.15, 90.0), 20.0, 90.0, ""),
     "ranges +0.3 m/s to 90 m": (lengthening(0.3, 90.0), 20.0, 90.0, ""),
     "ranges +0.6 m/s to 90 m": (lengthening(0.6, 90.0), 20.0, 90.0, ""),
@@ -191,17 +191,19 @@ class _Compared(FaultedFlight):
 
     def step(self) -> None:
         super().step()
-        now_s, snapshot = self.simulated.time_s, self.controller.snapshot()
-        if snapshot.estimate is not None and round(now_s / STEP_S) % 10 == 0:
+        now_s, estimate = self.simulated.time_s, self.controller.estimate
+        if estimate is not None and round(now_s / STEP_S) % 10 == 0:
             truth = self.simulated.target.at(now_s)
-            error_m = math.hypot(snapshot.estimate.east_m - truth.east_m, snapshot.estimate.north_m - truth.north_m)
-            self.errors_m.append((now_s, 0.0 if snapshot.unknown else error_m))
+            error_m = math.hypot(estimate.east_m - truth.east_m, estimate.north_m - truth.north_m)
+            self.errors_m.append((now_s, error_m))
 
 
 def _drifting_flight(order: tuple[str, int]) -> tuple[str, int, float, float, float, float, str]:
-    """Return the fault, its target, when the estimate was wrong, s, how much later it was reported, s, ...
+    """Fly a drift; return what the table needs.
 
-    ... the least range, m, the share of the flight that was claimed wrongly, and the first words.
+    Returns:
+        The fault, its target, when the estimate was wrong s, how much later the fault was reported s, the least range
+        m, the share of the flight that was claimed wrongly, and the report.
     """
     name, seed = order
     change, wrong_m, _, words = DRIFTS[name]
@@ -224,17 +226,14 @@ def _drifting_flight(order: tuple[str, int]) -> tuple[str, int, float, float, fl
 
 def test_drifts_of_the_payload_are_reported_and_keep_the_least_range():
     flown = _flown(_drifting_flight, DRIFTS)
-    print(
-        f"\n{'drift':52}{'flights':>8}{'reported, s: median':>20}{'worst':>7}{'least range, m':>16}{'wrongly in band, %':>20}"
-    )
+    print(f"\n{'drift':52}{'flights':>8}{'reported, s: median':>20}{'worst':>7}{'least range, m':>16}", end="")
+    print(f"{'wrongly in band, %':>20}")
     missed = []
     for name, (_, _, limit_s, _) in DRIFTS.items():
         rows = [row for row in flown if row[0] == name]
-        late_s = [row[3] for row in rows]
-        print(
-            f"{name:52}{len(rows):8}{statistics.median(late_s):20.0f}{max(late_s):7.0f}{min(row[4] for row in rows):16.0f}"
-            f"{100.0 * max(row[5] for row in rows):20.1f}"
-        )
+        late_s, least_m, wrongly = [row[3] for row in rows], min(row[4] for row in rows), max(row[5] for row in rows)
+        print(f"{name:52}{len(rows):8}{statistics.median(late_s):20.0f}{max(late_s):7.0f}{least_m:16.0f}", end="")
+        print(f"{100.0 * wrongly:20.1f}")
         missed += [
             row for row in rows if row[3] > limit_s or row[4] < DRIFTING_RANGE_MIN_M or row[5] > WRONG_SHARE_MAX
         ]

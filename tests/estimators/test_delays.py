@@ -1,6 +1,7 @@
 """Delays of laser and gimbal stamps are found from an aircraft that circles, and corrected."""
 
 import math
+from dataclasses import replace
 from itertools import takewhile
 
 import numpy as np
@@ -233,3 +234,30 @@ def test_a_target_straight_below_has_no_direction():
     scene = Readings(at, at[:, :4].copy(), down, ranges, EARTH, (0.01, 1.0, 0.0, 0.0), (0.0, 0.0))
     _, _, _, cost, _ = fit_readings(scene, np.ones(SHARED), np.zeros(SHARED, np.bool_), np.zeros(SHARED), 0.0)
     assert np.isfinite(cost)
+
+
+@pytest.mark.parametrize("frame", ["earth", "vehicle"])
+@pytest.mark.parametrize("seed", range(4))
+def test_fits_from_different_starts_come_to_the_same_likelihood(frame, seed):
+    """A fit that ends early looks less likely than another one, and lets correct stamps be replaced."""
+    fit = PayloadFit(TrackerSettings(), LEVEL)
+    for one in takewhile(lambda one: one.time_s <= 140.0, readings(0.0, 0.0, frame, seed=seed)):
+        taken(fit, one)
+    rows = fit._readings(140.0, 100.0, (0.0, 0.0))
+    sigmas = np.array([1e-4, 1e-4, math.radians(1.0), 1.0, 1e-7, 1e-5])
+    costs = [
+        fit_readings(rows, sigmas, np.zeros(SHARED, np.bool_), np.zeros(SHARED), scale_m)[3]
+        for scale_m in (0.0, 0.1, 1.0)
+    ]
+    assert max(costs) - min(costs) < 15.0
+
+
+def test_bound_on_a_drift_is_about_its_size_and_zero_without_one():
+    drifting, steady = PayloadFit(TrackerSettings(), LEVEL), PayloadFit(TrackerSettings(), LEVEL)
+    for one in takewhile(lambda one: one.time_s <= 120.0, readings(0.0, 0.0, moves=False)):
+        taken(steady, one)
+        longer_m = 0.3 * max(one.time_s - 40.0, 0.0)
+        is_range = isinstance(one, RangeReading)
+        taken(drifting, replace(one, slant_range_m=one.slant_range_m + longer_m) if is_range else one)
+    assert steady.wander_m(120.0) == 0.0
+    assert 15.0 < drifting.wander_m(120.0) < 60.0

@@ -23,14 +23,19 @@ from tests.faults.flight_faults import (
     Fault,
     flagged,
     later,
+    lengthening,
     moved,
     only,
     other_device,
+    pitching,
     repeated,
+    rising,
     scaled,
     silent,
     turned,
+    turning,
     with_fields,
+    wrong_at,
 )
 from tests.faulty_payload import FaultyPayload
 
@@ -514,41 +519,27 @@ def test_large_error_of_the_payload_is_reported_and_corrected(name):
     assert np.median(later_m) < 10.0  # without the correction 30 to 100 m
 
 
-def drifting(by):
-    """Let an error grow with the time since its beginning."""
-    return lambda message, since_s, rng: by(since_s)(message, since_s, rng)
-
-
-def near_one_bearing(factor):
-    """Multiply the ranges within 25 degrees of the bearing at which the error begins."""
-    seen_rad = []
-
-    def change(message, _since_s, _rng):
-        if message.name in GIMBAL:
-            w, x, y, z = message.fields["q"]
-            yaw_rad = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
-            seen_rad[1:] = [yaw_rad]
-            seen_rad[:0] = [] if len(seen_rad) > 1 else [yaw_rad]
-        elif seen_rad and abs(math.remainder(seen_rad[1] - seen_rad[0], math.tau)) < math.radians(25.0):
-            return with_fields(message, current_distance=round(factor * message.fields["current_distance"]))
-        return message
-
-    return only((*GIMBAL, *LASER), change)
-
-
 DRIFTS = {  # the time within which they are reported
-    "yaw, 0.05 degrees/s": (lambda: drifting(lambda s: turned(0.05 * s)), Input.GIMBAL, "its yaw drifts", 105.0),
-    "yaw, -0.2 degrees/s": (lambda: drifting(lambda s: turned(-0.2 * s)), Input.GIMBAL, "its yaw drifts", 72.0),
-    "range, 0.3 m/s": (lambda: drifting(lambda s: scaled(1.0, 0.3 * s)), Input.LASER, "its ranges drift", 140.0),
-    "range, -0.3 m/s": (lambda: drifting(lambda s: scaled(1.0, -0.3 * s)), Input.LASER, "its ranges drift", 140.0),
-    "ranges of some bearings": (lambda: near_one_bearing(1.15), Input.LASER, "its ranges are off by about", 110.0),
+    "yaw, 0.05 degrees/s": (turning(0.05, 30.0), Input.GIMBAL, "its yaw drifts", 105.0),
+    "yaw, -0.2 degrees/s": (turning(0.2, -30.0), Input.GIMBAL, "its yaw drifts", 72.0),
+    "yaw, 0.5 degrees/s": (turning(0.5, 40.0), Input.GIMBAL, "its yaw drifts", 62.0),
+    "range, 0.3 m/s": (lengthening(0.3, 90.0), Input.LASER, "its ranges drift", 140.0),
+    "range, -0.3 m/s": (lengthening(0.3, -90.0), Input.LASER, "its ranges drift", 140.0),
+    "pitch, 0.1 degrees/s": (pitching(0.1, 15.0), Input.GIMBAL, "its pitch drifts", 110.0),
+    "height, 0.3 m/s": (rising(0.3, 60.0), Input.GIMBAL, "the aircraft's height drifts", 150.0),
+    "ranges of some bearings": (
+        wrong_at(-90.0, 60.0, 1.15, of_nose=True),
+        Input.LASER,
+        "its ranges are off by",
+        110.0,
+    ),
 }
 
 
 @pytest.mark.parametrize("name", DRIFTS)
 def test_error_that_drifts_or_depends_on_the_bearing_is_named(name):
     change, input_, words, within_s = DRIFTS[name]
-    flown = FaultedFlight(Scenario(1, "px4", 220.0), [Fault(name, BEGIN_S, math.inf, change())]).fly()
+    flown = FaultedFlight(Scenario(1, "px4", 220.0), [Fault(name, BEGIN_S, math.inf, change)]).fly()
     found_s, text = next(
         (time_s, one.text)
         for time_s, one in flown.health
@@ -557,6 +548,21 @@ def test_error_that_drifts_or_depends_on_the_bearing_is_named(name):
     assert words in text
     assert BEGIN_S < found_s <= BEGIN_S + within_s
     assert min(flown.range_m) > 80.0
+
+
+def test_a_drift_counts_as_unknown_near_the_edge_of_the_band_before_it_is_certain():
+    """The bound on the error grows with the drift; without one it is 0."""
+    flight = FaultedFlight(Scenario(1, "px4", 200.0), [Fault("range", BEGIN_S, math.inf, lengthening(0.6, 90.0))])
+    bounds_m, wrong_m = [], []
+    while flight.simulated.time_s < 199.9 and not flight.controller.tracker.payload.laser_fault:
+        flight.step()
+        now_s, estimate = flight.simulated.time_s, flight.controller.estimate
+        if estimate is not None and now_s > BEGIN_S + 30.0:
+            truth = flight.simulated.target.at(now_s)
+            wrong_m.append(math.hypot(estimate.east_m - truth.east_m, estimate.north_m - truth.north_m))
+            bounds_m.append(flight.controller.tracker.payload.wander_m(flight.controller.time_s))
+    late = [bound_m > 0.7 * error_m for bound_m, error_m in zip(bounds_m, wrong_m, strict=True) if error_m > 20.0]
+    assert np.mean(late) > 0.4
 
 
 def test_a_position_that_serves_two_samples_is_no_motion():
