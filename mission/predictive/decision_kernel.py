@@ -189,9 +189,9 @@ def doubtful(scene: Scene, motions: Motions) -> bool:
 
 @compiled
 def likely(futures: Scenarios) -> Scenarios:
-    """Return the target's course alone, and the repetition of its path where that is more probable."""
-    repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
-    return first_of(futures, 2 if repeats else 1)
+    """Return the first future alone, with the second where that is more probable."""
+    both = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
+    return first_of(futures, 2 if both else 1)
 
 
 @compiled
@@ -365,10 +365,7 @@ _PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are ne
 
 @compiled
 def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Scenarios, bool]:
-    """Return futures of which the first follows the route, and True; the same and False off the route, or of no use.
-
-    The route replaces the future along the target's path history.
-    """
+    """Return futures of which the first follows the route, and True; the same and False where it is of no use."""
     way, progress = question.context.route.way, question.context.route.progress.state[0]
     if len(way.points) == 0 or not progress.on_route or not progress.of_use:
         return every, False

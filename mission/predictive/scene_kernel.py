@@ -1,6 +1,6 @@
 """The scene of a decision: aircraft, wind and plan at the departure, and predicted futures of the target.
 
-The target goes straight on, begins to turn, or repeats a part of its path history. The course to watch from follows.
+The target goes straight on or begins to turn. The course to watch from follows.
 """
 
 from __future__ import annotations
@@ -32,11 +32,8 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
     SideRule,
     TargetState,
     made_good_sigma_rad,
-    no_part,
     place_at,
     position_sigma_m,
-    predict_along,
-    repeated_part,
     velocity_sigma_m_s,
     viewpoint,
 )
@@ -284,9 +281,9 @@ def classes_about(
 def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> Scenarios:
     """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
 
-    There is one for each turn, the first straight on. If the target repeats a part of its path, the second follows
-    the path. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
-    asked in the frame of the velocity, in which it was computed, or of the fixed course.
+    There is one for each turn, the first straight on. The running cost is that of the course made good, of the
+    present one, or of a fixed one; the table is asked in the frame of the velocity, in which it was computed, or of
+    the fixed course.
     """
     memory = watcher.memory[0]
     k = min(PREDICTED_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
@@ -295,24 +292,13 @@ def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> S
     # The rest of its velocity is an error of the estimate, which would turn the course that is watched.
     if turns.stands and memory.standing and math.isnan(watcher.rule.fixed_course_rad):
         speed_m_s = 0.0
-    part, path = no_part(), memory.path
-    if moving and len(turns.rate_rad_s) > 1:
-        part = repeated_part(path, scene.frame_east_m, scene.frame_north_m, speed_m_s)
-    more = 1 if part.chance > 0.0 else 0
-    f = len(turns.rate_rad_s) + more
-    place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - part.chance) / (f - more))
+    f = len(turns.rate_rad_s)
+    place, weight = np.zeros((f, k, 4)), np.full(f, 1.0 / f)
     faded_s = np.empty(k)
     for i in range(k):
         faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
     for one in range(f):
-        _turning(scene, speed_m_s, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
-    if more > 0:
-        weight[1], x_m, y_m = part.chance, np.empty(k + 1), np.empty(k + 1)
-        predict_along(path, part, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
-        for i in range(k + 1):
-            x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
-        place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
-        place[1, :, 2], place[1, :, 3] = (x_m[1:] - x_m[:k]) / STEP_S, (y_m[1:] - y_m[:k]) / STEP_S
+        _turning(scene, speed_m_s, turns.rate_rad_s[one], faded_s, place[one])
     return watched(scene, motions, watcher, moving, weight, place)
 
 
