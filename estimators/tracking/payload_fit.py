@@ -22,6 +22,7 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
+import operator
 import statistics
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -153,7 +154,7 @@ _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
 _SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
 _GROWN_YAW, _GROWN_M = math.radians(1.8), 5.0  # a drift is at least so much in its last seconds
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
-_WORTH_SHARE = 0.3  # of the evidence that is asked for: with less in sight a drift is not fitted
+_WORTH = 4.0  # evidence in sight, without which a drift is not fitted
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
@@ -195,6 +196,9 @@ class Fit(NamedTuple):
     information: FloatArray
     cost: float
     off_m: FloatArray
+
+
+_cost = operator.attrgetter("cost")
 
 
 class _Sample(NamedTuple):
@@ -872,7 +876,7 @@ class PayloadFit:
             plain = self._solve(
                 readings, self._sigmas, np.zeros(SHARED), best.scale_m
             )  # a lesser minimum is strained
-            best = self._fit_erring(readings, min(best, plain, key=lambda one: one.cost))
+            best = self._fit_erring(readings, min(best, plain, key=_cost))
         tan_yaw, range_m = best.shared[2:4].tolist()
         if self._erring is None or self._on_ground:
             range_m = 0.0  # it may be the target's height
@@ -906,23 +910,31 @@ class PayloadFit:
             return False
         pinned = np.array([_PINNED_S, _PINNED_S, *self._sigmas[2:]])
         start = np.array([0.0, 0.0, *best.shared[2:]])
-        kept = self._solve(
-            _scaled(readings, self._factor), pinned, start, best.scale_m, erring=self._erring is not None
-        )
+        erring = self._erring is not None
+        kept = self._solve(readings, pinned, start, best.scale_m, erring=erring, factor=self._factor)
         self.evidence = kept.cost - best.cost
         return self.evidence > (_GAIN if self._late_count > 1 else _GAIN_AT_ONCE)
 
     def _solve(
-        self, readings: Readings, sigmas: FloatArray, start: FloatArray, scale_m: float = 0.0, *, erring: bool = False
+        self,
+        readings: Readings,
+        sigmas: FloatArray,
+        start: FloatArray,
+        scale_m: float = 0.0,
+        *,
+        erring: bool = False,
+        factor: float = 1.0,
     ) -> Fit:
-        return Fit(*fit_readings(readings, sigmas, _ERRING if erring else _SMALL, start, scale_m))
+        """Return the fit of ranges that are multiplied by a factor; its cost is that of the ranges as read."""
+        found = Fit(*fit_readings(_scaled(readings, factor), sigmas, _ERRING if erring else _SMALL, start, scale_m))
+        return found._replace(cost=found.cost - len(readings.ranges) * math.log(factor))
 
     def _fit_sound(self, readings: Readings) -> Fit:
         """Return the best fit with errors as small as the priors say."""
         before = (np.zeros(SHARED), 0.0) if self._sound is None else (self._sound.shared, self._sound.scale_m)
         start = np.array([*_STARTS_S[self._fits % len(_STARTS_S)], *(SHARED - 2) * [0.0]])
         fits = [self._solve(readings, self._sigmas, *begin) for begin in (before, (start, 0.0))]
-        self._sound = min(fits, key=lambda one: one.cost)
+        self._sound = min(fits, key=_cost)
         self._fits += 1
         return self._sound
 
@@ -931,7 +943,7 @@ class PayloadFit:
         before, range_m = self._erring, float(np.median(readings.ranges[:, 1]))
 
         def fit(factor: float, start: FloatArray, scale_m: float = 0.0) -> Fit:
-            return self._solve(_scaled(readings, factor), self._sigmas, start, scale_m, erring=True)
+            return self._solve(readings, self._sigmas, start, scale_m, erring=True, factor=factor)
 
         tried = [(self._factor, fit(self._factor, sound.shared))]
         if before is not None:
@@ -945,7 +957,7 @@ class PayloadFit:
             if abs(best.shared[3]) < _FACTOR_FROM_M or not _FACTORS[0] < other < _FACTORS[1]:
                 break
             another = fit(other, best.shared * (1.0, 1.0, 1.0, 0.0, 1.0, 1.0))
-            if another.cost > best.cost - _FACTOR_BETTER:
+            if another.cost > best.cost - _FACTOR_BETTER or another.scale_m > max(_CALM_M, best.scale_m):
                 break
             best, factor = another, other
         (tan_yaw, bias_m), latest_s = abs(best.shared[2:4]), float(best.shared[:2].max())
@@ -1001,13 +1013,12 @@ class PayloadFit:
             return Fit(*fit_readings(given, one, heavy, start, scale_m))
 
         sound, eased = fit(), 0.5 if self._drift else 1.0
+        seems = bool(self._drift_seen or self._drift or self._wander[0])
         by_yaw, by_range = (
-            fit(rate) if _gain_of_freeing(sound, sigmas, rate) > _WORTH_SHARE * eased * evidence else sound
-            for rate, evidence in ((4, _YAW_EVIDENCE), (5, _RANGE_EVIDENCE))
+            fit(rate) if seems or _gain_of_freeing(sound, sigmas, rate) > _WORTH else sound for rate in (4, 5)
         )
-        best = min(by_yaw, by_range, key=lambda one: one.cost)
-        if sound.cost - best.cost > _SUSPICIOUS:  # it may have ended in a lesser minimum
-            sound = min(sound, fit(scale_m=best.scale_m), key=lambda one: one.cost)
+        if sound.cost - min(by_yaw.cost, by_range.cost) > _SUSPICIOUS:  # it may have ended in a lesser minimum
+            sound = min(sound, fit(scale_m=min(by_yaw, by_range, key=_cost).scale_m), key=_cost)
         looks = np.empty((len(readings.sights), 3))
         look(readings, 0.0, looks)
         looks[:, 0] = np.unwrap(looks[:, 0])
@@ -1062,7 +1073,8 @@ class PayloadFit:
             if one is not None:
                 pair = one.information[np.ix_([k, k + 2], [k, k + 2])] / _READINGS_SIGMAS**2
                 pair += np.diag([1e-9, 1e-9])
-                off_m = abs(float(one.shared[k])) + 2.0 * math.sqrt(float(np.linalg.inv(pair)[0, 0]))
+                known = 0.0 if self._erring is None else float(self._erring.shared[k])
+                off_m = abs(float(one.shared[k]) - known) + 2.0 * math.sqrt(float(np.linalg.inv(pair)[0, 0]))
                 self._wander = max(self._wander, (metres * off_m, metres * abs(float(one.shared[k + 2]))))
         self._wander_s = float(readings.ranges[-1, 0])
 
