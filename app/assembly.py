@@ -22,7 +22,7 @@ from sidelong.app.planners.planner_kind import CompilesInParts, PlannerKind, Pla
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.app.warm_up import DECISION_INPUTS, warm_up_over, warm_up_planner, warm_up_track
+from sidelong.app.warm_up import warm_up_exchange, warm_up_over, warm_up_planner, warm_up_track
 from sidelong.estimators.compiled import FOLDER, is_cached
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
@@ -48,7 +48,7 @@ _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
 _COMPILED = 165  # functions of a first compilation, about
-_PARTS = "rest", "search and filter"  # of the first compilation, each in a process of its own
+_PARTS = "decisions", "tables and filter"  # of the first compilation, each in a process of its own
 
 
 def tracker_of(config: Config) -> Tracker:
@@ -197,12 +197,17 @@ def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None])
 
 
 def _prepared(config: Config, kind: PlannerKind, progress: Callable[[float], None] = lambda _share: None) -> Prepared:
-    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
     make_planner = kind.factory(planner_needs(config, progress))
-    beyond_m = requirement.range_max_m - 190.0
-    warm_up_planner(make_planner(aircraft, requirement, Surroundings()), beyond_m, config.route.is_known)
+    _warm_up_planner(config, make_planner)
+    warm_up_exchange()
     warm_up_track(_track_of(config))
     return Prepared(config, make_planner)
+
+
+def _warm_up_planner(config: Config, make_planner: CheckedPlannerFactory) -> None:
+    requirement = config.requirement.requirement()
+    planner = make_planner(config.aircraft.aircraft(), requirement, Surroundings())
+    warm_up_planner(planner, requirement.range_max_m - 190.0, config.route.is_known)
 
 
 def winds_m_s(config: Config) -> list[float]:
@@ -374,12 +379,14 @@ def _compile_part(part: str) -> None:
     """Compile one part for the configuration and the planner that come in."""
     gc.disable()  # to search for garbage takes a tenth of the time
     config, kind = pickle.loads(sys.stdin.buffer.read())
-    if part == _PARTS[0]:
-        _prepared(config, kind)
-        return
-    if isinstance(kind, CompilesInParts):
-        kind.compile_part(config.aircraft.aircraft(), config.requirement.requirement(), DECISION_INPUTS)
-    warm_up_track(_track_of(config))
+    if part == _PARTS[1]:
+        kind.factory(planner_needs(config, lambda _share: None))
+        warm_up_exchange()
+        warm_up_track(_track_of(config))
+    elif isinstance(kind, CompilesInParts):
+        _warm_up_planner(config, lambda aircraft, wanted, _check: kind.without_values(aircraft, wanted))
+    else:
+        _warm_up_planner(config, kind.factory(planner_needs(config, lambda _share: None)))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan, Planner
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.line_kernel import laid_out, trapezoid
+from sidelong.mission.geometry.line_kernel import Trapezoid, laid_out, trapezoid
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.route.progress import RoutePlanner
@@ -38,8 +38,6 @@ _CIRCLE = Circle(-250.0, 0.0, 60.0, clockwise=True)
 _TARGET = TargetEstimate(1.0, 0.0, 0.0, 0.0, 0.0, np.eye(4), TrackQuality.GOOD, 1.0)
 _HERE = AircraftState(1.0, *_CIRCLE.position_at_course(0.0), 0.0, 15.0, _CIRCLE.curvature_per_m)
 
-DECISION_INPUTS = _HERE, _TARGET, Plan(_CIRCLE), Wind(), 0.5
-"""Made-up values to decide by."""
 MADE_UP_ROUTE = route_of(np.array([-300.0, 300.0]), np.zeros(2))
 
 
@@ -54,12 +52,7 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
     """
     if with_route and isinstance(planner, RoutePlanner):
         planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
-    curvature_per_m = _CIRCLE.curvature_per_m
-    shape = trapezoid(curvature_per_m, 0.0, 300.0, curvature_per_m, 1e-3)
-    plan = Plan(_CIRCLE)
-    TargetCourse().update(_TARGET, 1.0)
-    courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
-    ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
+    shape, plan = _shape(), Plan(_CIRCLE)
     for time_s in (0.0, 0.5, 1.0):
         course_rad = 0.1 * time_s
         east_m, north_m = _CIRCLE.position_at_course(course_rad)
@@ -67,14 +60,24 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         planner.decide(aircraft, replace(_TARGET, time_s=time_s, last_sighting_s=time_s), plan, Wind(), 0.5)
         point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
         plan = Plan(_CIRCLE, Path(*laid_out(shape, east_m, north_m, course_rad)), time_s)
-    tracking, here = LineTracking(), _CIRCLE.position_at_course(0.0)
-    lay_out(Path(*laid_out(shape, *here, 0.0)), _CIRCLE, tracking, math.inf)
     far = replace(_TARGET, east_m=_TARGET.east_m + beyond_m)
     for course_rad in (1.6, 3.1, 4.7, 0.0):
         east_m, north_m = _CIRCLE.position_at_course(course_rad)
         aircraft = replace(_HERE, east_m=east_m, north_m=north_m, course_rad=course_rad)
         if planner.decide(aircraft, far, Plan(_CIRCLE), Wind(), 0.5).plan is not None:
             break
+
+
+def warm_up_exchange() -> None:
+    """Run what lays plans out for the autopilot, and what judges the watch."""
+    TargetCourse().update(_TARGET, 1.0)
+    courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
+    ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
+    lay_out(Path(*laid_out(_shape(), *_CIRCLE.position_at_course(0.0), 0.0)), _CIRCLE, LineTracking(), math.inf)
+
+
+def _shape() -> Trapezoid:
+    return trapezoid(_CIRCLE.curvature_per_m, 0.0, 300.0, _CIRCLE.curvature_per_m, 1e-3)
 
 
 def warm_up_track(track: Track) -> None:

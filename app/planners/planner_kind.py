@@ -8,19 +8,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from sidelong.estimators.compiled import is_cached
-from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.feasibility import Change, unflyable
-from sidelong.mission.core.plan import AircraftState, CheckedPlannerFactory, Plan, PlanCheck, Planner
-from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.core.plan import CheckedPlannerFactory, PlanCheck, Planner
+from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.paper.scope import infeasible, largest_psi_c_rad
 
 if TYPE_CHECKING:
     from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
     from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
-
-
-DecisionInputs = tuple[AircraftState, TargetEstimate, Plan, Wind, float]
-"""What ``Planner.decide`` takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +63,10 @@ class PlannerKind(Protocol):
 
 @runtime_checkable
 class CompilesInParts(Protocol):
-    """A ``PlannerKind`` that a second process can help to compile."""
+    """A ``PlannerKind`` whose decisions one process compiles while another computes its tables."""
 
-    def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
-        """Compile about half of it, while another process begins with the other half. known: to decide by."""
+    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner:
+        """Return a planner that decides by empty tables."""
 
 
 class Paper:
@@ -154,33 +149,15 @@ class Predictive:
 
         return is_cached(look_ahead)
 
-    def compile_part(self, aircraft: Aircraft, requirement: Requirement, known: DecisionInputs) -> None:
-        """Compile the search, while another process compiles the forecast, which the search knows nothing of."""
+    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner:
         import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
 
-        from sidelong.mission.predictive.decision_kernel import commitment, look_two_moves_ahead  # noqa: PLC0415
-        from sidelong.mission.predictive.moves_kernel import MOVES  # noqa: PLC0415
-        from sidelong.mission.predictive.planner import (  # noqa: PLC0415
-            PredictivePlanner,
-            scene_at,
-            table_configuration,
-        )
-        from sidelong.mission.predictive.scene_kernel import winding  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration  # noqa: PLC0415
         from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
 
         configuration = table_configuration(aircraft, requirement, 0.0, self.settings())
         table = completed(configuration, np.zeros(configuration.shape, np.float32))
-        planner = PredictivePlanner(aircraft, requirement, table, self.settings())
-        question = planner.questions[0]
-        scene = scene_at(*known, question)
-        futures = winding(
-            scene,
-            question.context.motions,
-            question.context.watcher,
-            question.context.turns,
-        )
-        min_gain = commitment(scene, futures, question)
-        look_two_moves_ahead(scene, futures, question, planner.sight_in(scene), min_gain, np.empty(MOVES))
+        return self.finished(PredictivePlanner(aircraft, requirement, table, self.settings()))
 
     def settings(self) -> PredictiveSettings:
         """Return how it plans, but for what the configuration sets."""

@@ -88,13 +88,8 @@ class SteeredAircraft:
     def look(self, time_s: float, target_east_m: float, target_north_m: float) -> list[AnySighting]:
         """Measure, and return the sightings that this completes."""
         craft = self._craft
-        here_m, velocity_m_s = (
-            (craft.east_m, craft.north_m, craft.height_m),
-            (
-                craft.velocity_east_m_s,
-                craft.velocity_north_m_s,
-            ),
-        )
+        here_m = craft.east_m, craft.north_m, craft.height_m
+        velocity_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s
         readings: list[Reading] = [
             PositionReading(time_s, *here_m, *velocity_m_s, 0.0),
             AttitudeReading(time_s, craft.roll_rad, 0.0, craft.heading_rad),

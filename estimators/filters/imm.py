@@ -123,11 +123,7 @@ class TargetImm:
         return DENSITIES[settings.target_kind]
 
     def predict(self, time_s: float) -> None:
-        """Predict the state.
-
-        Args:
-            time_s: Time to predict to, vehicle's clock, s; not earlier than the filter's own time.
-        """
+        """Predict the state to a time that is not earlier than the filter's own."""
         left_s, self.time_s = round(time_s - self.time_s, 6), time_s
         if left_s <= 0.0:
             return
@@ -149,10 +145,6 @@ class TargetImm:
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
         """Update the state with a sighting made at the filter's time, unless the gate rejects it.
-
-        Args:
-            sighting: The sighting.
-            gate_nis: Greatest accepted normalised innovation squared.
 
         Returns:
             The normalised innovation squared: chi-square with three degrees of freedom for laser and gimbal.
@@ -191,12 +183,7 @@ class TargetImm:
         return mean, covariance
 
     def widen_clock(self, payload: int, sigma_s: float) -> None:
-        """Set the uncertainty of a payload's clock, before its first detection.
-
-        Args:
-            payload: Index of the payload.
-            sigma_s: Standard deviation of its clock, s.
-        """
+        """Set the standard deviation of the clock of the payload of an index, before its first detection."""
         n = kernel.numbers_of(self.state)
         at = errors_of(payload, n)[0] + ERRORS
         self.state = self.state.copy()
@@ -210,11 +197,7 @@ class TargetImm:
 
 
 def steadier(densities: Densities) -> Densities:
-    """Return the process noise while no ranges are measured.
-
-    Args:
-        densities: That of the same target with ranges.
-    """
+    """Return the process noise while no ranges are measured, from that of the same target with ranges."""
     return densities._replace(
         cruise_m2_s3=_SHARE_WITHOUT_RANGE * densities.cruise_m2_s3,
         manoeuvre_m2_s3=_SHARE_WITHOUT_RANGE * densities.manoeuvre_m2_s3,
@@ -222,12 +205,7 @@ def steadier(densities: Densities) -> Densities:
 
 
 def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float]) -> Biases:
-    """Return the prior of the errors of several payloads, each with its clock.
-
-    Args:
-        payloads: Settings of each payload.
-        clock_sigmas_s: Standard deviation of each payload's clock, s.
-    """
+    """Return the prior of the errors of several payloads, each with its clock."""
     sigmas = [(*prior_sigmas(one), clock_s) for one, clock_s in zip(payloads, clock_sigmas_s, strict=True)]
     return Biases(np.zeros(4 * len(sigmas)), np.diag(np.square(sigmas).ravel()))
 
@@ -242,11 +220,6 @@ def starting_moments(
     settings: TrackerSettings, sighting: AnySighting, biases: Biases
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean and covariance of a target at its first sighting, with unknown velocity.
-
-    Args:
-        settings: Settings of the tracker.
-        sighting: The first sighting.
-        biases: Prior of the payload's errors.
 
     Returns:
         Mean (n,) and covariance (n, n) of (east, north, velocity east, velocity north, height, turn rate, errors).

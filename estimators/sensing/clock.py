@@ -109,14 +109,7 @@ class VehicleClock:
         return self._taken_elsewhere(self._own, stamp_s, confirmed_after_s)
 
     def goes_on(self, stamp_s: float) -> bool:
-        """Accept a stamp if it continues the clock, as nearly all do.
-
-        Args:
-            stamp_s: Time since boot in the message, s.
-
-        Returns:
-            Whether the stamp continues the clock.
-        """
+        """Accept a stamp, time since boot, if it continues the clock, as nearly all do; return whether it does."""
         own = self._own
         if own is None:
             self._own, self.now_s = _Line(stamp_s, stamp_s), stamp_s

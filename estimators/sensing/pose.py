@@ -36,7 +36,7 @@ class ReadingHistory(Generic[T]):
         return len(self._items)
 
     def add(self, item: T) -> bool:
-        """Store a reading; return False for a duplicate."""
+        """Store a reading in the order of the times; return False for a duplicate."""
         items = self._items
         if item.time_s > self.newest_s:
             items.append(item)
@@ -84,13 +84,6 @@ class PoseHistory:
     def __init__(self) -> None:
         self.positions: ReadingHistory[PositionReading] = ReadingHistory(self._SPAN_S)
         self.attitudes: ReadingHistory[AttitudeReading] = ReadingHistory(self._SPAN_S)
-
-    def add(self, reading: PositionReading | AttitudeReading) -> None:
-        """Store a reading; late ones are inserted in the order of their times."""
-        if isinstance(reading, PositionReading):
-            self.positions.add(reading)
-        else:
-            self.attitudes.add(reading)
 
     def position_at(self, time_s: float) -> PositionReading | None:
         """Return the aircraft's position at a time.

@@ -203,12 +203,7 @@ class BeaconErrors:
         self._last_s = -math.inf
 
     def sigma_m(self, time_s: float, sigma_m: float) -> float:
-        """Return the standard deviation to use for a fix.
-
-        Args:
-            time_s: Time of the fix, vehicle's clock, s.
-            sigma_m: Standard deviation that the beacon reports or that is configured, m.
-        """
+        """Return the standard deviation to use for a fix, from that which the beacon reports or is configured."""
         step_s = max(abs(time_s - self._last_s), _MIN_STEP_S)
         self._last_s = max(self._last_s, time_s)
         return sigma_m * math.sqrt(max(2.0 * _CORRELATION_S / step_s, 1.0))
@@ -234,10 +229,7 @@ def line_of_sight(
 
     Straight down the bearing is 0: a line of sight within a degree of it has no usable bearing.
 
-    Args:
-        gimbal: The gimbal's orientation and its frame.
-        attitude: Attitude of the aircraft; None is accepted for an earth-frame gimbal only.
-        parent_from_mount: Rotation from the gimbal's mount to its parent frame.
+    The attitude may be None for an earth-frame gimbal only.
     """
     direction = sight_direction(normalized(gimbal.quaternion_wxyz))
     if gimbal.frame != "earth":
@@ -252,14 +244,6 @@ def line_of_sight(
 
 
 def lever_arm_plane_m(lever_arm_body_m: Vector, attitude: AttitudeReading) -> Vector:
-    """Return the gimbal's position relative to the aircraft's position.
-
-    Args:
-        lever_arm_body_m: The same in body axes (forward, right, down), m.
-        attitude: Attitude of the aircraft.
-
-    Returns:
-        (east, north, up), m.
-    """
+    """Return the gimbal's position from the aircraft's (east, north, up), given in (forward, right, down)."""
     north, east, down = rotate(ned_from_body(attitude), lever_arm_body_m)
     return east, north, -down

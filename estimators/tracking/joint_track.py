@@ -134,12 +134,9 @@ class JointTrack:
         return Track(self._settings[0], start)
 
     def add(self, name: str, sighting: AnySighting, clock_sigma_s: float = 0.0) -> SightingOutcome:
-        """Update the track with a payload's sighting.
+        """Update the track with a sighting of an aircraft's payload.
 
-        Args:
-            name: Name of the payload's aircraft.
-            sighting: The sighting.
-            clock_sigma_s: Standard deviation of its time, s; that of the payload's first sighting counts.
+        clock_sigma_s: standard deviation of its time; that of the payload's first sighting counts.
         """
         payload = self._names.index(name)
         self._own[payload].add(sighting)

@@ -87,12 +87,7 @@ class Track:
         self._begins_again = True
 
     def restart(self, biases: Biases, sightings: Sequence[AnySighting]) -> None:
-        """Start again with other errors of the payload.
-
-        Args:
-            biases: Errors of the payload.
-            sightings: Sightings that replace all earlier ones.
-        """
+        """Start again with other errors of the payload, and sightings that replace all earlier ones."""
         self._filter = self._coasted = None
         self._steps.clear()
         self._gated_out.clear()
@@ -228,11 +223,7 @@ class Track:
     def estimate(self, now_s: float) -> TargetEstimate | None:
         """Return the predicted target.
 
-        Args:
-            now_s: Time to predict to, vehicle's clock, s.
-
-        Returns:
-            The estimate at that time, or at the last sighting if that is later; None before the first sighting.
+        It is that at ``now_s``, or at the last sighting if that is later; None before the first one.
         """
         if self._filter is None:
             return None
@@ -258,14 +249,7 @@ class Track:
         return None if self._filter is None else self.estimate(self._filter.time_s)
 
     def drop_m(self, height_m: float) -> float:
-        """Return how far the ground at the target is below the aircraft.
-
-        Args:
-            height_m: Height of the aircraft above home, m.
-
-        Returns:
-            Difference of heights, m; 0 before the first sighting.
-        """
+        """Return how far the ground at the target is below a height above home, m; 0 before the first sighting."""
         return 0.0 if self._filter is None else height_m - self._filter.height_m
 
     def _coasted_to(self, last: TargetImm, now_s: float) -> TargetImm:

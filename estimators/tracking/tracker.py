@@ -139,8 +139,7 @@ class Pairing:
     def set_delays(self, delays: Delays | None) -> None:
         """Use other delays from now on, rounded to whole milliseconds so that a replay computes the same values.
 
-        Args:
-            delays: Delays of laser and gimbal; None: the configured ones.
+        None: the configured ones.
         """
         used_s, self.range_factor = self._settings.latencies_s, 1.0
         if delays is not None:
@@ -538,10 +537,8 @@ class Tracker:
     def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:
         """Assume that the target stands on a ground. Call it before the first sighting.
 
-        Args:
-            ground: The ground.
-            angles_alone: Whether the line of sight alone counts while the laser is silent. Set False where the gimbal
-                follows the estimate, which would confirm itself.
+        angles_alone: whether the line of sight alone counts while the laser is silent; False where the gimbal follows
+        the estimate, which would confirm itself.
         """
         self._track.stand_on(ground)
         if angles_alone:

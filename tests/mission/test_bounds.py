@@ -78,8 +78,8 @@ def test_this_many_ranges_wait_and_no_more():
 def test_nothing_is_known_in_a_long_gap():
     poses = PoseHistory()
     for time_s in (100.0, 102.0, 107.0):
-        poses.add(PositionReading(time_s, 15.0 * time_s, 0.0, 100.0, 15.0, 0.0, 0.0))
-        poses.add(AttitudeReading(time_s, 0.1, 0.0, 0.0))
+        poses.positions.add(PositionReading(time_s, 15.0 * time_s, 0.0, 100.0, 15.0, 0.0, 0.0))
+        poses.attitudes.add(AttitudeReading(time_s, 0.1, 0.0, 0.0))
     assert poses.position_at(101.0).east_m == pytest.approx(1515.0)
     assert poses.attitude_at(101.0).roll_rad == 0.1
     assert poses.position_at(105.0) is None
