@@ -140,7 +140,7 @@ class JointTrack:
         """
         payload = self._names.index(name)
         self._own[payload].add(sighting)
-        self._latest[payload] = replace(sighting, payload=payload)
+        self._latest[payload] = sighting if sighting.payload == payload else replace(sighting, payload=payload)
         if payload in self._refused:
             return SightingOutcome(sighting, False, float("nan"), self._refused[payload])
         if payload not in self._fed:
