@@ -323,23 +323,14 @@ class PredictivePlanner:
         full, share = question.prices, self.price_share
         prices = full._replace(leave=share * full.leave, change=share * full.change)
         scene = scene_at(aircraft, target, present, wind, latency_s, question)
-        return self._look_ahead(scene, aircraft.time_s, present, question._replace(prices=prices))
-
-    def sight_in(self, scene: Scene) -> Sight:
-        """Return from where the target of a scene is seen."""
-        sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
-        across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
-        velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
-        return self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
-
-    def _look_ahead(self, scene: Scene, now_s: float, present: Plan, question: Question) -> Decision:
-        """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
+        question = question._replace(prices=prices)
+        # The cheapest move that breaks no fence is taken, if it is cheaper than staying.
         stay_cost, min_gain_s, costs = weigh(scene, question, self.sight_in(scene))
         places, time_s = kernel.flown_on(scene, 4.0 * math.pi * scene.radius_m)
         x_m, y_m = places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s
         ahead = Outlook(x_m, np.hypot(x_m, y_m), time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
-        breach = describe_breach(ahead, side, self.requirement, scene.departure_s - now_s)
+        breach = describe_breach(ahead, side, self.requirement, scene.departure_s - aircraft.time_s)
         bar = stay_cost - min_gain_s
         move, plan, broken = cheapest_allowed(scene, question, costs, bar, self.check)
         if plan is not None:
@@ -356,7 +347,14 @@ class PredictivePlanner:
         else:
             reason = f"staying: {describe_range(ahead)}"
         values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
-        return Decision(now_s, plan, reason, values)
+        return Decision(aircraft.time_s, plan, reason, values)
+
+    def sight_in(self, scene: Scene) -> Sight:
+        """Return from where the target of a scene is seen."""
+        sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
+        across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
+        velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
+        return self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
 
 
 def scene_at(
