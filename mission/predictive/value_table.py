@@ -189,8 +189,7 @@ def _turned_frame(habits: TargetHabits, moving: Float32) -> Float32:
 def _rolled(classes: Float32, steps: float) -> Float32:
     """Return classes (directions, ...) moved on by a number of directions: at d what was at d - steps."""
     whole = math.floor(steps)
-    past = steps - whole
-    moved = (1.0 - past) * np.roll(np.eye(len(classes)), whole, axis=0) + past * np.roll(
-        np.eye(len(classes)), whole + 1, axis=0
-    )
-    return np.tensordot(moved.astype(np.float32), classes, axes=1)
+    past, before = np.float32(steps - whole), np.roll(classes, whole, axis=0)
+    if past == 0.0:
+        return before
+    return (np.float32(1.0) - past) * before + past * np.roll(classes, whole + 1, axis=0)
