@@ -66,7 +66,7 @@ class CompilesInParts(Protocol):
     """A ``PlannerKind`` whose decisions one process compiles while another computes its tables."""
 
     def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner:
-        """Return a planner that decides by empty tables."""
+        """Return a planner that decides by made-up tables."""
 
 
 class Paper:
@@ -156,7 +156,9 @@ class Predictive:
         from sidelong.mission.predictive.value_table import completed  # noqa: PLC0415
 
         configuration = table_configuration(aircraft, requirement, 0.0, self.settings())
-        table = completed(configuration, np.zeros(configuration.shape, np.float32))
+        shape = configuration.shape  # values that grow along one axis let it move
+        slope = np.broadcast_to(np.linspace(0.0, 1e3, shape[-1], dtype=np.float32), shape)
+        table = completed(configuration, slope.copy())
         return self.finished(PredictivePlanner(aircraft, requirement, table, self.settings()))
 
     def settings(self) -> PredictiveSettings:
