@@ -95,8 +95,10 @@ class TargetCamera:
 
     def event(self, event: object) -> None:
         """Take an event of the flight."""
-        if isinstance(event, PositionReading | AttitudeReading):
-            self._poses.add(event)
+        if isinstance(event, PositionReading):
+            self._poses.positions.add(event)
+        elif isinstance(event, AttitudeReading):
+            self._poses.attitudes.add(event)
         elif isinstance(event, GimbalReading) and event.source.message != IMAGE_TRACKER:
             self._gimbals.add(event)
 
