@@ -49,6 +49,7 @@ COMMANDS = {
 }
 
 
+_NO_NUMBER = "it is no number; give one without a unit and with a decimal point, such as 1200 or 4.5"
 _EXTRAS = {"matplotlib": "report", "scipy": "study"}  # a flight needs neither
 
 
@@ -59,6 +60,9 @@ class _Commands(TyperGroup):
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name == "help":
+            print(ctx.get_help())
+            raise typer.Exit
         if cmd_name in COMMANDS:
             return load_command(cmd_name)
         near = get_close_matches(cmd_name, COMMANDS, 1)
@@ -115,9 +119,9 @@ class _Command(TyperCommand):
             key = _as_key(option) if option.startswith("--") else None
             if key is not None:
                 raise InputError(f"{option} is a key of the configuration: give --set {key}=VALUE.") from error
-            if isinstance(error, typer.BadParameter):
-                error.message = error.message.removeprefix("Value error, ")
-            raise
+            text = error.format_message().replace("Value error, ", "").rstrip(".")
+            text = text.replace("Input should be a valid number, unable to parse string as a number", _NO_NUMBER)
+            raise InputError(f"{text}; see sidelong {self.name} --help.") from error
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -202,6 +206,8 @@ def run(arguments: list[str] | None = None) -> int:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
         return 0
+    except MemoryError:
+        return _complain("there is not enough memory; a flight takes about 300 MB, the first compilation 1 GB.", 1)
     except Exception as error:
         if interrupt_dropped():
             return _complain("interrupted.", INTERRUPTED)

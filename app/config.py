@@ -539,7 +539,7 @@ class SimulationSection(Section):
     """Which autopilot it behaves like."""
     target: str = "walk"
     """A built-in motion, or a .gpx or .csv track."""
-    speed: float = Field(10.0, gt=0, le=100)
+    speed: float = Field(10.0, ge=0.1, le=100)
     """Simulated time over wall time."""
     seed: int = Field(1, ge=0)
     """Random seed of all noise."""

@@ -8,6 +8,7 @@ are left at the defaults; a preset is where to begin, the aircraft's own figures
 from __future__ import annotations
 
 import json
+import shlex
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -192,7 +193,8 @@ def init(
         raise InputError(f"{file} is there already; give another name, or --force to write over it.")
     with writing(file, "init"):
         write_text(file, config_text(preset, fleet))
-    say(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}")
+    named = shlex.quote(str(file))
+    say(f"wrote {file}; then: sidelong check {named}; sidelong launch {named}")
 
 
 def _check_preset(preset: str | None, fleet: int | None) -> None:

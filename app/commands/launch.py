@@ -209,6 +209,8 @@ def _checked(settings: Config, speed: float | None, payload_url: str | None) -> 
 def _map_address(view: bool | None, silent: bool, settings: Config) -> PageAddress | None:
     """Return the address of the map; view None: in a desktop session, on another port if that one is in use."""
     unasked = view is None and is_desktop() and not silent
+    if view is None and not (unasked or silent):
+        say("--view shows the live map; without a desktop it prints the address")
     port = free_port(settings.display.port) if unasked else None
     address = page_address(unasked or bool(view), settings.display, port)
     return address and replace(address, opens_browser=unasked and address.is_local)

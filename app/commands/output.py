@@ -160,7 +160,10 @@ def checked_file(option: str, path: Path | None) -> None:
     """Complain about a file that cannot be written, before the work begins. Raises InputError naming the option."""
     if path is None:
         return
-    if path.is_dir():
+    with writing(path, option):  # a name may be too long
+        is_folder = path.is_dir()
+        path.exists()
+    if is_folder:
         raise InputError(f"{path} is a folder; give a file to {option}.")
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to {option}.")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 from rich.text import Text
 
 from sidelong.app.analysis.replay import (
@@ -56,6 +57,7 @@ from sidelong.app.view.panel import clock
 from sidelong.app.view.state import StateEncoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
@@ -70,6 +72,13 @@ def replay(
     config: ConfigOption = None,
     planner: PlannerOption = None,
     set_: SetOption = None,
+    what_if: Annotated[
+        list[str] | None,
+        typer.Option("--what-if", metavar="KEY=VALUE", help="Fly on with another value, next to its target."),
+    ] = None,
+    from_: Annotated[
+        float, typer.Option("--from", min=0.0, help="Fly on from this time of the watch, s; with --what-if.")
+    ] = 0.0,
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
     ] = False,
@@ -82,11 +91,12 @@ def replay(
 ) -> None:
     """Run the filter and the planner over a recorded flight: show its decisions and the error of the estimate.
 
-    With --view, a page plays the flight. With --set, it shows the changed decisions alongside the flown ones.
+    With --view, a page plays the flight. With --what-if, a simulated aircraft flies on with other values, from a
+    moment of the recording and next to the recorded target; its summary stands beside the flown one.
 
     For example:
       sidelong replay runs/20261121T100000Z --verify
-      sidelong replay runs/20261121T100000Z --view --set aircraft.radius_m=80
+      sidelong replay runs/20261121T100000Z --view --what-if aircraft.radius_m=80 --from 300
       sidelong replay flight.tlog --truth flight.truth.csv
     """
     checked_output(json)
@@ -114,6 +124,10 @@ def replay(
     if verify and folder is None:
         raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
     frames = None if address is None else Frames()
+    if what_if is not None and folder is None:
+        raise InputError(f"{log}: --what-if needs a run folder of ours, which states how the flight was flown.")
+    if what_if is not None and verify:
+        raise InputError("--verify compares with the flight, --what-if flies on; give one of them.")
     if folder is None:
         settings = load_config(config, changes)  # a wrong --set is reported before any computation
         check_flyable(settings)
@@ -121,7 +135,14 @@ def replay(
         result = _replay_log(log, judged_by, settings, quiet, frames)
     else:
         # A page shows the flown decisions, and those with other values alongside.
-        result = _replay_run(folder, judged_by, (config, changes if frames is None else {}), verify, quiet, frames)
+        flown_on = None if what_if is None else _WhatIf(changed_keys(what_if, {}), from_)
+        result = _replay_run(folder, judged_by, (config, changes), verify, quiet, frames, flown_on)
+        if flown_on is not None:
+            _print_beside(result, flown_on.summary)
+            write_json(json, {"flown": result.as_json(), "what_if": flown_on.summary.as_json()})
+            if address is not None and frames is not None:
+                _show(log, folder, frames, (config, {}), address, view_speed, flown_on.frames)
+            return
     console.print(result.table())
     write_json(json, result.as_json())
     if address is not None and frames is not None:
@@ -169,21 +190,18 @@ def _show(
     wanted: _Wanted,
     address: PageAddress,
     speed: float,
+    what_if: Frames | None = None,
 ) -> None:
-    """Serve the replay's page until the operator closes it, with what other values would have decided."""
+    """Serve the replay's page until the operator closes it, with what other values would have come to."""
     (config, changes), name = wanted, f"replay of {log.name}"
     if not frames.times_s:
         raise InputError(f"{name}: there is nothing to show, it contains no position of the vehicle.")
     journal = None if run is None else JournalReader(run.journal, JOURNAL_TYPES)
     flown = load_config(config) if config is not None or journal is None else journalled_config(journal)
     changed = _changed(flown, config, changes)
-    what_if = None if changed == flown else Frames()
-    if what_if is not None and journal is None:
+    if journal is None and changed != flown:
+        what_if = Frames()
         _replay_log(log, None, changed, True, what_if)
-    elif what_if is not None and journal is not None:
-        controller = _prepared(changed).controller(journal.header.plane, journal.header.home_deg)
-        for _ in what_if.noted(Proposals(controller).follow(journal), _encoder(changed), proposals=True):
-            pass
     from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
 
     serve_replay(frames, what_if, flown, address, name, speed, say)
@@ -236,6 +254,7 @@ def _replay_run(
     verify: bool,
     quiet: bool,
     frames: Frames | None = None,
+    what_if: _WhatIf | None = None,
 ) -> Summary:
     config, changes = wanted
     with share_progress(folder.path.name) as progress:
@@ -247,7 +266,9 @@ def _replay_run(
         plane = journal.header.plane
         controller = _prepared(settings).controller(plane, journal.header.home_deg)
         judged = _Judged(settings, controller, quiet or verify, of_a_flight=True)
-        compares = verify or not quiet
+        if what_if is not None:
+            judged.wanted_s = what_if.from_s
+        compares = verify or (settings == flown and not quiet)
         # Nothing depends on the exchange but what it sends, and that only a comparison reads.
         repeats = settings == flown and compares
         mission = _exchange_of(settings, controller, journal.header) if repeats else None
@@ -278,7 +299,56 @@ def _replay_run(
     if truncated:
         at = clock(max(controller.time_s - (start_s or 0.0), 0.0))
         say(f"the record ends early, at {at}: {truncated}")
+    if what_if is not None:
+        start_s = what_if.fly(settings, journal.header, judged, truth, quiet)
     return judged.summary(truth, plane, start_s)
+
+
+class _WhatIf:
+    """Flies a recorded flight on with other values. ``fly`` sets ``summary`` and ``frames``.
+
+    Args:
+        changes: The other values.
+        from_s: When it leaves the recording, s since watching began.
+    """
+
+    summary: Summary
+    frames: Frames
+
+    def __init__(self, changes: Overrides, from_s: float) -> None:
+        self._changes, self.from_s = changes, from_s
+
+    def fly(self, flown: Config, header: Header, judged: _Judged, truth: Truth | None, quiet: bool) -> float:
+        """Fly to the end of the recording; return when it left it, on the vehicle's clock."""
+        from sidelong.app.study.what_if import FlownOn, RecordedMotion  # noqa: PLC0415  # a replay needs no simulation
+
+        autopilot, plane, begin = autopilot_by_name(header.autopilot), header.plane, judged.wanted
+        if autopilot is None or plane is None or header.home_deg is None:
+            raise InputError("--what-if: the journal does not state the autopilot and the place; it is too old.")
+        if begin is None:
+            raise InputError(f"--from {self.from_s:g}: the recorded watch is shorter; give a lower time.")
+        config = _changed(flown, None, self._changes)
+        moments, _ = judged.collector.moments(truth, plane, begin.time_s)
+        if len(moments) < 2:
+            raise InputError(f"--from {self.from_s:g}: nothing is known of the target after it; give a lower time.")
+        controller = _prepared(config).controller(plane, header.home_deg)
+        own = config, controller, autopilot, plane, header.home_altitude_m or 0.0
+        wind = judged.controller.snapshot().wind
+        flight = FlownOn(*own, begin, wind, RecordedMotion(moments, begin.time_s))
+        self.frames = Frames(plane=plane, is_flown=True)
+        other = _Judged(config, controller, True, of_a_flight=True)
+        other.follow(self.frames.noted(flight.steps(), _encoder(config)))
+        self.summary = other.summary(flight.truth, plane, begin.time_s)
+        return begin.time_s
+
+
+def _print_beside(flown: Summary, what_if: Summary) -> None:
+    """Print both summaries beside each other."""
+    table = Table("", "as flown", "what if", box=None, pad_edge=False)
+    others = dict(what_if.rows())
+    for name, value in flown.rows():
+        table.add_row(name, value, others.get(name, ""))
+    console.print(table)
 
 
 def _prepared(settings: Config) -> Prepared:
@@ -308,6 +378,8 @@ class _Judged:
         self.first_estimate_s: float | None = None
         self.engaged_s: float | None = None
         self.controller, self._quiet = controller, quiet
+        self.wanted_s = math.inf  # since watching began
+        self.wanted: Present | None = None  # the state then
         self.collector = SummaryCollector(settings.requirement.requirement())
         self.collector.ground = controller.surroundings.ground
 
@@ -316,6 +388,8 @@ class _Judged:
             if step.estimate is None or step.estimate.time_s > self.collector.judged_s:
                 snapshot = step.snapshot()
                 self.collector.observe(snapshot)
+                if self.wanted is None and snapshot.time_s - (self.engaged_s or math.inf) >= self.wanted_s:
+                    self.wanted = snapshot if snapshot.aircraft and snapshot.phase.in_control else None
                 if self.first_estimate_s is None and step.estimate is not None:
                     self.first_estimate_s = snapshot.time_s
             if self.engaged_s is None and isinstance(step.event, ControlAcquired):

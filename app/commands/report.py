@@ -10,7 +10,7 @@ import typer
 
 from sidelong.app.analysis.truth import read_truth
 from sidelong.app.commands.options import ConfigOption, TruthOption
-from sidelong.app.commands.output import say, share_progress, warn_of_log, writing
+from sidelong.app.commands.output import checked_file, say, share_progress, warn_of_log, writing
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, recording
 from sidelong.app.records.text_file import write_text
@@ -49,8 +49,9 @@ def write_report(
 
     Raises InputError naming the file that is at fault.
     """
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
+    checked_file("--out", out)
+    if not os.access(out if out.exists() else out.parent, os.W_OK):
+        raise InputError(f"{out}: cannot be written; give another file to --out.")
     if FleetFolder(run).journal.is_file():
         if png is not None or truth is not None or config is not None:
             raise InputError(

@@ -7,13 +7,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import FuncFormatter
 from scipy.stats import chi2
 
 from sidelong.app.analysis.score import Samples
 from sidelong.app.report import series
-from sidelong.app.report.history import FlightHistory
+from sidelong.app.report.history import FlightHistory, clock
 from sidelong.app.report.html import Drawing
 from sidelong.app.report.plot_style import (
     AIRCRAFT,
@@ -33,7 +35,8 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
 
 _TICK_S = 50.0
-_LABELS_MAX = 60
+_LABELS_MAX = 12
+_BY_TIME = "viridis_r"
 _STAY_SHARE = 0.04  # of the map's extent: labels that near one another would overlap
 _SAMPLES_MAX, _ROUTE_POINTS = 6000, 2000
 _CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
@@ -66,15 +69,17 @@ def flown_path_figure(history: FlightHistory) -> Figure:
     if history.route is not None:
         drawn = history.route.outline_m(_ROUTE_POINTS)
         axes.plot(*drawn.T, color=ROUTE, linewidth=6.0, zorder=0, label="route")
-    axes.plot(*path.T, color=AIRCRAFT, linewidth=1.0, label="aircraft")
+    passed_s = flown.time_s[since][:: max(1, int(since.sum()) // _SAMPLES_MAX)] - history.start_s
     what = "target" if history.judged_by_truth else "target (estimate)"
     axes.plot(*target.T, color=TARGET, linewidth=3.0, alpha=0.5, label=what)
+    _coloured(made, axes, path, passed_s)
     if history.judged_by_truth:
         estimate = np.array([(e.east_m, e.north_m) for e in history.estimates if e.time_s >= history.start_s])
         if len(estimate):
             axes.plot(*estimate.T, color=ESTIMATE, linewidth=0.9, label="estimate")
     _circles(axes, [circle for _, circle in history.circles])
     _ticks(axes, time_s, aircraft, target)
+    _numbers(axes, history)
     if history.asked.ground is not None:
         _contours(axes, history.asked.ground)
     axes.set_xlabel("east, m")
@@ -100,6 +105,29 @@ def _contours(axes: Axes, ground: Ground) -> None:
     axes.autoscale_view(tight=False)
     axes.apply_aspect()  # labels are as long as the picture's scale makes them
     axes.clabel(drawn, fmt="%g m", fontsize=7, inline_spacing=2)
+
+
+def _coloured(made: Figure, axes: Axes, path: FloatArray, time_s: FloatArray) -> None:
+    """Draw the aircraft's path in the colour of its time since watching began."""
+    if len(path) < 2:
+        return
+    lines = LineCollection(np.stack((path[:-1], path[1:]), axis=1).tolist(), cmap=_BY_TIME, linewidths=1.2)
+    lines.set_array(time_s[:-1])
+    axes.add_collection(lines)
+    axes.update_datalim(path)
+    bar = made.colorbar(lines, ax=axes, shrink=0.6, aspect=30, label="aircraft: time since watching began")
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: clock(value)))
+
+
+def _numbers(axes: Axes, history: FlightHistory) -> None:
+    """Draw the number of each decision to move where the aircraft was, as the table of decisions has it."""
+    flown = history.aircraft
+    if not len(flown.time_s):
+        return
+    for number, one in enumerate(history.moves, 1):
+        at = (float(np.interp(one.time_s, flown.time_s, line)) for line in (flown.east_m, flown.north_m))
+        box = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "edgecolor": AIRCRAFT, "linewidth": 0.8}
+        axes.annotate(str(number), tuple(at), ha="center", va="center", fontsize=7, color=AIRCRAFT, bbox=box)
 
 
 def _circles(axes: Axes, circles: list[Circle]) -> None:
@@ -132,7 +160,7 @@ def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatAr
         away = there - here_m[first]
         away_pt = 7.0 * away / max(float(np.hypot(*away)), 1.0)
         axes.annotate(
-            f"{at_s[first]:.0f} s" if first == last else f"{at_s[first]:.0f} to {at_s[last]:.0f} s",
+            clock(at_s[first]) if first == last else f"{clock(at_s[first])} to {clock(at_s[last])}",
             (there[0], there[1]),
             xytext=(away_pt[0], away_pt[1]),
             textcoords="offset points",
@@ -159,7 +187,7 @@ _COURSE_WORDS = (
     "Over the ground, in whole turns counted on clockwise from north: it rises while the aircraft circles to the "
     "right, falls while it circles to the left, and stands while it flies straight."
 )
-_TIME = "time, s"
+_TIME = "time since watching began, min:s"
 _BIN_DEG = 10.0
 _CONSISTENCY_TOP = 2.0  # of the bound: what lies above is drawn at the edge
 _POINTS_MAX = 2000  # more are drawn as an image inside the figure
@@ -180,7 +208,8 @@ def _map(history: FlightHistory) -> Drawing:
     return Drawing(
         "path",
         "Paths over the ground",
-        "Aircraft and target with a dot every 50 s, joined by the line of sight; circles as they were commanded.",
+        "Aircraft, in the colour of its time, and target with a dot every 50 s, joined by the line of sight; circles "
+        "as they were commanded. The numbers are those of the decisions below.",
         flown_path_figure(history),
     )
 
@@ -345,6 +374,7 @@ def _consistency(history: FlightHistory) -> Drawing | None:
         clipped += _beyond(value, top, f", drawn at the edge of {name}")
         words.append(f"{100.0 * float(np.mean(value[at_s >= history.start_s] <= bound)):.1f} % of the {name}")
     all_axes[-1].set(xlabel=_TIME, xlim=(0.0, history.end_s - history.start_s))
+    all_axes[-1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: clock(value)))
     meanings = {
         "NEES": "NEES: error against the truth over its claimed covariance, squared",
         "NIS": "NIS: innovation of each sighting, squared",
@@ -377,6 +407,7 @@ def _uploads(history: FlightHistory) -> Drawing | None:
     took.set_ylim(0.0, None)
     took.set_ylabel("upload took, s")
     waited.set(ylabel="left after plan, s", xlabel=_TIME, xlim=(0.0, history.end_s - start_s))
+    waited.xaxis.set_major_formatter(FuncFormatter(lambda value, _: clock(value)))
     slowest_s = f", the slowest took {max(value for _, value in ready):.2f} s" if ready else ""
     return Drawing(
         "uploads",
@@ -408,6 +439,7 @@ def _judged(history: FlightHistory) -> str:
 
 def _over_time(axes: Axes, history: FlightHistory, label: str) -> None:
     axes.set(xlim=(0.0, history.end_s - history.start_s), xlabel=_TIME, ylabel=label)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: clock(value)))
     departed_s = [change.departed_s for change in history.plan_changes if change.departed_s is not None]
     for number, at_s in enumerate(departed_s):
         word = "leaves its circle" if number == 0 else None

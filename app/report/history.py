@@ -35,6 +35,7 @@ from sidelong.mission.core.events import (
     RouteGiven,
     StepOutput,
     UploadPlan,
+    WindReported,
     Yield,
 )
 from sidelong.mission.core.fleet import FleetAdvice
@@ -43,6 +44,15 @@ from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.route.progress import RouteFollower, RouteProgress, follower_of
 from sidelong.mission.route.route import Route
+
+_MOVES = "moving"  # how the reason of a decision to move begins
+
+
+def clock(time_s: float) -> str:
+    """Return a time as minutes:seconds."""
+    whole_s = round(max(time_s, 0.0))
+    return f"{whole_s // 60}:{whole_s % 60:02d}"
+
 
 Outline = tuple[tuple[float, float], ...]
 """Corners (east, north), m."""
@@ -92,6 +102,7 @@ class FlightHistory:
     moments: aircraft and target together, by the truth where there is one, by the estimates else.
     requirements: (since, requirement), from -inf on: a person may change it. targets: of each estimate its target's
     name, '' where there is no fleet. route: expected of the target; progress: (time, progress along it), each second.
+    wind: as last reported.
     """
 
     asked: FlightRequirements
@@ -111,10 +122,16 @@ class FlightHistory:
     announced: tuple[Announce, ...]
     route: Route | None = None
     progress: tuple[tuple[float, RouteProgress], ...] = ()
+    wind: WindReported | None = None
 
     @property
     def requirement(self) -> Requirement:
         return self.asked.requirement
+
+    @property
+    def moves(self) -> tuple[Announce, ...]:
+        """The announced decisions to move the circle."""
+        return tuple(one for one in self.announced if one.kind == "decision" and one.text.startswith(_MOVES))
 
     @property
     def judged(self) -> Judgement:
@@ -147,6 +164,7 @@ class HistoryBuilder:
         self._in_hand = False
         self._follower: RouteFollower | None = None
         self._progress: list[tuple[float, RouteProgress]] = []
+        self._wind: WindReported | None = None
 
     def event(self, event: Event) -> None:
         """Take an event."""
@@ -161,6 +179,8 @@ class HistoryBuilder:
                 self._in_hand = True
             case PlanStatus():
                 self._plan_status(admitted)
+            case WindReported():
+                self._wind = admitted
             case RouteGiven():
                 self._follower, self._progress = follower_of(admitted), []
             case FleetAdvice(turn_payload=False):
@@ -240,6 +260,7 @@ class HistoryBuilder:
             tuple(self._announced),
             None if self._follower is None else self._follower.route,
             tuple(self._progress),
+            self._wind,
         )
 
     def _requirements(self, requirement: Requirement) -> Iterator[tuple[float, Requirement]]:

@@ -22,6 +22,7 @@ h1 { font-size: 1.5rem; margin: 0; }
 h2 { font-size: 1.1rem; margin: 2.2rem 0 .2rem; }
 p { margin: .2rem 0 .6rem; color: var(--soft); }
 svg { width: 100%; height: auto; }
+.verdict { font-size: 1.2rem; color: var(--ink); }
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(11rem, 1fr)); gap: .6rem; margin: 1.2rem 0; }
 dl div { border-top: 2px solid var(--mark); padding: .3rem 0; }
 dl .long { grid-column: span 2; }
@@ -37,8 +38,12 @@ summary { cursor: pointer; font-weight: 600; margin-top: 1.5rem; }
 figure { margin: 0; break-inside: avoid; }
 .wide { overflow-x: auto; }
 code { overflow-wrap: anywhere; }
+@media print {
+  @page { size: A4; margin: 14mm; }
+  body { margin: 0; max-width: none; } details:not([open]) { display: none; }
+}
 @media (max-width: 700px) {
-  body { margin: 1rem auto; } .wide svg { min-width: 42rem; } dl { grid-template-columns: repeat(2, minmax(0, 1fr)); }
+  body { margin: 1rem auto; } dl { grid-template-columns: repeat(2, minmax(0, 1fr)); }
   td { overflow-wrap: break-word; } td:first-child { white-space: normal; min-width: 4.5rem; }
 }
 """

@@ -114,7 +114,7 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         super().__init__(vehicle)
         self.vehicle_in_flight, self.watch = vehicle, StopWatch()
         if ground is not None:
-            _put_over(vehicle, ground)
+            put_over(vehicle, ground)
         self.telemetry.plane = PLANE  # as of home: the first position lies elsewhere
         surroundings, tracker = surroundings_of(config, PLANE, None, ground if known else None), Tracker(assumed)
         if surroundings.ground is not None:
@@ -217,7 +217,7 @@ def _first_height_m(config: Config, circle: Circle, ground: Ground | None) -> fl
     return over_target_m if isinstance(first, str) else first.circle_height_m(over_target_m)
 
 
-def _put_over(vehicle: KinematicVehicle, ground: Ground) -> None:
+def put_over(vehicle: KinematicVehicle, ground: Ground) -> None:
     """Let hills hide the target, which stands on its ground: at the height of home where that is not known."""
 
     def seen_at_m(here_m: tuple[float, float, float], east_m: float, north_m: float) -> float | None:

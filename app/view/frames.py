@@ -28,6 +28,7 @@ class Frames:
 
     start_s: when tracking began, else time of the first estimate; None if there was neither.
     routes: the last one given of each target, by its name.
+    is_flown: the frames are of an aircraft of its own, not of decisions next to another one's path.
     """
 
     times_s: list[float] = field(default_factory=list)
@@ -37,6 +38,7 @@ class Frames:
     start_s: float | None = None
     plane: LocalPlane | None = None
     routes: dict[str, Route] = field(default_factory=dict)
+    is_flown: bool = False
 
     def noted(self, steps: Iterable[Replayed], encoder: StateEncoder, proposals: bool = False) -> Iterator[Replayed]:
         """Yield the steps, storing what the page needs. proposals: moves repeat each second; store each one once."""
@@ -162,8 +164,7 @@ class Player:
         if restarted:
             update["restart"] = True
         if self._what_if is not None and self._what_if.times_s:
-            other = self._what_if.state(self._what_if.index(self._at_s))
-            update["state"]["what_if"] = {key: other[key] for key in ("proposed", "reason", "side")}
+            update["state"]["what_if"] = self._other(self._what_if)
             announced = self._what_if.announced_between(since_s, self._at_s)
             update["announcements"] += [
                 [time_s, "what-if", f"what if: {text}"] for time_s, kind, text in announced if kind == "decision"
@@ -171,6 +172,14 @@ class Player:
             update["announcements"].sort(key=lambda one: one[0])
         self._sent, self._sent_s = index, self._at_s
         return update
+
+    def _other(self, frames: Frames) -> Json | None:
+        """Return what the page shows of the other flight now; None before it begins."""
+        if frames.is_flown and self._at_s < frames.times_s[0]:
+            return None
+        other = frames.state(frames.index(self._at_s))
+        keys = ("aircraft", "present", "coming") if frames.is_flown else ("proposed",)
+        return {key: other[key] for key in ("reason", "side", *keys)}
 
     @property
     def setting(self) -> Json:

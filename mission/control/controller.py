@@ -607,7 +607,8 @@ class StandoffController:
             return ()
         self.settings = replace(self.settings, requirement=replace(requirement, side=advice.side))
         self.planning.watch_from(self.settings.requirement)
-        return (Announce(advice.time_s, "decision", f"watching from the {advice.side}: {advice.reason}"),)
+        why = f": {advice.reason}" if advice.reason else ""
+        return (Announce(advice.time_s, "decision", f"watching from the {advice.side}{why}"),)
 
     # -- what a person asks for ----------------------------------------------------------------------------
 

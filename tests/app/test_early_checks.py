@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from sidelong.app.cli import app
+from sidelong.app.cli import app, run
 from sidelong.app.commands import connect, flying, replay
 from sidelong.app.errors import InputError
 from tests.command_line import sidelong
@@ -191,11 +191,38 @@ def test_keys_without_effect_are_noted(tmp_path):
         (["check", "--radius", "wide"], "'wide' is neither a number of metres nor auto"),
     ],
 )
-def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence):
-    ended = CliRunner().invoke(app, arguments)
-    assert ended.exit_code == 2
-    assert sentence in ended.output
-    assert "Value error" not in ended.output
+def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence, capsys):
+    assert run(arguments) == 2
+    printed = capsys.readouterr().err
+    assert sentence in printed
+    assert "Value error" not in printed
+
+
+@pytest.mark.parametrize("number", ["20min", "4,5"])
+def test_a_wrong_number_is_one_sentence_with_the_way_out(number, capsys):
+    assert run(["launch", "--duration", number]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'--duration': it is no number; give one without a unit and with a decimal point" in line
+    assert line.endswith("see sidelong launch --help.")
+
+
+def test_help_is_a_command_too(capsys):
+    assert run(["help"]) == 0
+    assert "Begin with: sidelong launch" in capsys.readouterr().out
+
+
+def test_too_little_memory_is_a_sentence(monkeypatch, capsys):
+    def full(*_arguments):
+        raise MemoryError
+
+    monkeypatch.setattr("sidelong.app.cli.app", full)
+    assert run(["launch"]) == 1
+    assert "not enough memory" in capsys.readouterr().err
+
+
+def test_a_name_that_is_too_long_is_a_sentence(tmp_path, capsys):
+    assert run(["init", str(tmp_path / f"{'a' * 300}.toml")]) == 2
+    assert "cannot be written (File name too long)" in capsys.readouterr().err
 
 
 def test_a_file_next_to_a_journal_is_not_taken_for_it(tmp_path):

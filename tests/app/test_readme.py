@@ -40,6 +40,13 @@ def test_a_command_of_the_documents_is_understood(name, arguments):
     assert context.command.name == name
 
 
+@pytest.mark.parametrize("document", sorted((ROOT / "docs/tutorials").glob("*.md")), ids=lambda path: path.stem)
+def test_a_tutorial_runs_the_program_that_the_installation_made(document):
+    text = document.read_text(encoding="utf-8")
+    commands = re.findall(rf"(\S*)\bsidelong (?:{'|'.join(COMMANDS)})\b", text)
+    assert set(commands) <= {".venv/bin/", "`.venv/bin/"}, commands
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_explains_every_option_in_short_groups_and_shows_valid_examples(name):
     command = load_command(name)

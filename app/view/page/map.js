@@ -291,7 +291,8 @@ export class FlightMap {
     const { state } = this;
     this.plan(state?.present, this.circle, this.line);
     this.plan(state?.coming, this.coming, this.comingLine);
-    this.plan(state?.what_if?.proposed, this.whatIf, this.whatIfLine);
+    const other = state?.what_if;
+    this.plan(other?.proposed ?? other?.coming ?? other?.present, this.whatIf, this.whatIfLine);
     this.drawTarget(state, x, y);
     const home = state?.vehicle?.home_m;
     this.home.toggleAttribute("hidden", !home);
@@ -300,7 +301,7 @@ export class FlightMap {
     this.aircraft.toggleAttribute("hidden", !aircraft);
     const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
     if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
-    this.drawFleet((state?.others ?? []).filter((one) => one.aircraft), placed, x, y);
+    this.drawFleet([...(state?.others ?? []), ...(other?.aircraft ? [{ ...other, name: "what if" }] : [])].filter((one) => one.aircraft), placed, x, y);
     for (const { name, at_m } of state?.targets ?? []) {
       svg("circle", { class: "target", cx: x(at_m[0]), cy: y(at_m[1]), r: 5 }, this.others);
       svg("text", { class: "label", x: x(at_m[0]) + 9, y: y(at_m[1]) + 16 }, this.others).textContent = name;

@@ -1,0 +1,63 @@
+"""A recorded flight is flown on with other values, and stands beside what was flown."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+
+import pytest
+
+from sidelong.app.cli import run
+from sidelong.app.flight.recording import Recording
+from sidelong.app.records.run_folder import RunFolder
+from tests.app.conftest import PLANE
+
+DURATION_S = 240.0
+
+
+@pytest.fixture(scope="module")
+def flown(config, flight, tmp_path_factory):
+    """Return the run folder of a flight whose journal states the autopilot."""
+    folder = RunFolder.create(tmp_path_factory.mktemp("runs"), datetime(2026, 11, 21, 9, 30, tzinfo=UTC))
+    recording = Recording(folder, config, pytest.fail)
+    recording.begin(PLANE, (47.4, 8.5), "ArduPlane", 0.0)
+    for event, commands, _ in flight(DURATION_S):
+        recording.write(event)
+        for command in commands:
+            recording.write(command)
+    recording.close()
+    return folder.path
+
+
+def what_if(flown, tmp_path, *options):
+    out = tmp_path / "summary.json"
+    assert run(["replay", str(flown), "--quiet", "--json", str(out), *options]) == 0
+    return json.loads(out.read_text())
+
+
+def test_with_the_same_values_the_flight_comes_to_the_same(flown, tmp_path, capsys):
+    both = what_if(flown, tmp_path, "--what-if", "requirement.side=left")
+    assert both["what_if"]["time_on_side"] == pytest.approx(both["flown"]["time_on_side"], abs=0.03)
+    assert both["what_if"]["time_in_band"] == pytest.approx(both["flown"]["time_in_band"], abs=0.03)
+    assert both["what_if"]["duration_s"] == pytest.approx(both["flown"]["duration_s"], abs=5.0)
+    assert "as flown" in capsys.readouterr().out
+
+
+def test_another_value_is_flown_from_a_moment_on(flown, tmp_path):
+    both = what_if(flown, tmp_path, "--what-if", "requirement.side=right", "--from", "60")
+    assert both["what_if"]["duration_s"] == pytest.approx(DURATION_S - 60.0, abs=15.0)
+    assert both["what_if"]["moves"] >= 1  # it goes to the other side, and does not stay on the flown path
+    assert both["what_if"]["max_range_m"] < 700.0
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--what-if", "requirement.side=right", "--from", "900"], "--from 900: the recorded watch is shorter"),
+        (["--what-if", "requirement.side=right", "--verify"], "--what-if flies on; give one of them"),
+        (["--what-if", "requirement.colour=red"], "requirement.colour"),
+    ],
+)
+def test_what_cannot_be_flown_is_a_sentence(flown, capsys, options, sentence):
+    assert run(["replay", str(flown), "--quiet", *options]) == 2
+    assert sentence in capsys.readouterr().err
