@@ -234,9 +234,10 @@ def study(
         # Only the page needs matplotlib, which takes a second to load.
         from sidelong.app.study import page  # noqa: PLC0415
 
-        words = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
+        again = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
+        words = ["sidelong", "study", *(one for own in given.values() for one in own)]
         with writing(report, "--report"):
-            page.write_page(results, shlex.join(words), report)
+            page.write_page(results, shlex.join(words), shlex.join(again), report)
 
 
 def _given(context: typer.Context) -> dict[str, list[str]]:

@@ -21,6 +21,7 @@ _STRING_OR_COMMENT = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
 )
 _AT_LINE = re.compile(r"at line (\d+)")
+_TWICE = re.compile(r"Cannot declare \('([\w', ]+?)',?\) twice")
 _DECIMAL_COMMA = re.compile(r"=\s*([+-]?\d+),(\d+)\s*(?:#.*)?$")
 # The time that tomllib takes for a dotted key grows with the cube of its parts.
 _LONG_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){16}")
@@ -92,6 +93,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def _explained(error: str, text: str) -> str:
     """Return a parser's error with the line it is about and, where it is clear, what to write instead."""
+    twice = _TWICE.search(error)
+    if twice is not None:
+        error = f"the section [{twice[1]}] is there twice; join the two{error[twice.end() :]}"
     at = _AT_LINE.search(error)
     if at is None:
         return f"{error}; correct it."

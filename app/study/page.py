@@ -18,18 +18,29 @@ from sidelong.app.study.report import measures_of, study_parts, study_title, swe
 from sidelong.app.study.study import StudyResult, flown_again
 
 _BINS, _WORST = 40, 4
+_SPREAD_RUNS = 10  # of fewer runs a histogram shows nothing
 _TABLED = 200  # rows
 
 
-def write_page(results: Sequence[StudyResult], command: str, file: Path) -> None:
-    """Write the page. command: what flies this study, without what was swept. Raises OSError."""
+def write_page(results: Sequence[StudyResult], command: str, again: str, file: Path) -> None:
+    """Write the page.
+
+    Args:
+        results: Those of each design.
+        command: What was given.
+        again: The same without what was swept, which flies one run again.
+        file: The page's file.
+
+    Raises:
+        OSError: It cannot be written.
+    """
     first = results[0]
     title = study_title(first) if len(results) == 1 else f"{len(results)} designs"
     with styled():
         # The design whose first planner is on the side longest.
         best = max(results, key=lambda one: _mean(next(iter(one.planners.values()))[SIDE.name], SIDE))
         figures = [*_maps(results), *_spreads(best)]
-        parts = [_table(results), *map(html.figure, figures), *_worst(results, command)]
+        parts = [_table(results), *map(html.figure, figures), *_worst(results, again)]
     head = f"<h1>Study</h1><p>{escape(title)}; {escape(study_parts(first.settings))}.</p>"
     whole = [head, f"<p><code>{escape(command)}</code></p>", *parts]
     write_text(file, html.document("sidelong study", "\n".join(whole)))
@@ -51,8 +62,8 @@ def _spreads(result: StudyResult) -> Iterator[html.Drawing]:
     for k, of in enumerate(measures_of(result.settings)):
         known = {name: of.shown(planner[of.name]) for name, planner in result.planners.items()}
         everything = np.concatenate(list(known.values()))
-        if not everything.size:
-            continue
+        if everything.size < _SPREAD_RUNS or np.ptp(everything) == 0.0:
+            continue  # the table states all there is
         drawn, (axes,) = figure(2.4)
         edges = np.histogram_bin_edges(everything, _BINS)
         for name, values in known.items():

@@ -45,6 +45,7 @@ _CLOCK = re.compile(
     r"\s*(?:Z|UTC|GMT|[+-]00:?00)?"
 )
 _NO_TIME = re.compile(r"[\d\s:.,/TZ+-]+")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _SEXAGESIMAL = re.compile(r"([NSEW]?)\s*([\d.]+)[°\s]*(?:([\d.]+)['\s]*)?(?:([\d.]+)[\"\s]*)?([NSEW]?)")
 _RMC = re.compile(  # NMEA 0183: time, position and date
     r"^.{0,40}\$..RMC,(\d{6}[.\d]{0,9}),A,(\d\d)([\d.]{1,12}),([NS]),(\d{3})([\d.]{1,12}),([EW]),[^,\n]{0,9},"
@@ -597,7 +598,7 @@ def _stamp(time: str, date: str) -> float:
             joined = _seconds(f"{date} {time}")
             if math.isfinite(joined):
                 return joined
-    return _seconds(time)
+    return _seconds(time.replace(",", ".") if _DECIMAL_COMMA.fullmatch(time) else time)
 
 
 def _coordinate(word: str) -> float:

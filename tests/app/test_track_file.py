@@ -431,3 +431,10 @@ def test_sentences_stay_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(TrackError, match="is not a readable track or route") as error:
         track_of(tmp_path, "walk.csv", 't_s,east_m,north_m\n0,1,2\n1,"2\n3\x1b[2J",4\n')
     assert str(error.value).isprintable()
+
+
+def test_a_table_with_semicolons_has_decimal_commas(tmp_path):
+    path = tmp_path / "track.csv"
+    path.write_text("t_s;east_m;north_m\n0,0;1,5;2,5\n10,5;11,5;2,5\n")
+    track = read_track(path)
+    assert track.duration_s == pytest.approx(10.5)

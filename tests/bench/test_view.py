@@ -11,23 +11,27 @@ import contextlib
 import http.client
 import itertools
 import json
+import os
+import random
 import re
 import shutil
+import socket
 import sqlite3
 import sys
+import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 from playwright.sync_api import sync_playwright
 from rich.console import Console
 
-from sidelong.app.assembly import prepared
+from sidelong.app.assembly import controller_of, prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.recording import Recording
@@ -38,6 +42,9 @@ from sidelong.app.view.address import PageAddress
 from sidelong.app.view.background import Background, background
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import Panel
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import PositionReading
+from tests.app.conftest import steps
 
 CONFIG = Config.model_validate({"planner": {"name": "paper"}, "simulation": {"speed": 5.0}})
 FLOWN_S = 200.0  # of the vehicle's time
@@ -106,6 +113,127 @@ def test_the_first_picture_is_there_within_1_s():
         painted_ms = page.evaluate(f"{PAINTED}[0].startTime")
     print(f"page served after {up_s:.2f} s, drawn {painted_ms:.0f} ms after it was asked for")
     assert painted_ms <= 1000.0
+
+
+SLOW_BYTES_S, STALLS_S, STALE_S = 6000.0, (1.0, 2.0, 4.0, 8.0, 15.0, 30.0), 3.0
+SLOW_RUNS = int(os.environ.get("SLOW_RUNS", "2"))
+
+
+class SlowLine:
+    """A TCP relay to a page that passes so many bytes a second to the browser, or none at all.
+
+    Attributes:
+        stalled: Whether nothing passes now.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._to, self.stalled = port, False
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            client, _ = self._listener.accept()
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            server = socket.create_connection(("127.0.0.1", self._to))
+            for pair, rate in (((client, server), 1e6), ((server, client), SLOW_BYTES_S)):
+                threading.Thread(target=self._relay, args=(*pair, rate), daemon=True).start()
+
+    def _relay(self, source: socket.socket, sink: socket.socket, bytes_s: float) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(600):
+                while self.stalled:
+                    time.sleep(0.01)
+                time.sleep(len(data) / bytes_s)
+                sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+
+
+def test_behind_a_slow_line_with_stalls_nothing_old_is_green():
+    """The flight's own clock is the wall clock here, so the shown time tells how old what is shown is."""
+    if CHROMIUM is None:
+        pytest.skip(NO_CHROMIUM)
+    greens = stale = 0
+    oldest_green_s = loaded_s = 0.0
+    with shown() as display, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        present = _present()
+        display.begin(LocalPlane(47.4, 8.5), lambda _request: None)
+        display.engage(time.monotonic(), None)
+        rng, line = random.Random(1), SlowLine(int(display.url.rstrip("/").rpartition(":")[2]))
+
+        def fly(page, until_s):
+            nonlocal greens, stale, oldest_green_s
+            while (now_s := time.monotonic()) < until_s:
+                estimate = replace(present.estimate, time_s=now_s, last_sighting_s=now_s)
+                aircraft = replace(present.aircraft, time_s=now_s)
+                display.show(replace(present, time_s=now_s, estimate=estimate, aircraft=aircraft))
+                display.pump_if_due()
+                asked_s = time.monotonic()
+                good, shown_s = page.evaluate(SHOWN)
+                if good:
+                    age_s = asked_s - display.start_s - shown_s
+                    greens += 1
+                    stale += age_s > STALE_S + 1.0  # the page shows whole seconds
+                    oldest_green_s = max(oldest_green_s, age_s)
+
+        for run in range(SLOW_RUNS):
+            page = browser.new_page()
+            begun_s = time.monotonic()
+            page.goto(f"http://127.0.0.1:{line.port}/", wait_until="commit")
+            while not page.evaluate(SHOWN)[0]:
+                fly(page, time.monotonic() + 0.1)
+                assert time.monotonic() - begun_s < 120.0
+            loaded_s = max(loaded_s, time.monotonic() - begun_s)
+            stall_s = STALLS_S[run % len(STALLS_S)]
+            line.stalled = True
+            fly(page, time.monotonic() + stall_s)
+            line.stalled = False
+            fly(page, time.monotonic() + rng.uniform(4.0, 8.0))
+            page.close()
+        browser.close()
+    print(
+        f"{SLOW_RUNS} runs: {greens} looks at green, {stale} older than {STALE_S:g} s, the oldest "
+        f"{oldest_green_s:.1f} s with the rounding of the clock; green within {loaded_s:.0f} s of opening"
+    )
+    assert greens > 0
+    assert stale == 0
+
+
+SHOWN = """() => {
+  const [minutes, seconds] = (document.querySelector("#clock")?.textContent.match(/\\d+/g) ?? [0, 0]).map(Number);
+  return [Boolean(document.querySelector(".indicator.good")), 60 * minutes + seconds];
+}"""
+
+
+def _present():
+    """Return the state of a flight that watches in band and on side."""
+    core, now = controller_of(CONFIG), None
+    for event, _ in steps(core, CONFIG, 60.0):
+        if isinstance(event, PositionReading):
+            now = core.snapshot()
+    return now
+
+
+def test_the_first_load_is_small():
+    with shown() as display:
+        names = re.findall(
+            r'(?:href|src)="([^"]+)"|from "\./([^"]+)"', _got(display.url) + _got(f"{display.url}page.js")
+        )
+        parts = [name or other for name, other in names if not (name or other).startswith("data:")]
+        loaded = sum(_wire_bytes(f"{display.url}{name}") for name in ("", *dict.fromkeys(parts), "state"))
+    print(f"{loaded / 1e3:.0f} kB over the wire for the page and its first state")
+    assert loaded <= 400e3
+
+
+def _got(url: str) -> str:
+    return urlopen(url).read().decode()
+
+
+def _wire_bytes(url: str) -> int:
+    with urlopen(Request(url, headers={"Accept-Encoding": "gzip"})) as answer:
+        return len(answer.read()) + len(str(answer.headers))
 
 
 class Alternating:
@@ -212,11 +340,13 @@ import http.client, json, sys, threading, time
 from urllib.parse import urlsplit
 
 def view(told_s):
-    connection = http.client.HTTPConnection(urlsplit(sys.argv[1]).netloc)
-    connection.request("GET", "/events")
-    for line in connection.getresponse():
-        if line.startswith(b"data: ") and b'"state"' in line:
+    connection, have = http.client.HTTPConnection(urlsplit(sys.argv[1]).netloc), ""
+    while True:
+        connection.request("GET", f"/state?have={have}")
+        update = json.loads(connection.getresponse().read())
+        if update["at"] != have and "state" in update:
             told_s.append(time.monotonic())
+        have = update["at"]
 
 all_told_s = [[] for _ in range(int(sys.argv[2]))]
 for told_s in all_told_s:
