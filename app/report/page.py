@@ -104,7 +104,7 @@ def _decisions(flown: FlightRecord) -> str:
     announced, start_s = flown.history.announced, flown.history.start_s
     numbers = {id(one): str(number) for number, one in enumerate(flown.history.moves, 1)}
     rows = [(clock(one.time_s - start_s), numbers.get(id(one), ""), one.kind, one.text) for one in announced]
-    return _details(f"Decisions and announcements ({len(rows)})", rows) if rows else ""
+    return _details(f"Decisions and announcements ({len(rows)})", rows, is_open=True) if rows else ""
 
 
 def _configuration(flown: FlightRecord) -> str:
@@ -118,6 +118,7 @@ def _configuration(flown: FlightRecord) -> str:
     return _details("Configuration", rows)
 
 
-def _details(summary: str, rows: Iterable[tuple[str, ...]]) -> str:
+def _details(summary: str, rows: Iterable[tuple[str, ...]], *, is_open: bool = False) -> str:
     lines = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<details><summary>{summary}</summary><table>{lines}</table></details>"
+    opened = " open" if is_open else ""
+    return f"<details{opened}><summary>{summary}</summary><table>{lines}</table></details>"
