@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -295,6 +296,11 @@ def test_the_report_opens_offline_in_a_browser(page, tmp_path, browser):
     shown.goto(file.as_uri())
     assert asked == [file.as_uri()]
     assert complaints == []
+    verdict = shown.locator(".verdict").inner_text()
+    assert re.fullmatch(r"The target was watched for \d+:\d\d min: .* % of the time from the left and .*", verdict)
+    assert shown.locator("details[open] td", has_text=re.compile("^1$")).count() == 1  # the number on the map
+    assert not shown.locator("#consistency svg").is_visible()
+    shown.locator(".engineers > summary").click()
     boxes = [shown.locator(f"#{name} svg").bounding_box() for name in FIGURES]
     assert all(box["width"] > 600 and box["height"] > 150 for box in boxes)
     shown.context.close()
