@@ -320,7 +320,7 @@ class _WhatIf:
 
     def fly(self, flown: Config, header: Header, judged: _Judged, truth: Truth | None, quiet: bool) -> float:
         """Fly to the end of the recording; return when it left it, on the vehicle's clock."""
-        from sidelong.app.study.what_if import FlownOn, RecordedMotion  # noqa: PLC0415  # a replay needs no simulation
+        from sidelong.app.study.what_if import FlownOn, recorded_motion  # noqa: PLC0415  # a replay needs no simulation
 
         autopilot, plane, begin = autopilot_by_name(header.autopilot), header.plane, judged.wanted
         if autopilot is None or plane is None or header.home_deg is None:
@@ -334,7 +334,7 @@ class _WhatIf:
         controller = _prepared(config).controller(plane, header.home_deg)
         own = config, controller, autopilot, plane, header.home_altitude_m or 0.0
         wind = judged.controller.snapshot().wind
-        flight = FlownOn(*own, begin, wind, RecordedMotion(moments, begin.time_s))
+        flight = FlownOn(*own, begin, wind, recorded_motion(moments, begin.time_s))
         self.frames = Frames(plane=plane, is_flown=True)
         other = _Judged(config, controller, True, of_a_flight=True)
         other.follow(self.frames.noted(flight.steps(), _encoder(config)))

@@ -89,11 +89,13 @@ class ServicePage:
     """
 
     def __init__(self, settings: Config, address: PageAddress, stack: contextlib.AsyncExitStack) -> None:
+        from sidelong.app.serve.resident import ServiceDisplay  # noqa: PLC0415  # as above
         from sidelong.app.view.display import ViewDisplay  # noqa: PLC0415  # as above
 
         self._stack = stack
         self._resident: Resident | None = None
-        self._view = ViewDisplay({"": _Nowhere()}, {"": settings}, address, is_service=True)
+        between = ServiceDisplay(say_plain, lambda: None, say_plain)
+        self._view = ViewDisplay({"": between}, {"": settings}, address, is_service=True)
 
     async def open(self, resident: Resident | None = None) -> None:
         """Serve the page, if it is not served yet."""
@@ -132,16 +134,6 @@ class ServicePage:
         self._view.adopt(display)
         self._view.show_stage("taking over", "the watch begins")
         yield self._view
-
-
-class _Nowhere:
-    """Shows nothing: between two watches the page has no other display next to it."""
-
-    def begin(self, plane: object, request: object, config: object = None) -> None: ...
-    def engage(self, start_s: float, duration_s: float | None) -> None: ...
-    def note(self, text: str) -> None: ...
-    def say(self, announcement: object) -> None: ...
-    def show(self, snapshot: object) -> None: ...
 
 
 def _from_any_thread(loop: asyncio.AbstractEventLoop, log: Any, text: str) -> None:

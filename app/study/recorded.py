@@ -20,7 +20,7 @@ from sidelong.mission.route.route import Route, route_of
 from sidelong.sitl.world.track import RecordedTrack, read_track
 from sidelong.sitl.world.track_file import TrackError, file_and_name
 
-_STEP_S = 0.5
+STEP_S = 0.5
 _SMOOTHED_OVER = 5  # steps: 2.5 s
 _SHORTEST_S, _LONGEST_S = 30.0, 48 * 3600.0
 # A single step faster than this, and by this much faster than both its neighbours, is a jump of the receiver.
@@ -45,7 +45,7 @@ class RecordedTarget:
     @property
     def duration_s(self) -> float:
         """Time from the first point to the last."""
-        return _STEP_S * (self.east_m.size - 1)
+        return STEP_S * (self.east_m.size - 1)
 
     @cached_property
     def key(self) -> int:
@@ -70,7 +70,7 @@ class RecordedTarget:
 
     @cached_property
     def _velocity_m_s(self) -> tuple[FloatArray, FloatArray]:
-        return np.gradient(self.east_m, _STEP_S), np.gradient(self.north_m, _STEP_S)
+        return np.gradient(self.east_m, STEP_S), np.gradient(self.north_m, STEP_S)
 
     @cached_property
     def _course_rad(self) -> FloatArray:
@@ -86,8 +86,8 @@ class RecordedTarget:
 
     def sampled(self, time_s: FloatArray) -> FloatArray:
         """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course. It stands at its end."""
-        own_s = _STEP_S * np.arange(self.east_m.size)
-        k = np.clip((time_s / _STEP_S + 1e-9).astype(int), 0, self.east_m.size - 1)
+        own_s = STEP_S * np.arange(self.east_m.size)
+        k = np.clip((time_s / STEP_S + 1e-9).astype(int), 0, self.east_m.size - 1)
         east, north = np.interp(time_s, own_s, self.east_m), np.interp(time_s, own_s, self.north_m)
         return np.stack([east, north, *(v[k] for v in self._velocity_m_s), self._course_rad[k]], axis=1)
 
@@ -106,7 +106,7 @@ def prepared(name: str, track: RecordedTrack) -> RecordedTarget:
     speed_m_s = np.hypot(*steps_m) / np.diff(time_s)
     around_m_s = np.maximum(np.append(speed_m_s[1:], 0.0), np.insert(speed_m_s[:-1], 0, 0.0))
     steps_m[:, (speed_m_s > _JUMP_M_S) & (speed_m_s > around_m_s + _JUMP_OVER_OTHERS_M_S)] = 0.0
-    grid_s = np.arange(0.0, time_s[-1], _STEP_S)
+    grid_s = np.arange(0.0, time_s[-1], STEP_S)
     smooth = []
     for step_m in steps_m:
         place_m = np.interp(grid_s, time_s, np.insert(np.cumsum(step_m), 0, 0.0))

@@ -17,8 +17,8 @@ from sidelong.app.link.message import Message
 from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload, PayloadErrors
-from sidelong.app.simulation.target import TargetTruth
-from sidelong.app.study.closed_loop import RATES, put_over
+from sidelong.app.study.closed_loop import RATES, OnTicks, put_over
+from sidelong.app.study.recorded import STEP_S, RecordedTarget
 from sidelong.app.study.settings import LAG_S
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
@@ -39,22 +39,11 @@ def _from_line_m(circle: Circle, state: AircraftState) -> float:
     return abs(apart_m - circle.radius_m)
 
 
-class RecordedMotion:
-    """The target's motion in a recording, from a moment on; time counts from there."""
-
-    def __init__(self, moments: Sequence[Moment], from_s: float) -> None:
-        rows = np.array([(one.time_s - from_s, one.target_east_m, one.target_north_m) for one in moments]).T
-        self.duration_s = float(rows[0, -1])
-        ticks_s = np.arange(math.ceil(self.duration_s * RATES.tick_hz) + 2) / RATES.tick_hz
-        east_m, north_m = (np.interp(ticks_s, rows[0], row) for row in rows[1:])
-        velocity_m_s = np.gradient(east_m, ticks_s), np.gradient(north_m, ticks_s)
-        course_rad = np.arctan2(*velocity_m_s)
-        columns = np.stack([east_m, north_m, *velocity_m_s, course_rad], axis=1)
-        self._truths = [TargetTruth(*row) for row in columns.tolist()]
-
-    def at(self, time_s: float) -> TargetTruth:
-        """See :class:`sidelong.app.simulation.target.Target`."""
-        return self._truths[min(round(time_s * RATES.tick_hz), len(self._truths) - 1)]
+def recorded_motion(moments: Sequence[Moment], from_s: float) -> RecordedTarget:
+    """Return the target's motion in a recording from a moment on."""
+    rows = np.array([(one.time_s - from_s, one.target_east_m, one.target_north_m) for one in moments]).T
+    steps_s = np.arange(0.0, rows[0, -1], STEP_S)
+    return RecordedTarget("recorded", *(np.interp(steps_s, rows[0], row) for row in rows[1:]))
 
 
 class FlownOn(ClosedLoop[Message]):
@@ -80,7 +69,7 @@ class FlownOn(ClosedLoop[Message]):
         home_altitude_m: float,
         begin: Present,
         wind: Wind,
-        target: RecordedMotion,
+        target: RecordedTarget,
     ) -> None:
         state, own, limits, sensors = begin.aircraft, config.aircraft, config.aircraft.aircraft(), config.sensors
         assert state is not None
@@ -102,13 +91,12 @@ class FlownOn(ClosedLoop[Message]):
             sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limits.pan_limit_rad
         )
         start = Start(plane, home, circle, height_m, state, begin.time_s)
-        vehicle = KinematicVehicle(
-            autopilot, body, wind, start, Payload(errors, np.random.default_rng(1)), target, RATES
-        )
+        self._target, payload = OnTicks(target, target.duration_s), Payload(errors, np.random.default_rng(1))
+        vehicle = KinematicVehicle(autopilot, body, wind, start, payload, self._target, RATES)
         super().__init__(vehicle)
         if controller.surroundings.ground is not None:
             put_over(vehicle, controller.surroundings.ground)
-        self.telemetry.plane, self._plane, self._target = plane, plane, target
+        self.telemetry.plane, self._plane, self._duration_s = plane, plane, target.duration_s
         self.controller, self._vehicle, self._begin_s = controller, vehicle, begin.time_s
         self._rows: list[tuple[float, float, float]] = []
         self._steps: list[Replayed] = []
@@ -132,7 +120,7 @@ class FlownOn(ClosedLoop[Message]):
         while True:
             yield from self._steps
             self._steps.clear()
-            if self.simulated.time_s >= self._target.duration_s:
+            if self.simulated.time_s >= self._duration_s:
                 return
             self.step()
 
