@@ -49,7 +49,7 @@ COMMANDS = {
 }
 
 
-_NO_NUMBER = "it is no number; give one without a unit and with a decimal point, such as 1200 or 4.5"
+_NO_NUMBER = "this is not a number; give one without a unit and with a decimal point, such as 1200 or 4.5"
 _EXTRAS = {"matplotlib": "report", "scipy": "study"}  # a flight needs neither
 
 

@@ -92,7 +92,7 @@ def replay(
     """Run the filter and the planner over a recorded flight: show its decisions and the error of the estimate.
 
     With --view, a page plays the flight. With --what-if, a simulated aircraft flies on with other values, from a
-    moment of the recording and next to the recorded target; its summary stands beside the flown one.
+    moment of the recording and next to the recorded target; its summary is printed next to the flown one.
 
     For example:
       sidelong replay runs/20261121T100000Z --verify
@@ -138,7 +138,7 @@ def replay(
         flown_on = None if what_if is None else _WhatIf(changed_keys(what_if, {}), from_)
         result = _replay_run(folder, judged_by, (config, changes), verify, quiet, frames, flown_on)
         if flown_on is not None:
-            _print_beside(result, flown_on.summary)
+            _print_both(result, flown_on.summary)
             write_json(json, {"flown": result.as_json(), "what_if": flown_on.summary.as_json()})
             if address is not None and frames is not None:
                 _show(log, folder, frames, (config, {}), address, view_speed, flown_on.frames)
@@ -342,8 +342,8 @@ class _WhatIf:
         return begin.time_s
 
 
-def _print_beside(flown: Summary, what_if: Summary) -> None:
-    """Print both summaries beside each other."""
+def _print_both(flown: Summary, what_if: Summary) -> None:
+    """Print both summaries in columns."""
     table = Table("", "as flown", "what if", box=None, pad_edge=False)
     others = dict(what_if.rows())
     for name, value in flown.rows():

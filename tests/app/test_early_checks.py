@@ -202,7 +202,7 @@ def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence, capsy
 def test_a_wrong_number_is_one_sentence_with_the_way_out(number, capsys):
     assert run(["launch", "--duration", number]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "'--duration': it is no number; give one without a unit and with a decimal point" in line
+    assert "'--duration': this is not a number; give one without a unit and with a decimal point" in line
     assert line.endswith("see sidelong launch --help.")
 
 

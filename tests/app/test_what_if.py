@@ -1,4 +1,4 @@
-"""A recorded flight is flown on with other values, and stands beside what was flown."""
+"""A recorded flight is flown on with other values and compared with what was flown."""
 
 from __future__ import annotations
 
