@@ -120,7 +120,7 @@ SLOW_RUNS = int(os.environ.get("SLOW_RUNS", "2"))
 
 
 class SlowLine:
-    """A TCP relay to a page that passes so many bytes a second to the browser, or none at all.
+    """A TCP relay to a page with a limited rate to the browser, or none at all.
 
     Attributes:
         stalled: Whether nothing passes now.
@@ -151,7 +151,7 @@ class SlowLine:
 
 
 def test_behind_a_slow_line_with_stalls_nothing_old_is_green():
-    """The flight's own clock is the wall clock here, so the shown time tells how old what is shown is."""
+    """The flight's own clock is the wall clock here, so the shown time gives the age of what is shown."""
     if CHROMIUM is None:
         pytest.skip(NO_CHROMIUM)
     greens = stale = 0
