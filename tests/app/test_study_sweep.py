@@ -270,8 +270,11 @@ def test_a_sweep_is_reported_exported_and_shown(command, tmp_path):
     assert np.mean(fastest) == pytest.approx(given["designs"][2]["planners"]["lvfg"]["time_on_side"]["mean"])
     text = page.read_text()
     assert "http" not in text.replace("http-equiv", "")
-    for name in ("map-0-lvfg", "spread-0", "worst-0"):
+    for name in ("map-0-lvfg", "worst-0"):
         assert f'id="{name}"' in text
+    assert 'id="spread-0"' not in text  # three runs have no distribution
+    shown = text.partition("<code>")[2].partition("</code>")[0]
+    assert "--sweep aircraft.airspeed_m_s=10,12 --sweep requirement.range_max_m=400,500" in shown
     again = command(*words, "--export", str(tmp_path / "runs.csv"))
     assert "12 of 12 runs are in" in " ".join(again.output.split())
     assert (tmp_path / "runs.csv").read_bytes() == table.read_bytes()
