@@ -144,6 +144,20 @@ def run_folder(config, flight, tmp_path_factory) -> Path:
     return folder.path
 
 
+@pytest.fixture(scope="session")
+def run_of_autopilot(config, flight, tmp_path_factory) -> Path:
+    """Return the run folder of a flight of 240 s whose journal states the autopilot."""
+    folder = RunFolder.create(tmp_path_factory.mktemp("runs"), datetime(2026, 11, 21, 9, 30, tzinfo=UTC))
+    recording = Recording(folder, config, pytest.fail)
+    recording.begin(PLANE, (47.4, 8.5), "ArduPlane", 0.0)
+    for event, commands, _ in flight(240.0):
+        recording.write(event)
+        for command in commands:
+            recording.write(command)
+    recording.close()
+    return folder.path
+
+
 @pytest.fixture(scope="module")
 def browser():
     """Return a headless Chromium that asks no one for anything; skips where there is none.

@@ -38,8 +38,8 @@ def serving(run_folder, *options):
 
 
 @pytest.fixture(scope="module")
-def replayed(run_folder):
-    with serving(run_folder, "--set", "requirement.side=right") as url:
+def replayed(run_of_autopilot):
+    with serving(run_of_autopilot, "--what-if", "requirement.side=right") as url:
         yield url
 
 
@@ -65,9 +65,9 @@ def test_it_is_paused_sought_through_and_stepped_by_keys(page):
     page.locator("#map").focus()
     page.keyboard.press(" ")
     page.locator("#play", has_text="Play").wait_for()
-    page.locator("#seek").fill("350")
+    page.locator("#seek").fill("310")
     page.locator("#at", has_text="of").wait_for()
-    page.locator("#clock", has_text="4:10").wait_for()  # it is watched from 100 s on
+    page.locator("#clock", has_text="3:30").wait_for()  # it is watched from 100 s on
     stood = page.locator("#clock").inner_text()
     page.locator("#map").focus()
     page.keyboard.press("[")
@@ -80,6 +80,24 @@ def test_it_is_paused_sought_through_and_stepped_by_keys(page):
 def test_what_if_is_reported_next_to_it(page):
     page.locator("#log .what-if", has_text="what if: ").first.wait_for()
     assert page.locator("#legend li.what-if").is_visible()
+    page.locator("#map .label", has_text="what if, ").wait_for()  # an aircraft of its own, with its height
+
+
+def test_after_a_jump_the_strips_have_no_invented_lines_and_the_decisions_their_marks(page):
+    page.locator("#seek").fill("300")
+    page.locator("#clock", has_text="3:2").wait_for()
+    page.locator("#plots svg polyline").first.wait_for()
+    steps_px = (
+        page.locator("#plots svg")
+        .first.locator("polyline")
+        .evaluate_all(
+            "all => all.flatMap((one) => { const x = [...one.points].map((p) => p.x);"
+            " return x.slice(1).map((v, k) => v - x[k]); })"
+        )
+    )
+    assert max(steps_px) < 30  # of 180 s over some 300 px: no line is longer than 10 s
+    assert page.locator("#decided path").count() >= 1
+    assert page.locator("#news").is_hidden()
 
 
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)], ids="{0[0]}".format)

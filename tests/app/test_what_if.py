@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 
 import pytest
 
 from sidelong.app.cli import run
-from sidelong.app.flight.recording import Recording
-from sidelong.app.records.run_folder import RunFolder
-from tests.app.conftest import PLANE
 
 DURATION_S = 240.0
 
 
 @pytest.fixture(scope="module")
-def flown(config, flight, tmp_path_factory):
-    """Return the run folder of a flight whose journal states the autopilot."""
-    folder = RunFolder.create(tmp_path_factory.mktemp("runs"), datetime(2026, 11, 21, 9, 30, tzinfo=UTC))
-    recording = Recording(folder, config, pytest.fail)
-    recording.begin(PLANE, (47.4, 8.5), "ArduPlane", 0.0)
-    for event, commands, _ in flight(DURATION_S):
-        recording.write(event)
-        for command in commands:
-            recording.write(command)
-    recording.close()
-    return folder.path
+def flown(run_of_autopilot):
+    return run_of_autopilot
 
 
 def what_if(flown, tmp_path, *options):
