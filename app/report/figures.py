@@ -125,9 +125,9 @@ def _numbers(axes: Axes, history: FlightHistory) -> None:
     if not len(flown.time_s):
         return
     for number, one in enumerate(history.moves, 1):
-        at = (float(np.interp(one.time_s, flown.time_s, line)) for line in (flown.east_m, flown.north_m))
+        at = tuple(float(np.interp(one.time_s, flown.time_s, line)) for line in (flown.east_m, flown.north_m))
         box = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "edgecolor": AIRCRAFT, "linewidth": 0.8}
-        axes.annotate(str(number), tuple(at), ha="center", va="center", fontsize=7, color=AIRCRAFT, bbox=box)
+        axes.annotate(str(number), (at[0], at[1]), ha="center", va="center", fontsize=7, color=AIRCRAFT, bbox=box)
 
 
 def _circles(axes: Axes, circles: list[Circle]) -> None:
