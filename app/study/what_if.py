@@ -21,6 +21,7 @@ from sidelong.app.study.closed_loop import RATES, OnTicks, put_over
 from sidelong.app.study.recorded import STEP_S, RecordedTarget
 from sidelong.app.study.settings import LAG_S
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import Reading
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.circle import Circle
@@ -46,7 +47,7 @@ def recorded_motion(moments: Sequence[Moment], from_s: float) -> RecordedTarget:
     return RecordedTarget("recorded", *(np.interp(steps_s, rows[0], row) for row in rows[1:]))
 
 
-class FlownOn(ClosedLoop[Message]):
+class FlownOn(ClosedLoop[Message | Reading]):
     """A flight that leaves a recorded one at a moment.
 
     Args:
