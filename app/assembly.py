@@ -29,7 +29,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.control.surroundings import Surroundings
+from sidelong.mission.control.surroundings import FlightBounds, Surroundings
 from sidelong.mission.core.plan import CheckedPlannerFactory, Heights, OneHeight
 from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.mission_controller import MissionController
@@ -127,6 +127,7 @@ class Prepared:
             give_up_action=config.planner.at_end,
             # The coordinator of a fleet calls for relief, and sends an aircraft home.
             at_low_battery=config.planner.at_low_battery if config.requirement.fleet_size == 1 else "warn",
+            at_breach=config.planner.at_breach,
         )
         return StandoffController(
             settings, tracker, lambda aircraft, wanted: make(aircraft, wanted, surroundings), surroundings
@@ -331,10 +332,19 @@ def surroundings_of(
 
     ground: the one to use; None: that of the configured elevation data.
     """
-    aircraft, fences = config.aircraft, fences_of(config, plane).check(config.aircraft.height_m)
+    aircraft, outlines = config.aircraft, fences_of(config, plane)
+    fences = outlines.check(aircraft.height_m)
+    bounds = FlightBounds(
+        aircraft.height_m if aircraft.height_above == "home" else math.nan,
+        -math.inf if config.fences.floor_m is None else config.fences.floor_m,
+        math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
+        config.fences.margin_m,
+        aircraft.clearance_m,
+        outlines.inside_m,
+    )
     ground = ground or ground_of(config, plane, home_deg)
     if ground is None:
-        return Surroundings(fences, OneHeight(aircraft.rates()))
+        return Surroundings(fences, OneHeight(aircraft.rates()), bounds=bounds)
     # Compiled code takes a second to load, so it is imported only if there is elevation data.
     from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
     from sidelong.mission.terrain.sight import SightField  # noqa: PLC0415
@@ -357,7 +367,10 @@ def surroundings_of(
         assert isinstance(heights, FlightHeights)
         return field.sight(*target_m, *velocity_m_s, heights.expected_m(flown_m, target_m))
 
-    return Surroundings(fences, over, ground, hidden)
+    def clear_m(east_m: float, north_m: float, height_m: float) -> float:
+        return over.clearance_m(east_m, north_m, height_m) - aircraft.clearance_m
+
+    return Surroundings(fences, over, ground, hidden, bounds=replace(bounds, clear_m=clear_m))
 
 
 def ground_of(config: Config, plane: LocalPlane, home_deg: HomeDeg) -> Ground | None:

@@ -256,6 +256,8 @@ class PlannerSection(Section):
     """What to do then: hold the circle or fly home."""
     at_low_battery: Literal["return", "warn"] = "return"
     """When the flight time left is below 120 % of the time to fly home: fly home, or only raise an alarm."""
+    at_breach: Literal["recover", "return"] = "recover"
+    """When the aircraft flies below the floor or outside the fences: command it back, or fly home."""
     battery_reserve_percent: float = Field(20.0, ge=0, le=80)
     """Charge that is to be left in the battery after the flight home, %."""
 

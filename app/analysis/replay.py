@@ -69,6 +69,7 @@ class Proposals:
 
     def __init__(self, controller: StandoffController) -> None:
         self.controller = controller
+        controller.envelope.judges = False
         self._engaged_s = -math.inf
 
     def follow(self, events: Iterable[InboundEvent]) -> Iterator[Replayed]:

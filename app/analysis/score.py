@@ -19,6 +19,7 @@ A moment counts until the next one.
 
 from __future__ import annotations
 
+import bisect
 import itertools
 import math
 from collections.abc import Sequence
@@ -50,6 +51,7 @@ class Moment:
     Attributes:
         target: its name in a fleet.
         known: whether the inputs were complete and consistent; always, where the truth is known.
+        within: whether the aircraft itself was within its envelope; otherwise neither band nor side is fulfilled.
     """
 
     time_s: float
@@ -61,6 +63,7 @@ class Moment:
     target_velocity_north_m_s: float
     target: str = ""
     known: bool = True
+    within: bool = True
 
     @staticmethod
     def by_estimate(
@@ -70,6 +73,26 @@ class Moment:
         target_m = estimate.east_m, estimate.north_m
         velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         return Moment(estimate.time_s, east_m, north_m, *target_m, *velocity_m_s, target, known)
+
+
+class Breaches:
+    """When the aircraft itself was out of its envelope."""
+
+    def __init__(self) -> None:
+        self._since = [(-math.inf, False)]
+
+    def note(self, time_s: float, breached: bool) -> None:
+        """Note whether it is, from a time on."""
+        if self._since[-1][1] != breached:
+            self._since.append((time_s, breached))
+
+    def applied(self, moments: Sequence[Moment]) -> Sequence[Moment]:
+        """Return moments, with those marked that were out of the envelope."""
+        if len(self._since) == 1:
+            return moments
+        times_s = [time_s for time_s, _ in self._since]
+        breached = (self._since[bisect.bisect(times_s, moment.time_s) - 1][1] for moment in moments)
+        return tuple(replace(one, within=not off) for one, off in zip(moments, breached, strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +144,12 @@ class Judgement:
     def later(self, offset_s: float) -> Judgement:
         """Return the same with all times later by ``offset_s``."""
         return replace(self, time_s=self.time_s + offset_s)
+
+    def where(self, within: BoolArray) -> Judgement:
+        """Return the same with nothing fulfilled outside of the aircraft's envelope; within: shape (n,)."""
+        held = (self.in_band, self.on_side, self.on_side_now)
+        in_band, on_side, now = (each & within for each in held)
+        return replace(self, in_band=in_band, on_side=on_side, on_side_now=now)
 
     @staticmethod
     def joined(parts: Sequence[Judgement]) -> Judgement:
@@ -183,7 +212,8 @@ def judge(samples: Samples, asked: Asked) -> Judgement:
 def judge_moments(moments: Sequence[Moment], asked: Asked) -> Judgement:
     """Judge moments in order of time; where the target changes, its course starts again."""
     runs = [list(run) for _, run in itertools.groupby(moments, key=lambda moment: moment.target)]
-    return Judgement.joined([judge(Samples.of(run), asked) for run in runs or [[]]])
+    judged = Judgement.joined([judge(Samples.of(run), asked) for run in runs or [[]]])
+    return judged.where(np.array([moment.within for moment in moments], bool))
 
 
 def within_pan_limits(

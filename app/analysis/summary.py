@@ -16,6 +16,7 @@ from rich.table import Table
 from sidelong.app.analysis.score import (
     Asked,
     BoolArray,
+    Breaches,
     Judgement,
     Moment,
     Score,
@@ -206,12 +207,14 @@ class SummaryCollector:
         self.input_times = InputTimes()  # how long each input was not ok
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
         self._within_pan: list[tuple[float, bool]] = []  # time, whether the gimbal can look at the target
+        self._breaches = Breaches()
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Present) -> None:
         """Take a snapshot; only departures are taken from those without a new estimate."""
         self._position_age_s = snapshot.position_age_s
         self.input_times.note(snapshot.health)
+        self._breaches.note(snapshot.time_s, bool(snapshot.breach))
         self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
         if estimate is None:
@@ -273,8 +276,10 @@ class SummaryCollector:
     ) -> tuple[Sequence[Moment], Literal["truth", "estimate"]]:
         """Return what there is to judge since ``start_s``, and by what it is judged."""
         if truth is None or plane is None or not self._estimated:
-            return [moment for moment in self._estimated if moment.time_s >= start_s], "estimate"
-        return truth.moments(plane, start_s, max(self.judged_s, self._blind_s), _TRUTH_STEP_S), "truth"
+            estimated = [moment for moment in self._estimated if moment.time_s >= start_s]
+            return self._breaches.applied(estimated), "estimate"
+        true = truth.moments(plane, start_s, max(self.judged_s, self._blind_s), _TRUTH_STEP_S)
+        return self._breaches.applied(true), "truth"
 
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
         """Score from the first moment in the band after ``start_s``."""

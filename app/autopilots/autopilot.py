@@ -140,7 +140,11 @@ class ParameterTable:
     @property
     def values(self) -> dict[str, float]:
         """The values by key, in the units of the newest release."""
-        return {key: self.read[parameter.name] * parameter.unit for key, parameter in self._found.items()}
+        return self.of(self.read)
+
+    def of(self, read: Mapping[str, float]) -> dict[str, float]:
+        """Return values by key that were read later, in the units of the newest release."""
+        return {key: read[parameter.name] * parameter.unit for key, parameter in self._found.items()}
 
     @property
     def missing(self) -> tuple[str, ...]:

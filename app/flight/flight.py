@@ -7,7 +7,7 @@ import contextlib
 import gc
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -52,9 +52,11 @@ from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core.events import (
     AlarmReported,
     Announce,
+    BankLimitReported,
     BatteryReported,
     ControlAcquired,
     Event,
+    HomeReported,
     MissionChange,
     RoundTripReported,
 )
@@ -283,7 +285,9 @@ class Flight:
         shared = contextlib.ExitStack()
         observers = self._observers(plane, home, shared)
         own = {one.name: one.value for one in ready.parameters}
-        parameters = ParameterWatch(ready.table, self._autopilot.packs_integers_bytewise, own, self._display.note)
+        parameters = ParameterWatch(
+            ready.table, self._autopilot.packs_integers_bytewise, own, self._display.note, self._limits_changed
+        )
         self._vehicle.listeners.append(parameters.take)
         shared.callback(self._vehicle.listeners.remove, parameters.take)
         streams = StreamKeeper(self._request_streams, self._display.note)
@@ -344,6 +348,12 @@ class Flight:
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    def _limits_changed(self, values: Mapping[str, float]) -> None:
+        """Plan for the bank limit that another station has set."""
+        bank_deg = self._autopilot.limits(values).bank_max_deg
+        if bank_deg is not None:
+            self.put_event(BankLimitReported(self._telemetry.now_s, math.radians(bank_deg)))
 
     def _takeover(self, link_s: float) -> TakeoverRequested:
         """Return the request to take over, and show the autopilot's warnings from now on."""
@@ -507,6 +517,8 @@ class Flight:
         if self._start_s < math.inf:
             self._display.note("circling again: the target is watched from now on")
             return
+        home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
+        self.put_event(HomeReported(acquired.time_s, *home_m))  # it may have been reported long before
         self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
         self._display.engage(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
@@ -707,12 +719,18 @@ class AlarmWatch:
             self._known,
             endurance_s=self.left_s,
             home_s=self.home_s,
-            home_m=self._home_m,
+            home_m=self._home_now_m,
             silent_s=self._clock_s() - self._received_at_s,
             alarms=self._alarms.active,
             reserve_percent=self._config.planner.battery_reserve_percent,
             battery_doubt=self._endurance.charge.doubt,
         )
+
+    @property
+    def _home_now_m(self) -> tuple[float, float]:
+        """Home as the autopilot reported it last: another station may set it elsewhere in flight."""
+        present = self._snapshot
+        return self._home_m if present is None or present.home_m is None else present.home_m
 
     def _look(self, present: Present) -> None:
         self._looked_s, self._looked_at_s = present.time_s, self._clock_s()
@@ -736,7 +754,7 @@ class AlarmWatch:
         self._endurance.take(present.time_s, self._known.battery_percent, self._known.battery_v)
         self.left_s = self._endurance.left_s(present.time_s)
         airspeed_m_s = self._config.aircraft.airspeed_m_s
-        self.home_s = time_to_s(present.aircraft, self._home_m, airspeed_m_s, present.wind)
+        self.home_s = time_to_s(present.aircraft, self._home_now_m, airspeed_m_s, present.wind)
         if self.left_s is None:
             return
         was_low, self._low = self._low, battery_is_low(self.left_s, self.home_s)

@@ -89,13 +89,19 @@ class ParameterWatch:
         bytewise: whether the autopilot sends the bytes of an integer where the float belongs.
         own: what this mission has set itself, by name.
         note: reports a sentence to the operator.
+        changed: receives the values by key after each change.
     """
 
     def __init__(
-        self, table: ParameterTable, bytewise: bool, own: Mapping[str, float], note: Callable[[str], object]
+        self,
+        table: ParameterTable,
+        bytewise: bool,
+        own: Mapping[str, float],
+        note: Callable[[str], object],
+        changed: Callable[[Mapping[str, float]], object] = lambda _values: None,
     ) -> None:
-        self._values = {**table.read, **own}
-        self._bytewise, self._note = bytewise, note
+        self._table, self._values = table, {**table.read, **own}
+        self._bytewise, self._note, self._changed = bytewise, note, changed
 
     def take(self, message: Message) -> None:
         """Look at a message of the vehicle."""
@@ -107,6 +113,7 @@ class ParameterWatch:
             return
         self._values[name] = value
         self._note(f"another ground station has set {name} to {value:g}; it was {before:g}")
+        self._changed(self._table.of(self._values))
 
 
 @contextlib.asynccontextmanager

@@ -28,7 +28,7 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
-from sidelong.mission.core.events import Event, ModeReported, NavigationReported, WindReported
+from sidelong.mission.core.events import Event, HomeReported, ModeReported, NavigationReported, WindReported
 
 AUTOPILOT_INVALID = int(dialect.MAV_AUTOPILOT_INVALID)
 TYPE_FIXED_WING = int(dialect.MAV_TYPE_FIXED_WING)
@@ -104,6 +104,7 @@ class Telemetry:
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
             "HEARTBEAT": self._heartbeat,
             "GLOBAL_POSITION_INT": self._position,
+            "HOME_POSITION": self._home,
             "ATTITUDE": self._attitude,
             "DISTANCE_SENSOR": self._distance_sensor,
             "RANGEFINDER": self._rangefinder,
@@ -177,7 +178,14 @@ class Telemetry:
             fields["vy"] * 1e-2,
             fields["vx"] * 1e-2,
             -fields["vz"] * 1e-2,
+            (fields["alt"] - fields["relative_alt"]) * 1e-3 if "alt" in fields else None,
         )
+
+    def _home(self, message: Message) -> Event | None:
+        if self.plane is None or message.component_id != AUTOPILOT_COMPONENT or self.now_s == -math.inf:
+            return None
+        place_deg = message.fields["latitude"] * 1e-7, message.fields["longitude"] * 1e-7
+        return HomeReported(self.now_s, *self.plane.east_north_m(*place_deg))
 
     def _attitude(self, message: Message) -> Event | None:
         fields = message.fields

@@ -186,9 +186,10 @@ class Predictive:
 
         def make(aircraft: Aircraft, wanted: Requirement, plans: PlanCheck) -> Planner:
             def table_at(wind_m_s: float) -> ValueTable:
-                return tables_for(aircraft, wanted, [wind_m_s])[-1]
+                return tables_for(aircraft.configured or aircraft, wanted, [wind_m_s])[-1]
 
-            calm, *windy = tables_for(aircraft, wanted, needs.winds_m_s)
+            # A wider circle, as learned in flight, cannot wait for tables of its own.
+            calm, *windy = tables_for(aircraft.configured or aircraft, wanted, needs.winds_m_s)
             return self.finished(
                 PredictivePlanner(aircraft, wanted, calm, settings, windy, plans.cleared, plans.sight, table_at)
             )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sidelong.app.analysis.score import Judgement, Moment, judge_moments
+from sidelong.app.analysis.score import Breaches, Judgement, Moment, judge_moments
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.records.sensing import Sensing
 from sidelong.estimators.estimate import TargetEstimate
@@ -39,6 +39,7 @@ from sidelong.mission.core.events import (
     Yield,
 )
 from sidelong.mission.core.fleet import FleetAdvice
+from sidelong.mission.core.inputs import UNFULFILLED, Input, InputState
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
@@ -153,6 +154,7 @@ class HistoryBuilder:
         self.positions: list[PositionReading] = []
         self._estimates: list[TargetEstimate] = []
         self._targets: list[str] = []  # of each estimate
+        self._breaches, self._out = Breaches(), set[Input]()
         self._known: list[bool] = []  # whether the inputs of each estimate were sound
         self._target = ""
         self.sightings: list[SightingOutcome] = []
@@ -197,6 +199,10 @@ class HistoryBuilder:
                 self._announced.append(command)
             case HealthChanged():
                 self._announced.append(command.announcement)
+                if command.input in UNFULFILLED:
+                    of_input = {command.input}
+                    self._out = self._out - of_input if command.state is InputState.OK else self._out | of_input
+                    self._breaches.note(command.time_s, bool(self._out))
             case Yield() | End():
                 what = Announce(command.time_s, "yield", f"yielded: {command.reason}")
                 if isinstance(command, End):
@@ -242,6 +248,7 @@ class HistoryBuilder:
         targets = [name or first for name in self._targets]
         end_s = float(aircraft.time_s[-1])
         moments = () if truth is None else tuple(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
+        judged = moments or _estimated_moments(self._estimates, targets, self._known, aircraft, start_s)
         return FlightHistory(
             asked,
             start_s,
@@ -250,7 +257,7 @@ class HistoryBuilder:
             tuple(self._estimates),
             tuple(targets),
             tuple(self.sightings),
-            moments or _estimated_moments(self._estimates, targets, self._known, aircraft, start_s),
+            tuple(self._breaches.applied(judged)),
             bool(moments),
             truth,
             plane,

@@ -78,7 +78,7 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
             from the ground.
 
     Attributes:
-        rows: time, east, north, height above home, after each step.
+        rows: time, east, north, height above home, 1 within the envelope and else 0, after each step.
         departed_s: when each plan departed.
     """
 
@@ -137,7 +137,7 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
             make,
             surroundings,
         )
-        self.rows: list[tuple[float, float, float, float]] = []
+        self.rows: list[tuple[float, float, float, float, float]] = []
         self.departed_s: list[float] = []
         vehicle.flown = self._flown
         self._flown()
@@ -145,12 +145,13 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
 
     def _flown(self) -> None:
         vehicle, craft = self.vehicle_in_flight, self.vehicle_in_flight.craft
-        self.rows.append((vehicle.flown_s, craft.east_m, craft.north_m, craft.height_m))
+        within = float(not self.controller.breach)
+        self.rows.append((vehicle.flown_s, craft.east_m, craft.north_m, craft.height_m, within))
         if self.controller.changes.moves > len(self.departed_s):
             self.departed_s.append(vehicle.time_s)
 
     def log(self, flown: StudyScene) -> FloatArray:
-        """Return time, aircraft and target (east, north), course of the target and height above home, (n, 7)."""
+        """Return time, aircraft and target (east, north), the target's course, height, within envelope, (n, 8)."""
         rows = np.array(self.rows[:-1])  # where each step begins
         truth = flown.target.sampled(rows[:, 0])[:, [0, 1, 4]]
         return np.hstack([rows[:, :3], truth, rows[:, 3:]])
@@ -233,7 +234,7 @@ def _over_ground(settings: StudySettings, ground: Ground, log: FloatArray) -> tu
     heights_m = ground.heights_at_m(log[:, 3], log[:, 4])
     eyes_m = np.where(np.isnan(heights_m), 0.0, heights_m) + TARGET_M
     in_sight = np.array(
-        [ground.sees((e, n, h), (te, tn, eye)) for (_, e, n, te, tn, _, h), eye in zip(log, eyes_m, strict=True)]
+        [ground.sees((e, n, h), (te, tn, eye)) for (_, e, n, te, tn, _, h, _), eye in zip(log, eyes_m, strict=True)]
     )
     steps = range(0, len(log), _LOOKED_EVERY)
     course_rad = judged_log(settings, log).course_rad

@@ -76,7 +76,7 @@ class FleetResult:
 
     min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the required side.
     position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %. aircraft: each
-    scored as if it were alone. logs (aircraft, n, 6) as judged.
+    scored as if it were alone. logs (aircraft, n, 6 or more) as judged.
     """
 
     time_on_side_any: float
@@ -189,7 +189,7 @@ class FleetRun:
             if vehicle.time_s >= ticked_s + _TICK_S - 1e-6:
                 self._tick(vehicle.time_s)
                 ticked_s = vehicle.time_s
-        logs = np.stack([member.craft.log(self._scene)[:, :6] for member in self._members])
+        logs = np.stack([member.craft.log(self._scene) for member in self._members])
         changes = [member.craft.departed_s for member in self._members]
         heights_m = [member.height_m for member in self._members]
         taken_s = [taken for member in self._members for taken in member.craft.watch.taken_s]

@@ -14,6 +14,8 @@ from sidelong.app.simulation.target import STEP_S
 from sidelong.app.study.settings import StudySettings
 from sidelong.mission.core.path import FloatArray
 
+_WITHIN = 7  # the column of a log: whether the aircraft is within its envelope
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedTrack:
@@ -72,11 +74,13 @@ def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
     """Judge each step of a run.
 
     Args:
-        log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more).
+        log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more);
+            the eighth is 0 while the aircraft is out of its envelope.
     """
     velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
     samples = Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
-    return judge(samples, ((-math.inf, settings.requirement()),))
+    steps = judge(samples, ((-math.inf, settings.requirement()),))
+    return steps.where(log[:, _WITHIN] > 0.0) if log.shape[1] > _WITHIN else steps
 
 
 def judged(
@@ -133,7 +137,7 @@ def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, flo
     """Return the shares of time on the side, on it by the present course, and in the band, by at least one aircraft.
 
     Args:
-        logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6).
+        logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6 or more).
     """
     each = [judged_log(settings, log) for log in logs]
     known, in_band = (

@@ -29,7 +29,10 @@ class Source:
 
 @value_type(frozen=True, slots=True)
 class PositionReading:
-    """The aircraft's position and ground velocity. Height is above home."""
+    """The aircraft's position and ground velocity.
+
+    Height is above the autopilot's present home, whose altitude above the sea is home_altitude_m; None: not reported.
+    """
 
     time_s: float
     east_m: float
@@ -38,6 +41,7 @@ class PositionReading:
     velocity_east_m_s: float
     velocity_north_m_s: float
     velocity_up_m_s: float
+    home_altitude_m: float | None = None
 
 
 @value_type(frozen=True, slots=True)

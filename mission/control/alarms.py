@@ -285,13 +285,14 @@ def _target(_alarms: Alarms, now: Present) -> str:
 
 
 def _band(alarms: Alarms, now: Present) -> str:
-    wrong = now.phase.in_control and now.in_band is False and (alarms.was_in_band or alarms.is_late(now))
+    is_judged = now.phase.in_control and not now.breach and (alarms.was_in_band or alarms.is_late(now))
+    wrong = is_judged and now.in_band is False
     return f"the range of {now.range_m:.0f} m is outside the required band" if wrong else ""
 
 
 def _side(alarms: Alarms, now: Present) -> str:
-    wrong = now.phase.in_control and now.on_side is False and (alarms.was_on_side or alarms.is_late(now))
-    return "the aircraft is not on the required side" if wrong else ""
+    is_judged = now.phase.in_control and not now.breach and (alarms.was_on_side or alarms.is_late(now))
+    return "the aircraft is not on the required side" if is_judged and now.on_side is False else ""
 
 
 def _well_beyond_side(now: Present) -> bool:
@@ -365,6 +366,13 @@ _INPUTS = {
     Input.CLOCK: "check the autopilot; be ready to take over",
     Input.TERRAIN: "fly higher, or check the elevation data",
     Input.NEIGHBOURS: "watch the separation from the other aircraft",
+    Input.HEIGHT: "take over, or switch to RTL, if the aircraft does not come back to its height",
+    Input.FENCE: "take over, or switch to RTL, if the aircraft does not turn back",
+    Input.PATH: "be ready to take over by the transmitter",
+    Input.AIRCRAFT: "check the autopilot's limits and who has changed them; be ready to take over",
+    Input.SPEED: "check what the payload follows, or raise requirement.target_speed_max_m_s",
+    Input.HOME: "check where home is now: the autopilot flies there when it returns",
+    Input.ORDERS: "take over to move the aircraft, or press Hold to keep it circling here",
 }
 _HELD = "press Resume: while you hold the circle it is not relocated"
 _RULES = (

@@ -8,7 +8,8 @@ Rules
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
-   to the transition's circle directly.
+   to the transition's circle directly. This way and every other way out passes the checks of an ordinary move;
+   where none passes, ground, other aircraft and fences come before range, and range before side.
 6. Any other flight mode than that of the takeover means that a pilot, another station or a failsafe of the autopilot
     flies: Yield, latched.
    Only an operator's request to resume ends it: the aircraft is then taken over again, and the watch goes on with
@@ -23,7 +24,9 @@ Rules
     seen since then. Without heartbeat nothing new is commanded.
     While the target is not seen, the aircraft keeps away from where it can be by now
     (:mod:`sidelong.mission.geometry.retreat`).
-11. While advice is fresh, estimate, target and side are those of the advice; without it the aircraft goes on by its
+11. What is flown is judged once a second (:mod:`sidelong.mission.control.envelope`). Below the floor nothing is
+    commanded but the way back to the plan's height; ``at_breach`` ends the mission instead.
+12. While advice is fresh, estimate, target and side are those of the advice; without it the aircraft goes on by its
     own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
@@ -35,7 +38,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Literal
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -50,21 +55,24 @@ from sidelong.estimators.sensing.readings import (
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.alarms import battery_is_low
+from sidelong.mission.control.envelope import Envelope
 from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
 from sidelong.mission.control.planning import PlanChanges, Planning, UploadLatency
 from sidelong.mission.control.plausibility import Plausibility
-from sidelong.mission.control.present import Phase, Present
+from sidelong.mission.control.present import Phase, Present, breach_in
 from sidelong.mission.control.surroundings import Flown, Surroundings
 from sidelong.mission.control.target_news import JumpNews, PayloadNews, TargetNews, UnseenTarget
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     AlarmReported,
     Announce,
+    BankLimitReported,
     BatteryReported,
     ControlAcquired,
     DecisionRecord,
     End,
     Event,
+    HomeReported,
     LinkReported,
     MissionChange,
     ModeReported,
@@ -79,7 +87,7 @@ from sidelong.mission.core.events import (
     YieldRequested,
 )
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
-from sidelong.mission.core.inputs import Input
+from sidelong.mission.core.inputs import ENVELOPE, Input
 from sidelong.mission.core.plan import (
     AircraftState,
     ClimbRates,
@@ -92,13 +100,17 @@ from sidelong.mission.core.plan import (
 )
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
-from sidelong.mission.geometry.retreat import LEAVE_S, Reach, escapes, retreats
+from sidelong.mission.geometry.retreat import HOLD_S, LEAVE_S, Reach, escapes, paths_to, retreats
 from sidelong.mission.health.health import Health
 from sidelong.mission.viewpoint.course_hold import TargetCourse
 
 # Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
 _WIND_MAX_SHARE = 0.9
 _OFTEN, _OFTEN_S = 3, 120.0  # that the aircraft leaves its line: it may not follow at all
+_BACK_AGAIN_S = 20.0  # after which the way back to height or fence is commanded again
+_SAME_HOME_M = 2.0  # against which the present plan was sent
+_NEAR_SHARE = 1.25  # of its radius: from there an autopilot joins a circle without leaving it far
+_RETREAT_S, _RETREAT_GAIN = 20.0, 0.25  # a retreat is flown so long, unless another one gains this share of the range
 _BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
@@ -122,6 +134,7 @@ class StandoffSettings:
     give_up_after_s: float = 300.0
     give_up_action: Literal["hold", "return"] = "return"
     at_low_battery: Literal["return", "warn"] = "return"
+    at_breach: Literal["recover", "return"] = "recover"
 
 
 class StandoffController:
@@ -154,6 +167,11 @@ class StandoffController:
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
+        self.envelope = Envelope(surroundings.bounds, settings.aircraft, settings.requirement)
+        self._home_m: tuple[float, float] | None = None  # the autopilot's, east and north
+        self._first_home_m: tuple[float, float] | None = None  # the same at the takeover
+        self._recovery, self._recovered_s = 0, -math.inf  # number of the plan back into the envelope, and when
+        self._retreated_s = -math.inf
         self._news = TargetNews()
         self._payload_news, self._jump_news = PayloadNews(tracker), JumpNews()
         self._course = TargetCourse()
@@ -205,7 +223,8 @@ class StandoffController:
         health, tracker, now_s = self.health, self.tracker, self.door.clock.now_s
         if now_s == -math.inf:
             return ()
-        changes = health.changes(now_s, tracker.ranges, tracker.gimbals, self.door.input_faults)
+        envelope = dict.fromkeys(ENVELOPE, "") | self.envelope.faults
+        changes = health.changes(now_s, tracker.ranges, tracker.gimbals, {**self.door.input_faults, **envelope})
         if changes:
             self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
         return changes
@@ -219,8 +238,9 @@ class StandoffController:
             case ControlAcquired() if self.phase in (Phase.WAITING, Phase.WATCHING):
                 return self._control_acquired(event)
             case PlanStatus():
-                watching = self.phase is Phase.WATCHING
-                return self.changes.report(event, self.time_s, self.aircraft, watching=watching)
+                return self.changes.report(event, self.time_s, self.aircraft, watching=self._may_depart)
+            case HomeReported() | BankLimitReported():
+                self._assumption_reported(event)
             case LinkReported() | RoundTripReported():
                 return self._link_reported(event)
             case YieldRequested():
@@ -250,6 +270,19 @@ class StandoffController:
     def flown_height_m(self) -> float | None:
         """The aircraft's height above home, that of its plan where it is about there; None before it is known."""
         return None if self._height_m is None else settled_m(self._height_m, self.present)
+
+    @property
+    def breach(self) -> str:
+        """What the aircraft itself breaches, in words; '' if nothing."""
+        return breach_in(self.health.reports)
+
+    @property
+    def _may_depart(self) -> bool:
+        """Whether the plan under way may be flown: while watching, and the way back into the envelope on hold too."""
+        change = self.changes.under_way
+        is_back = change is not None and change.command.number == self._recovery
+        is_low = self._height_m is not None and self._height_m < self.envelope.floor_m
+        return self.phase.in_control and (is_back or (self.phase is Phase.WATCHING and not is_low))
 
     def snapshot(self) -> Present:
         """Return what an operator sees now."""
@@ -294,6 +327,9 @@ class StandoffController:
             self._unknown(),
             self._position_age_s,
             self.planning.route_progress,
+            changes.stuck(self.time_s),
+            self._home_m,
+            (math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m),
         )
 
     @property
@@ -340,6 +376,7 @@ class StandoffController:
         match reading:
             case AttitudeReading():
                 self._attitude = reading
+                self.envelope.note(reading)
             case RangeReading() if reading.source == tracker.ranges.chosen:
                 self._range_s = max(self._range_s, reading.time_s)
             case GimbalReading() if reading.source == tracker.gimbals.chosen:
@@ -367,8 +404,13 @@ class StandoffController:
                 announced = self._news.announce(self.time_s, self.estimate)
             announced += self._jump_news.announce(self.time_s, before, self.estimate)
             announced += self._payload_news.announce(self.time_s)
+            self.envelope.step(self.snapshot())
+            if self.envelope.aircraft != self.settings.aircraft:
+                self._ask_for(self.envelope.aircraft, self.settings.requirement)
+                self._changed_s = self.time_s
+            announced += self._health_changes()
         if self.changes.under_way is not None:
-            return announced + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
+            return announced + self.changes.activate_due(self.time_s, watching=self._may_depart)
         if self.door.doubt is not None:
             self._hold(self.door.doubt)
             return announced
@@ -385,24 +427,33 @@ class StandoffController:
 
     def _decide(self) -> tuple[StepOutput, ...]:
         aircraft, target, present = self.aircraft, self.estimate, self.present
-        if self.phase is not Phase.WATCHING or present is None:
+        if not self.phase.in_control or present is None:
             return ()
         assert aircraft is not None
         self.surroundings.flown = self.flown
+        back = self._back_into_envelope(aircraft, present)
+        if back is not None or self.phase is not Phase.WATCHING:
+            return back or ()
         escape = self._escape(aircraft, present)
         if escape or target is None:
             return escape
-        if self.changes.is_off_track(aircraft):
+        is_lost = Input.PATH in self.envelope.faults and self.time_s - self._recovered_s >= _BACK_AGAIN_S
+        if is_lost or self.changes.is_off_track(aircraft) or self.envelope.is_carried_out:
+            self._recovered_s = self.time_s
             reason = "the aircraft has left its line: going to the circle directly"
             self._off_track_s.append(self.time_s)
             if len(self._off_track_s) == _OFTEN and self.time_s - self._off_track_s[0] < _OFTEN_S:
                 reason = f"the aircraft has left its line {_OFTEN} times in {_OFTEN_S:.0f} s: be ready to take over"
-            return self.changes.upload(self.time_s, self._again(present), self._wind, reason, kind="plan")
+            return self._way_out(aircraft, present, reason)
         unseen_s = self.time_s - target.last_sighting_s
         if min(unseen_s, self.time_s - self._acquired_s) > self.settings.give_up_after_s:
             reason = f"the target has not been seen for {unseen_s:.0f} s"
             self._end(Phase.ENDED, reason)
             return (End(self.time_s, self.settings.give_up_action, reason),)
+        if not self.envelope.has_room:
+            return self._hold_away(
+                aircraft, present, self._seen(target), "no circle that can be flown fits the band; the target moves"
+            )
         fault = bool(self.health.payload_fault)
         reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
         if reach is not None:
@@ -429,6 +480,14 @@ class StandoffController:
             decision = replace(
                 decision, plan=None, reason=f"staying: {self._doubt_of_place} and may be too near there"
             )
+        if self._spare_m:
+            seen, plan = self._seen(target), decision.plan
+            if plan is not None and not self._keeps_away(plan, seen, LEAVE_S, self._spare_m):
+                decision = replace(
+                    decision, plan=None, reason="staying: the aircraft may not follow that path closely"
+                )
+            if decision.plan is None and (away := self._hold_away(aircraft, present, seen, "the target moves")):
+                return away
         if decision.plan is not None:
             cleared = self.surroundings.cleared(decision.plan)
             if isinstance(cleared, str):
@@ -452,9 +511,7 @@ class StandoffController:
         self._crossed = 0 if crossed is None else self._crossed + 1
         if self._height_m is None or crossed is None or self._crossed % _CROSSED_COUNT:
             return ()
-        settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
-        plans = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
-        plan = self.surroundings.first_cleared(plans)
+        plan, _ = self._best_way(aircraft, present)
         if plan is None and self._crossed == _CROSSED_COUNT:
             text, layer_m = f"no separated circle is free: {crossed}", self.planning.layer_m
             if layer_m > self._height_m + _BELOW_LAYER_M:  # as after the takeover of two that circle together
@@ -465,12 +522,107 @@ class StandoffController:
             return ()
         return self.changes.upload(self.time_s, plan, self._wind, f"leaving the circle: {crossed}")
 
-    def _keeps_away(self, plan: Plan, reach: Reach) -> bool:
-        clear_m = reach.after(self.latency.expected_s).clearance_m(plan, self.settings.aircraft.airspeed_m_s)
-        return clear_m >= self.settings.requirement.range_min_m
+    # -- ways out ------------------------------------------------------------------------------------------
 
-    def _hold_away(self, aircraft: AircraftState, present: Plan, reach: Reach) -> tuple[StepOutput, ...]:
-        """Return the plan to a circle farther away, if the unseen target may come too near to the present one."""
+    def _seen(self, target: TargetEstimate) -> Reach:
+        return Reach.seen(target, self.settings.requirement.target_speed_max_m_s)
+
+    def _best_way(self, aircraft: AircraftState, present: Plan) -> tuple[Plan | None, float]:
+        """Return the first way out that passes the checks of an ordinary move, and how far it keeps from the target.
+
+        Where none keeps the least range, of those that pass the other checks the one that keeps most; None if none
+        passes them.
+
+        Args:
+            aircraft: State of the aircraft.
+            present: The plan that is flown; its circle, as wide as it can be flown, is tried first.
+        """
+        own, requirement, latency_s = self.settings.aircraft, self.settings.requirement, self.latency.expected_s
+        start, target = dead_reckoned(aircraft, latency_s), self.estimate
+        later = None if target is None else self._seen(target).after(latency_s)
+        needed_m = requirement.range_min_m + self._spare_m
+
+        def clear_m(plan: Plan) -> float:
+            return math.inf if later is None else later.clearance_m(plan, own.airspeed_m_s, LEAVE_S)
+
+        circle = replace(present.circle, radius_m=max(present.circle.radius_m, own.radius_m))
+        away_m = math.hypot(start.east_m - circle.east_m, start.north_m - circle.north_m)
+        direct = paths_to(circle, start, own)
+        # The autopilot takes either turn to a circle that is commanded alone.
+        if away_m < _NEAR_SHARE * circle.radius_m or (direct and min(map(clear_m, direct)) >= needed_m):
+            direct.insert(0, self._again(replace(present, circle=circle)))
+        ways: list[Iterable[Plan]] = [direct, escapes(start, target, present.circle, own, requirement)]
+        if later is not None:
+            ways.append(retreats(start, later, requirement.side.clockwise, own, requirement.range_min_m))
+        best: tuple[Plan | None, float] = None, -math.inf
+        for plan in chain.from_iterable(ways):
+            kept_m = clear_m(plan)
+            if kept_m <= best[1]:
+                continue
+            cleared = self.surroundings.cleared(plan)
+            if isinstance(cleared, Plan):
+                best = cleared, kept_m
+                if kept_m >= needed_m:
+                    break
+        return best
+
+    def _way_out(self, aircraft: AircraftState, present: Plan, reason: str) -> tuple[StepOutput, ...]:
+        """Return what brings the aircraft to the present circle, or to another one, from where it is."""
+        plan, clear_m = self._best_way(aircraft, present)
+        if plan is None:
+            return self.changes.upload(self.time_s, self._again(present), self._wind, reason, kind="plan")
+        same = plan.circle.east_m == present.circle.east_m and plan.circle.north_m == present.circle.north_m
+        keep_m = self.settings.requirement.range_min_m
+        if clear_m < keep_m:
+            reason += f"; no way keeps {keep_m:.0f} m from the target: taking the one that keeps {clear_m:.0f} m"
+        elif not same:
+            reason += " would come too near to the target: going to another circle"
+        return self.changes.upload(self.time_s, plan, self._wind, reason, kind="plan")
+
+    def _back_into_envelope(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...] | None:
+        """Return what leads back into the envelope; None: nothing keeps an ordinary decision from being made."""
+        faults, is_again = self.envelope.faults, self.time_s - self._recovered_s >= _BACK_AGAIN_S
+        height, fence = faults.get(Input.HEIGHT), faults.get(Input.FENCE)
+        is_low = self._height_m is not None and self._height_m < self.envelope.floor_m
+        if self.settings.at_breach == "return" and ((height and is_low) or fence):
+            self._end(Phase.ENDED, reason := f"{height if is_low else fence}")
+            return (End(self.time_s, "return", reason),)
+        if abs(self.changes.home_m - self.door.home_m) > _SAME_HOME_M:
+            reason = "home was set elsewhere: commanding the circle again, at the height that it had"
+            return self._recover(self._again(present), reason)
+        if height and is_again:
+            return self._recover(self._again(present), f"{height}: commanding the circle's height again")
+        if is_low:
+            self._hold("below the floor nothing new is commanded")
+            return ()
+        if fence and is_again:
+            plan, _ = self._best_way(aircraft, present)
+            if plan is not None:
+                return self._recover(plan, f"{fence}: turning back")
+        return None
+
+    def _recover(self, plan: Plan, reason: str) -> tuple[StepOutput, ...]:
+        self._recovered_s = self.time_s
+        outputs = self.changes.upload(self.time_s, plan, self._wind, reason)
+        self._recovery = outputs[1].number
+        return outputs
+
+    @property
+    def _spare_m(self) -> float:
+        """By how much the turns of an aircraft come late that rolls more slowly than configured."""
+        own = self.settings.aircraft
+        is_slow = own.configured is not None and own.roll_rate_max_rad_s < own.configured.roll_rate_max_rad_s
+        return own.airspeed_m_s * own.roll_s(1.0 / own.radius_m) if is_slow else 0.0
+
+    def _keeps_away(self, plan: Plan, reach: Reach, hold_s: float = HOLD_S, spare_m: float = 0.0) -> bool:
+        airspeed_m_s, least_m = self.settings.aircraft.airspeed_m_s, self.settings.requirement.range_min_m
+        return reach.after(self.latency.expected_s).clearance_m(plan, airspeed_m_s, hold_s) >= least_m + spare_m
+
+    def _hold_away(
+        self, aircraft: AircraftState, present: Plan, reach: Reach, why: str = ""
+    ) -> tuple[StepOutput, ...]:
+        """Return the plan to a circle farther away, if the target may come too near to the present one."""
+        why = why or self._doubt_of_place
         settings, latency_s, plan = self.settings, self.latency.expected_s, None
         airspeed_m_s, keep_m = settings.aircraft.airspeed_m_s, settings.requirement.range_min_m
         flown_m = nearest_arc_m(present, aircraft)
@@ -481,12 +633,14 @@ class StandoffController:
             start, later = dead_reckoned(aircraft, latency_s), reach.after(latency_s)
             plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
             plan = self.surroundings.first_cleared(plans)
+        if self.time_s - self._retreated_s < _RETREAT_S:
+            clear_m += _RETREAT_GAIN * keep_m
         if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
-            self._hold(self._doubt_of_place)
+            self._hold(why)
             return ()
-        return self.changes.upload(
-            self.time_s, plan, self._wind, f"moving away: {self._doubt_of_place} and may be within {keep_m:.0f} m"
-        )
+        self._retreated_s = self.time_s
+        text = f"moving away: {why} and may be within {keep_m:.0f} m"
+        return self.changes.upload(self.time_s, plan, self._wind, text)
 
     def _again(self, present: Plan) -> Plan:
         """Return the present circle as a new plan, without a transition."""
@@ -513,7 +667,7 @@ class StandoffController:
 
     def _control_acquired(self, event: ControlAcquired) -> tuple[StepOutput, ...]:
         self.phase, self._own_mode, self._acquired_s = Phase.WATCHING, event.mode, event.time_s
-        self.resuming = False
+        self.resuming, self.door.home_is_fixed = False, True
         begun = Plan(event.circle, None, event.time_s)
         cleared = self.surroundings.levelled(begun)
         plan = begun if isinstance(cleared, str) else cleared
@@ -565,6 +719,14 @@ class StandoffController:
             return ()
         self._connected = event.connected
         return (self.health.link_changed(event, event.time_s),)
+
+    def _assumption_reported(self, event: HomeReported | BankLimitReported) -> None:
+        if isinstance(event, BankLimitReported):
+            self.envelope.bank_limit_reported(event.bank_rad)
+            return
+        self._home_m = event.east_m, event.north_m
+        if self._first_home_m is None or not self.door.home_is_fixed:
+            self._first_home_m = self._home_m
 
     def _battery_reported(self, event: BatteryReported) -> tuple[StepOutput, ...]:
         low = battery_is_low(event.left_s, event.home_s) and not event.rejected
@@ -639,6 +801,8 @@ class StandoffController:
         return (announced,)
 
     def _ask_for(self, aircraft: Aircraft, requirement: Requirement) -> None:
+        self.envelope.configure(aircraft.configured or aircraft, requirement)
+        aircraft = self.envelope.aircraft
         self.settings = replace(self.settings, aircraft=aircraft, requirement=requirement)
         self.planning.renew(aircraft, requirement)
 
@@ -646,7 +810,8 @@ class StandoffController:
         what, settings = describe_change(event), self.settings
         if not self.phase.in_control:
             return (Announce(event.time_s, "operator", f"{what} refused: the mission is {self.phase}"),)
-        self._ask_for(aircraft_after(event, settings.aircraft), requirement_after(event, settings.requirement))
+        own = settings.aircraft.configured or settings.aircraft
+        self._ask_for(aircraft_after(event, own), requirement_after(event, settings.requirement))
         if event.height_m is not None:
             self.surroundings.heights, self._height_asked_m = self._heights_at(event.height_m), event.height_m
         self._changed_s = self.time_s
@@ -675,6 +840,10 @@ class StandoffController:
         if nearest_arc_m(present, aircraft) < present.transition_m:
             return ()
         latency_s, radius_m, circle = self.latency.expected_s, self.settings.aircraft.radius_m, present.circle
+        if self.settings.aircraft.configured is not None and circle.radius_m < radius_m:
+            return self._way_out(
+                aircraft, present, f"flying a circle of {radius_m:.0f} m, as wide as the aircraft needs"
+            )
         if circle.radius_m != radius_m:
             start = dead_reckoned(aircraft, latency_s)
             circle = Circle.tangent_to(start.east_m, start.north_m, start.course_rad, radius_m, circle.clockwise)

@@ -302,6 +302,8 @@ _LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
 # An aircraft that is off its transition for this time does not return automatically. The same holds if it turns this
 # much tighter than any plan: it orbits a waypoint that it cannot reach, near its path all the time.
 _OFF_TRACK_S, _ORBITS = 6.0, 2.0
+# The aircraft cannot be moved when so many plans in a row, or all of this time, have failed.
+_STUCK, _STUCK_S = 3, 30.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
 
@@ -319,13 +321,16 @@ class PlanChange:
 class PlanChanges:
     """One flight's. present: the plan that is flown, None before the aircraft was taken over.
 
-    under_way: the change that is; flown_since_s: when the change was decided that led to the present plan.
+    under_way: the change that is; flown_since_s: when the change was decided that led to the present plan. home_m:
+    height of the home, above that of the takeover, against which the present plan was sent.
     """
 
     def __init__(self, door: Plausibility, latency: UploadLatency) -> None:
         self.present: Plan | None = None
         self.under_way: PlanChange | None = None
         self.flown_since_s = -math.inf
+        self.home_m = 0.0
+        self._in_vain, self._in_vain_since_s, self._why = 0, math.inf, ""  # plans in a row that failed
         self.moves = self.uploads = self.failures = 0
         self._door, self._latency = door, latency
         self._not_taken: PlanChange | None = None  # the last departure that failed: should it be flown after all
@@ -341,7 +346,8 @@ class PlanChanges:
             flown: The circle that is flown.
             commanded: The circle as it was sent to the autopilot.
         """
-        self.present, self._commanded, self._not_taken = plan, commanded, None
+        self.present, self._commanded, self._not_taken, self._in_vain = plan, commanded, None, 0
+        self.home_m = self._door.home_m
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
     def observe(self, aircraft: AircraftState) -> None:
@@ -371,13 +377,20 @@ class PlanChanges:
         assert self.present is not None
         self.uploads += 1
         commanded = self._flown_radius.commanded(plan.circle)
-        command = UploadPlan(time_s, self.uploads, plan, commanded, self.present, wind, reason)
+        command = UploadPlan(time_s, self.uploads, plan, commanded, self.present, wind, reason, self._door.home_m)
         self.under_way = PlanChange(command)
         return Announce(time_s, kind, text or reason), command
 
     def withdraw(self) -> None:
         """Let go of the plan under way."""
         self.under_way = None
+
+    def stuck(self, now_s: float) -> str:
+        """Return why plans do not get through: several in a row, or all of some time, have failed; '' if they do."""
+        is_tried = self._in_vain and self.under_way is not None
+        if self._in_vain < _STUCK and not (is_tried and now_s - self._in_vain_since_s >= _STUCK_S):
+            return ""
+        return f"{self._in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"
 
     def activate_due(self, now_s: float, *, watching: bool) -> tuple[StepOutput, ...]:
         """Activate the plan that is ready, at its time of departure.
@@ -454,6 +467,9 @@ class PlanChanges:
             self._latency.note(took_s, by_command=change.by_command)
         self.under_way = None
         self.failures += 1
+        if not self._in_vain:
+            self._in_vain_since_s = change.command.time_s
+        self._in_vain, self._why = self._in_vain + 1, event.detail
         return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)
 
     def _departed(self, change: PlanChange, time_s: float) -> None:
@@ -462,7 +478,7 @@ class PlanChanges:
         self.moves += change.command.plan.circle != self.present.circle
         self.present, self._commanded = change.command.plan, change.command.commanded
         self.under_way = self._not_taken = None
-        self.flown_since_s = change.command.time_s
+        self.flown_since_s, self.home_m, self._in_vain = change.command.time_s, change.command.home_m, 0
         self._on_line_s = time_s
 
     # -- how the present plan is flown ---------------------------------------------------------------------

@@ -327,6 +327,7 @@ _FAULT_VALID_S = 30.0  # a link may be silent between two reports
 _FAULT_DRIFT_M_S = 10.0  # drift of positions reported during a GPS or EKF fault
 _AWAITED_S = 5.0  # timeout for GPS and EKF reports after a telemetry gap
 _REPEATED_AFTER_S = 30.0
+_SAME_HOME_M = 2.0  # altitudes of home that are reported for the same one
 _SOURCES_MAX = 32
 _REPEATS_S, _BEACON_SILENT_S = 20.0, 60.0
 _DISPLACED_MIN = 3
@@ -352,6 +353,9 @@ class Plausibility:
         dead_reckoned: Whether the latest position (``position.accepted``) is dead reckoned.
         no_heartbeat: Whether the flight mode is too old for commands; set by the health model.
         vehicle_silent: Whether the vehicle's clock stands still; set by the health model.
+        home_m: Height of the autopilot's present home above that of the takeover. Heights that pass count from the
+            latter, so that neither fences nor the layers of a fleet move with home.
+        home_is_fixed: Whether the aircraft was taken over; before that any home is the one to count from.
     """
 
     def __init__(self, wind_max_m_s: float = math.inf) -> None:
@@ -360,6 +364,9 @@ class Plausibility:
         self.no_heartbeat = False
         self.vehicle_silent = False
         self.two_vehicles: str | None = None
+        self.home_m, self.home_is_fixed = 0.0, False
+        self._home_altitude_m: float | None = None  # at the takeover
+        self._home_next_m = math.nan  # as ``home_m``, until a second position confirms it
         self.clock = VehicleClock()
         self.position = PositionCheck()
         self.velocity = VelocityCheck()
@@ -430,7 +437,20 @@ class Plausibility:
         self._bank_rad = reading.roll_rad
         return reading
 
+    def _above_first_home(self, reading: PositionReading) -> PositionReading:
+        """Return the position with its height above the home of the takeover."""
+        if reading.home_altitude_m is not None:
+            if self._home_altitude_m is None or not self.home_is_fixed:
+                self._home_altitude_m = reading.home_altitude_m
+            moved_m = reading.home_altitude_m - self._home_altitude_m
+            is_confirmed = abs(moved_m - self._home_next_m) <= _SAME_HOME_M
+            if is_confirmed and abs(moved_m - self.home_m) > _SAME_HOME_M:
+                self.home_m = moved_m if abs(moved_m) > _SAME_HOME_M else 0.0
+            self._home_next_m = moved_m
+        return replace(reading, height_m=reading.height_m + self.home_m) if self.home_m else reading
+
     def _position(self, reading: PositionReading) -> Event | None:
+        reading = self._above_first_home(reading)
         possible = _possible(reading)
         if not self._on_time(reading.time_s, reading):
             self._refused = True

@@ -12,7 +12,7 @@ from enum import StrEnum
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.mission.core.inputs import Input, InputReport, InputState
+from sidelong.mission.core.inputs import UNFULFILLED, Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
 from sidelong.mission.route.progress import RouteProgress
@@ -88,6 +88,12 @@ class VehicleStatus:
     battery_doubt: str = ""
 
 
+def breach_in(health: tuple[InputReport, ...]) -> str:
+    """Return the first of the health reports by which the requirement is not fulfilled, in words; '' if none."""
+    bad = (one.text for one in health if one.input in UNFULFILLED and one.state is InputState.INCONSISTENT)
+    return next(bad, "")
+
+
 @dataclass(frozen=True, slots=True)
 class Present:
     """The state of the mission at one moment. Times are of the vehicle's clock, positions of the local plane.
@@ -112,6 +118,9 @@ class Present:
         unknown: Why it is not known how well the target is watched; '' while it is known.
         position_age_s: Time since the latest position; by this computer's clock while the vehicle's stands still.
         route: The target's progress along its route; None without a route.
+        orders: Why plans do not get through to the autopilot; '' while they do.
+        home_m: The autopilot's home, east and north; None: not reported.
+        home_moved_m: How far the autopilot's home is from that at the takeover, and how far above it.
         vehicle: None where there is no vehicle, as in a replay.
     """
 
@@ -154,6 +163,9 @@ class Present:
     unknown: str = ""
     position_age_s: float = 0.0
     route: RouteProgress | None = None
+    orders: str = ""
+    home_m: tuple[float, float] | None = None
+    home_moved_m: tuple[float, float] = (0.0, 0.0)
     vehicle: VehicleStatus | None = None
 
     @property
@@ -223,6 +235,11 @@ class Present:
         return self.from_target_m is not None and (made_good or requirement.either_side)
 
     @property
+    def breach(self) -> str:
+        """What the aircraft itself breaches, in words: meanwhile the requirement is not fulfilled; '' if nothing."""
+        return breach_in(self.health)
+
+    @property
     def _is_judged(self) -> bool:
         """Whether band and side are known: not while an input or the link fails, or the payload looks elsewhere."""
         if self.estimate is None or self.estimate.quality is TrackQuality.LOST:
@@ -235,14 +252,14 @@ class Present:
         range_m = self.range_m
         if range_m is None or not self._is_judged:
             return None
-        return self.requirement.range_min_m <= range_m <= self.requirement.range_max_m
+        return not self.breach and self.requirement.range_min_m <= range_m <= self.requirement.range_max_m
 
     @property
     def on_side(self) -> bool | None:
         """Whether the side is the required one; None: unknown."""
         if not (self._is_judged and self.is_side_known):
             return None
-        return self.requirement.either_side or self.beyond_side_rad <= 0.0
+        return not self.breach and (self.requirement.either_side or self.beyond_side_rad <= 0.0)
 
     @property
     def unseen_s(self) -> float | None:

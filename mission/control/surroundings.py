@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,6 +33,29 @@ class Flown(NamedTuple):
 NOTHING_FLOWN = Flown()
 
 
+@dataclass(frozen=True, slots=True)
+class FlightBounds:
+    """What the flown position and height are to stay within. Heights are above home.
+
+    Attributes:
+        height_m: Height of plans without heights of their own; NaN: not known.
+        floor_m: Least height.
+        ceiling_m: Greatest height.
+        margin_m: Kept by plans from every fence.
+        clearance_m: Least height over the ground.
+        inside_m: Returns how far a position (east, north) is inside the fences; negative: outside.
+        clear_m: Returns how far position and height are above the least height over the ground; inf: not known.
+    """
+
+    height_m: float = math.nan
+    floor_m: float = -math.inf
+    ceiling_m: float = math.inf
+    margin_m: float = 0.0
+    clearance_m: float = 0.0
+    inside_m: Callable[[float, float], float] = lambda _east_m, _north_m: math.inf
+    clear_m: Callable[[float, float, float], float] = lambda _east_m, _north_m, _height_m: math.inf
+
+
 @dataclass(slots=True)
 class Surroundings:
     """The one check of plans, for planner and control step alike. All but ``flown`` is known before both are made.
@@ -42,6 +66,7 @@ class Surroundings:
         ground: None without elevation data.
         hidden: Returns what the ground hides, by the heights and the height flown, of a target of given position and
             velocity (east, north); None: nothing.
+        bounds: What the flown position and height are to stay within.
         flown: What plans begin from. The control step updates it.
     """
 
@@ -50,6 +75,7 @@ class Surroundings:
     ground: Ground | None = None
     hidden: Hidden | None = None
     separation: Separation = field(default_factory=Separation)
+    bounds: FlightBounds = FlightBounds()  # frozen
     _flown: Flown = NOTHING_FLOWN
     _cleared: Plan | None = None  # the plan that passed last: it is not checked again
 

@@ -75,6 +75,23 @@ class NavigationReported:
 
 
 @dataclass(frozen=True, slots=True)
+class HomeReported:
+    """Where the autopilot has its home, in the local plane."""
+
+    time_s: float
+    east_m: float
+    north_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class BankLimitReported:
+    """The autopilot's bank limit, as its parameters have it now."""
+
+    time_s: float
+    bank_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class ModeReported:
     """A heartbeat of the autopilot: its flight mode by name, and whether it is armed.
 
@@ -228,6 +245,8 @@ Event = (
     | WindPrepared
     | RouteGiven
     | NavigationReported
+    | HomeReported
+    | BankLimitReported
     | ModeReported
     | ControlAcquired
     | PlanStatus
@@ -251,6 +270,7 @@ class UploadPlan:
     Attributes:
         commanded: The plan's circle, corrected so that the autopilot flies the required one.
         wind: The present estimate of the wind, for which waypoints are laid out.
+        home_m: Height of the autopilot's present home above the home that the plan's heights count from.
     """
 
     time_s: float
@@ -260,6 +280,7 @@ class UploadPlan:
     present: Plan
     wind: Wind
     reason: str
+    home_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Input(StrEnum):
-    """What the control step lives on."""
+    """What the control step lives on, and what it stays within."""
 
     POSITION = "position"
     ATTITUDE = "attitude"
@@ -19,6 +19,19 @@ class Input(StrEnum):
     CLOCK = "clock"  # the vehicle's, against its own earlier stamps
     TERRAIN = "terrain"  # the elevation data, against laser and gimbal
     NEIGHBOURS = "neighbours"  # what the coordinator of a fleet reports
+    HEIGHT = "height"  # the own one, against plan, floor, ceiling and ground
+    FENCE = "fence"  # the own position, against the fences
+    PATH = "path"  # the own position, against the plan
+    AIRCRAFT = "aircraft"  # what it reaches, against its limits as configured
+    SPEED = "speed"  # the target's, against its limit
+    HOME = "home"  # where the autopilot has it, against the one at the takeover
+    ORDERS = "orders"  # what became of the plans sent
+
+
+ENVELOPE = frozenset((Input.HEIGHT, Input.FENCE, Input.PATH, Input.AIRCRAFT, Input.SPEED, Input.HOME, Input.ORDERS))
+"""What the flight itself is judged by: :mod:`sidelong.mission.control.envelope`."""
+UNFULFILLED = frozenset((Input.HEIGHT, Input.FENCE, Input.PATH, Input.AIRCRAFT))
+"""While one of these is inconsistent, time counts neither as in band nor as on side."""
 
 
 class InputState(StrEnum):

@@ -110,6 +110,7 @@ class Aircraft:
     """The aircraft as the planner sees it: radius_m is that of the circle next to the target.
 
     pan_limit_rad: how far the gimbal pans to each side of the nose; pi: it looks all around.
+    configured: the aircraft as configured, where less than that was found in flight; its value tables serve.
     """
 
     airspeed_m_s: float
@@ -117,6 +118,7 @@ class Aircraft:
     bank_max_rad: float = math.radians(45.0)
     roll_rate_max_rad_s: float = math.radians(30.0)
     pan_limit_rad: float = math.pi
+    configured: Aircraft | None = None
 
     def __post_init__(self) -> None:
         convert_to_floats(self, "airspeed_m_s", "radius_m", "bank_max_rad", "roll_rate_max_rad_s", "pan_limit_rad")
@@ -130,6 +132,18 @@ class Aircraft:
     def lap_s(self) -> float:
         """Time of one circle in still air."""
         return 2.0 * math.pi * self.radius_m / self.airspeed_m_s
+
+    def roll_s(self, to_per_m: float, from_per_m: float = 0.0) -> float:
+        """Return the time that the aircraft takes to roll from one turn into another.
+
+        Args:
+            to_per_m: Curvature of the turn, 1/m; positive to the right.
+            from_per_m: Curvature flown before, 1/m.
+        """
+        to_rad, from_rad = (
+            math.atan(self.airspeed_m_s**2 * per_m / GRAVITY_M_S2) for per_m in (to_per_m, from_per_m)
+        )
+        return abs(to_rad - from_rad) / self.roll_rate_max_rad_s
 
     @property
     def min_radius_m(self) -> float:

@@ -64,12 +64,12 @@ class ExchangeSettings:
     by_command: bool
     cleared: Callable[[Plan], Plan | str]
 
-    def order(self, circle: Circle, plan: Plan) -> CircleOrder:
-        """Return a circle of the plane on the globe, at the height of a plan."""
+    def order(self, circle: Circle, plan: Plan, home_m: float = 0.0) -> CircleOrder:
+        """Return a circle of the plane on the globe, at the height of a plan. home_m: see ``UploadPlan``."""
         height_m = plan.circle_height_m(self.height_m)
         return CircleOrder(
             *e7(self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)),
-            height_m,
+            height_m - home_m,
             self.home.altitude_m + height_m,
             circle.radius_m if circle.clockwise else -circle.radius_m,
         )

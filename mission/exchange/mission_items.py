@@ -251,6 +251,7 @@ class MissionUpload:
         self._since_lost = _LOSES_UPLOADS  # number of uploads without a lost item
         self.took_s = 0.0
         self.round_trip_s = 0.0
+        self.differs = ""  # what of the last upload was read back otherwise
 
     @property
     def under_way(self) -> bool:
@@ -323,7 +324,7 @@ class MissionUpload:
         """Return, once, what became of the upload; None while it goes on."""
         write, result = self._write, self._result
         if write is not None and write.result is not None:
-            self._write, result = None, write.result
+            self._write, result, self.differs = None, write.result, write.differs
             self._learn(write, result)
         self._result = None
         return result
@@ -469,8 +470,8 @@ class MissionItemBackend:
         """Index of the item that is flown, as reported last."""
         return self._current.seq if self._current is not None else None
 
-    def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[MissionItem, ...]:
-        """Return the items of a plan as the autopilot stores them.
+    def line(self, plan: Plan, wind: Wind = STILL_AIR, home_m: float = 0.0) -> tuple[MissionItem, ...]:
+        """Return the items of a plan as the autopilot stores them. home_m: see ``UploadPlan``.
 
         Raises:
             UnflyableError: No waypoints lead along the plan.
@@ -478,7 +479,7 @@ class MissionItemBackend:
         settings = self._settings
         tracking = self._dialect.tracking(settings.aircraft.airspeed_m_s, wind)
         items = plan_items(plan, settings.plane, settings.height_m, settings.tolerance_m, tracking)
-        return tuple(self._dialect.stored(item) for item in items)
+        return tuple(self._dialect.stored(replace(item, z=item.z - home_m)) for item in items)
 
     def take_control(self) -> None:
         """Begin to detect other operators: sidelong has control of the vehicle now."""
@@ -546,7 +547,7 @@ class MissionItemBackend:
         assert self._layout is not None
         self._queued = None
         try:
-            line = self.line(replace(command.plan, circle=command.commanded), command.wind)
+            line = self.line(replace(command.plan, circle=command.commanded), command.wind, command.home_m)
         except UnflyableError as error:
             self._announce(command.number, "failed", str(error))
             return
@@ -610,7 +611,8 @@ class MissionItemBackend:
             self._begin_upload(change.layout, change.command)
         else:
             self._change = None
-            self._announce(change.command.number, "failed", f"upload {result}")
+            why = f"upload {result}: {self._upload.differs}" if self._upload.differs else f"upload {result}"
+            self._announce(change.command.number, "failed", why)
 
     def _marked(self) -> int:
         """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.

@@ -23,7 +23,7 @@ from sidelong.mission.exchange.reports import (
     MissionItemRequested,
     VehicleReport,
 )
-from sidelong.mission.upload.mission_item import MissionItem, same_item, same_items
+from sidelong.mission.upload.mission_item import MissionItem, difference, same_item, same_items
 
 # Retransmission timeout: a constant at first, a multiple of the round trip once that is known.
 _AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0
@@ -58,6 +58,7 @@ class MissionWrite:
         mission_ids_before: Ids of earlier uploads whose acknowledgements may still arrive.
         doubt_before: Whether the acknowledgement of an upload of unknown id may still arrive.
         loses: Whether an earlier upload lost items. Then, or after the first loss, items are sent twice if allowed.
+        differs: Which item was read back otherwise than sent, in words; '' if none was.
         result: None while the upload runs. ACCEPTED: verified. TIMEOUT, DENIED: the items at ``changed`` are unknown.
     """
 
@@ -93,6 +94,7 @@ class MissionWrite:
         self._repeats = 0
         self.round_trip_s: float | None = None
         self.result: WriteResult | None = None
+        self.differs = ""
         self.mission_id = 0
         self._announce()
 
@@ -286,6 +288,8 @@ class MissionWrite:
         if all(same_item(self.items[seq], self._onboard[seq]) for seq in self._to_verify()):
             self.result = WriteResult.ACCEPTED
         else:
+            verified = self._to_verify()
+            self.differs = difference([self.items[seq] for seq in verified], [self._onboard[seq] for seq in verified])
             self._announce()
 
     def _judge_read(self) -> None:
@@ -293,6 +297,7 @@ class MissionWrite:
             return
         onboard, self.mission_id = self._read.items, self._read.mission_id
         self._read = None
+        self.differs = self.differs if onboard is None else difference(self.items, onboard)
         if onboard is not None and same_items(self.items, onboard):
             self.result = WriteResult.ACCEPTED
         elif self._outbox.link_s >= self._deadline_s:

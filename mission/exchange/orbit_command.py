@@ -185,7 +185,7 @@ class OrbitCommandBackend:
         circle = replace(circle, radius_m=circle.radius_m * plan.commanded.radius_m / wanted.radius_m)
         self._due_s = aircraft.time_s + _PERIOD_S
         self._command = CommandExchange(
-            self._outbox, self._dialect.fly_circle(self._order(circle, plan.plan), take_over=False)
+            self._outbox, self._dialect.fly_circle(self._order(circle, plan.plan, plan.home_m), take_over=False)
         )
 
     def _judge(self) -> None:
@@ -212,8 +212,8 @@ class OrbitCommandBackend:
             self._announce(number, "failed", why)
         self._due_s = self._outbox.time_s + _PERIOD_S
 
-    def _order(self, circle: Circle, plan: Plan) -> CircleOrder:
-        order, now_s = self._settings.order(circle, plan), self._outbox.link_s
+    def _order(self, circle: Circle, plan: Plan, home_m: float = 0.0) -> CircleOrder:
+        order, now_s = self._settings.order(circle, plan, home_m), self._outbox.link_s
         while len(self._ordered) >= _REMEMBERED and now_s - self._ordered[0][0] > _REMEMBERED_S:
             self._ordered.popleft()
         self._ordered.append((now_s, order))

@@ -125,6 +125,24 @@ def turn_straight_turn(aircraft: AircraftState, circle: Circle, first_radius_m: 
     )
 
 
+def arc(aircraft: AircraftState, length_m: float, curvature_per_m: float) -> Path:
+    """Return a line of one curvature.
+
+    Args:
+        aircraft: Where it begins.
+        length_m: Its length, m.
+        curvature_per_m: Its curvature, 1/m; positive to the right.
+    """
+    return _sampled(aircraft, ((max(length_m, 1.0), curvature_per_m),))
+
+
+def joined(first: Path, second: Path) -> Path:
+    """Return two paths as one; the second begins where the first ends."""
+    arc_m = np.concatenate((first.arc_m, first.length_m + second.arc_m[1:]))
+    names = "east_m", "north_m", "course_rad", "curvature_per_m"
+    return Path(arc_m, *(np.concatenate((getattr(first, name), getattr(second, name)[1:])) for name in names))
+
+
 def _join(aircraft: AircraftState, circle: Circle) -> Path:
     """Return a straight to where the aircraft's course meets the wanted circle best; the autopilot captures it."""
     return _sampled(aircraft, ((circle.radius_m, 0.0), (_SAMPLE_M, circle.curvature_per_m)))

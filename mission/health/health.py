@@ -25,7 +25,7 @@ from sidelong.estimators.tracking.payload_fit import OFTEN, PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
 from sidelong.mission.core.fleet import FleetAdvice
-from sidelong.mission.core.inputs import Input, InputReport, InputState
+from sidelong.mission.core.inputs import ENVELOPE, Input, InputReport, InputState
 
 _JUMPS_S = 60.0
 _JUMPS = (
@@ -178,6 +178,13 @@ _WORDS = {
     Input.CLOCK: "the aircraft's clock",
     Input.TERRAIN: "the elevation data",
     Input.NEIGHBOURS: "the fleet's report",
+    Input.HEIGHT: "the height",
+    Input.FENCE: "the fences",
+    Input.PATH: "the path flown",
+    Input.AIRCRAFT: "the aircraft's limits",
+    Input.SPEED: "the target's speed",
+    Input.HOME: "home",
+    Input.ORDERS: "the orders",
 }
 
 
@@ -277,7 +284,7 @@ class Health:
         return ""
 
     def _made_unknown(self) -> str:
-        for one in (Input.POSITION, Input.CLOCK, Input.LASER, Input.GIMBAL, Input.SIGHTINGS):
+        for one in (Input.POSITION, Input.CLOCK, Input.LASER, Input.GIMBAL, Input.SIGHTINGS, Input.SPEED):
             state = self._inputs[one].state
             if state is InputState.INCONSISTENT or (one is Input.POSITION and state is InputState.STALE):
                 return self._inputs[one].text
@@ -363,8 +370,12 @@ class Health:
         state = self._inputs[kind].state
         if kind in _JUDGED_WHILE_FRESH and state in (InputState.STALE, InputState.MISSING):
             return
-        if fault and state is not InputState.INCONSISTENT:
-            changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
+        text = f"{_WORDS[kind]}: {fault}"
+        is_other = kind in ENVELOPE and text != self._inputs[kind].text
+        if fault and (state is not InputState.INCONSISTENT or is_other):
+            changed.append(self._set(kind, InputState.INCONSISTENT, now_s, text))
+        elif not fault and state is InputState.INCONSISTENT and kind in ENVELOPE:
+            changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]}: within limits again"))
         elif not fault and state is InputState.INCONSISTENT:
             agree = "agree" if kind is Input.SIGHTINGS else "agrees"
             changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} {agree} again"))

@@ -72,7 +72,7 @@ def _moves_too_short(aircraft: Aircraft, requirement: Requirement, psi_c_rad: fl
 
 def _changed(aircraft: Aircraft, requirement: Requirement, field: str, value: float) -> tuple[Aircraft, Requirement]:
     if hasattr(aircraft, field):
-        return replace(aircraft, **{field: value}), requirement
+        return replace(aircraft, **{field: value}), requirement  # type: ignore[arg-type]  # likewise
     return aircraft, replace(requirement, **{field: value})  # type: ignore[arg-type]  # a field that is a number
 
 

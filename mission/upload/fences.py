@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from shapely import LineString, Point, Polygon, get_parts, intersection_all, union_all
+from shapely import LineString, Point, Polygon, contains, distance, get_parts, intersection_all, points, union_all
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
@@ -56,7 +56,7 @@ class Fences:
         """Return in words which part of a plan breaks which fence; None if no fence is broken.
 
         The whole transition and the whole circle are checked; of a plan without a transition the circle alone, as the
-        autopilot's path to it is unknown.
+        autopilot's path to it is unknown. A transition that begins outside may only lead back.
 
         Args:
             height_m: Height above home of a plan without heights, m.
@@ -70,9 +70,33 @@ class Fences:
         if plan.transition is not None:
             line = LineString(np.column_stack((plan.transition.east_m, plan.transition.north_m)))
             broken = self._broken_by("the transition", line)
-            if broken is not None:
+            if broken is not None and not self._leads_back(plan):
                 return broken
         return self._broken_by("the new circle", _ring(plan.circle))
+
+    def inside_m(self, east_m: Any, north_m: Any) -> Any:
+        """Return how far positions are inside the fences, m; negative: outside. Scalars or arrays of one shape."""
+        places = points(east_m, north_m)
+        found = np.full(np.shape(east_m), np.inf)
+        if self._keep_in is not None:
+            sign = np.where(contains(self._keep_in, places), 1.0, -1.0)
+            found = sign * distance(places, self._keep_in.boundary)
+        for _, polygon in self._keep_out:
+            sign = np.where(contains(polygon, places), -1.0, 1.0)
+            found = np.minimum(found, sign * distance(places, polygon.boundary))
+        return found
+
+    def _leads_back(self, plan: Plan) -> bool:
+        """Return whether a transition that begins too near to a border, or outside, leads away from it for good."""
+        path = plan.transition
+        assert path is not None
+        inside_m = self.inside_m(path.east_m, path.north_m) - self._margin_m
+        allowed = inside_m >= 0.0
+        if allowed[0] or not allowed.any():
+            return False
+        back = int(np.argmax(allowed))
+        turns_m = 2.0 * plan.circle.radius_m + self._margin_m
+        return bool(allowed[back:].all() and inside_m[:back].min() >= inside_m[0] - turns_m)
 
     def check(self, height_m: float) -> Callable[[Plan], str | None]:
         """Return :meth:`rejection` as a function of the plan alone.

@@ -66,6 +66,17 @@ def same_item(a: MissionItem, b: MissionItem) -> bool:
     )
 
 
+def difference(sent: Sequence[MissionItem], onboard: Sequence[MissionItem]) -> str:
+    """Return how the first item differs that the vehicle stores otherwise than sent; '' if there is none."""
+    for a, b in zip(sent, onboard, strict=False):
+        if not same_item(a, b):
+            if abs(a.z - b.z) > _COMPARED_PARAM:
+                return f"an item reads back a height of {b.z:.0f} m, {a.z:.0f} m was sent"
+            what = "command" if a.command != b.command else "radius" if at_place(a.x, a.y, b) else "position"
+            return f"an item reads back another {what} than was sent"
+    return ""
+
+
 def same_items(sent: Sequence[MissionItem], onboard: Sequence[MissionItem]) -> bool:
     """Return whether the vehicle stores what was sent, up to its own rounding."""
     return len(sent) == len(onboard) and all(map(same_item, sent, onboard))

@@ -232,8 +232,9 @@ def test_a_report_about_another_plan_is_ignored():
     assert controller.snapshot().plan.circle == HERE
 
 
-def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
-    far = Circle(900.0, 0.0, RADIUS_M, True)
+@pytest.mark.parametrize(("far_m", "is_direct"), [(-900.0, True), (900.0, False)], ids=["away", "past the target"])
+def test_an_aircraft_that_leaves_its_transition_is_sent_to_a_circle_that_keeps_the_range(far_m, is_direct):
+    far = Circle(far_m, 0.0, RADIUS_M, True)
     planner = Scripted([far], ahead_s=1.0)
     controller = make(planner)
     (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
@@ -246,8 +247,12 @@ def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
     controller.changes.under_way.command = replace(prepare, plan=replace(prepare.plan, transition=line))
     controller.step(PlanStatus(3.1, prepare.number, "departed"))
     (again,) = kinds(fly(controller, 3.0, 20.0), UploadPlan)
-    assert again.plan.circle == far
-    assert again.plan.transition is None
+    assert (again.plan.circle == far) is is_direct
+    if is_direct:
+        assert again.plan.transition is None
+        return
+    path = again.plan.transition
+    assert np.hypot(path.east_m - TARGET[0], path.north_m - TARGET[1]).min() >= 95.0
 
 
 def test_an_aircraft_that_orbits_a_waypoint_next_to_its_line_is_sent_to_the_circle():
