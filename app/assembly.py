@@ -47,7 +47,7 @@ HomeDeg = Pair | None
 _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
-_COMPILED = 165  # functions of a first compilation, about
+_COMPILED = 175  # functions of a first compilation, about
 _PARTS = "decisions", "tables and filter"  # of the first compilation, each in a process of its own
 
 

@@ -464,7 +464,7 @@ def test_data_become_old_by_their_own_age_and_nothing_old_is_green(browser, disp
             display.pump()
             with suppress(NotYet):
                 unknown.wait_for(timeout=500.0)
-        page.unroute("**/state*")
+        page.unroute_all(behavior="ignoreErrors")
 
 
 def test_what_an_aircraft_sent_long_ago_is_old_however_fast_the_line_is(browser, display):
