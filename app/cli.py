@@ -36,6 +36,7 @@ COMMANDS = {
     "prepare": ("sidelong.app.commands.prepare", "Compile and compute ahead what a first flight needs."),
     "connect": ("sidelong.app.commands.connect", "List detected components and failing pre-flight checks."),
     "payload": ("sidelong.app.commands.payload", "Read a payload by its own protocol, publish it as MAVLink."),
+    "camera": ("sidelong.app.commands.camera", "Track a target in a video, and lead the gimbal."),
     "replay": ("sidelong.app.commands.replay", "Run filter and planner over a recorded flight."),
     "report": ("sidelong.app.commands.report", "Write one HTML page about a flight."),
     "export": ("sidelong.app.commands.export", "Write a flight for other programs."),

@@ -176,15 +176,13 @@ class CameraComponent:
             case mavlink.MAV_CMD_CAMERA_TRACK_POINT:
                 if not _all_shares(*params[:2]):
                     return _DENIED, []
-                self._tracking.follow(shown.whole(params[0]), shown.whole(params[1]))
-                return self._begun(), []
+                return self._follow(shown.whole(params[0]), shown.whole(params[1])), []
             case mavlink.MAV_CMD_CAMERA_TRACK_RECTANGLE:
                 left, top, right, bottom = params
                 if not (_all_shares(*params) and left < right and top < bottom):
                     return _DENIED, []
                 middle = shown.whole(0.5 * (left + right)), shown.whole(0.5 * (top + bottom))
-                self._tracking.follow(*middle, (right - left) / shown.zoom, (bottom - top) / shown.zoom)
-                return self._begun(), []
+                return self._follow(*middle, (right - left) / shown.zoom, (bottom - top) / shown.zoom), []
             case mavlink.MAV_CMD_CAMERA_STOP_TRACKING:
                 self._tracking.stop()
                 return _ACCEPTED, []
@@ -194,9 +192,11 @@ class CameraComponent:
                 return self._requested(_REQUESTS[command], now_s)
         return _UNSUPPORTED, []
 
-    def _begun(self) -> int:
-        """Return the result of a command to track: there may be no picture yet."""
-        return _ACCEPTED if self._shown.size_px[0] else _REJECTED
+    def _follow(self, *where: float) -> int:
+        if not self._shown.size_px[0]:
+            return _REJECTED  # there is no picture yet
+        self._tracking.follow(*where)
+        return _ACCEPTED
 
     def _zoomed(self, kind: int, value: float) -> int:
         if kind == mavlink.ZOOM_TYPE_STEP:

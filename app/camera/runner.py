@@ -19,8 +19,7 @@ from sidelong.app.config import CameraSection
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleTimeline
-from sidelong.estimators.estimate import TargetEstimate
-from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.tracking.tracker import Tracker
 
 _WAIT_S = 0.1
 _POINT_EVERY_S, _REPORT_EVERY_S = 0.1, 0.4  # a tracker's error lasts for seconds: more reports would say no more
@@ -37,9 +36,8 @@ class CameraRunner:
 
     Args:
         settings: The configuration.
-        mount_rad: Roll, pitch and yaw of the gimbal's mount.
-        vehicle: That carries it; None: only the video is tracked, and nothing can be.
-        estimate: Returns the estimate of the target at a time.
+        vehicle: That carries it.
+        tracker: Estimates the target, and knows the gimbal's mount.
         ground_m: Returns the height of the ground above home at (east, north).
         note: Receives what happens, in words.
         source: The video, instead of the configured one.
@@ -51,9 +49,8 @@ class CameraRunner:
     def __init__(
         self,
         settings: CameraSection,
-        mount_rad: tuple[float, float, float],
         vehicle: Vehicle,
-        estimate: Callable[[float], TargetEstimate | None],
+        tracker: Tracker,
         ground_m: Callable[[float, float], float],
         note: Callable[[str], object],
         *,
@@ -64,8 +61,10 @@ class CameraRunner:
     ) -> None:
         self._settings, self._vehicle, self._note = settings, vehicle, note
         self._source, self._point, self._clicks = source or settings.source or "", point, clicks
-        view_rad, mount = math.radians(settings.view_deg), from_roll_pitch_yaw(*mount_rad)
-        self.camera = TargetCamera(view_rad, mount, settings.lead_s, ground_m, estimate, settings.tracker)
+        view_rad = math.radians(settings.view_deg)
+        self.camera = TargetCamera(
+            view_rad, tracker.parent_from_mount, settings.lead_s, ground_m, tracker.estimate, settings.tracker
+        )
         uri = settings.stream if settings.stream else self._source if "://" in self._source else ""
         self._component = CameraComponent(vehicle.system_id, self.camera, view_rad, uri)
         self._encoder = mavlink.MAVLink(None, vehicle.system_id, CAMERA_COMPONENT)

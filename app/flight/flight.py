@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import Prepared, mission_controller_of, tracker_settings, winds_m_s, with_vehicle_fences
+from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s, with_vehicle_fences
 from sidelong.app.autopilots.autopilot import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
@@ -489,9 +489,8 @@ class Flight:
 
         return CameraRunner(
             config.camera,
-            tracker_settings(config.sensors, config.planner.lost_after_s).mount_roll_pitch_yaw_rad,
             self._vehicle,
-            self.controller.tracker.estimate,
+            self.controller.tracker,
             self._target_height_m,
             self._display.note,
             source=self._camera.simulated,

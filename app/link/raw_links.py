@@ -339,7 +339,7 @@ class RawLinks:
     def send(self, data: bytes) -> None:
         """Send frames on the link in use; send those that every link needs on all links."""
         for frame in FrameSplitter().split(data):  # whole frames, from several threads
-            if not frame.is_v2 or frame.message_id == _HEARTBEAT:
+            if not frame.is_v2 or (frame.message_id == _HEARTBEAT and frame.source not in self.served):
                 continue  # MAVLink 1 could not be signed; a heartbeat of MAVSDK names no companion's type
             self._on_frame(frame.data)
             rate = frame.message_id == _COMMAND_LONG and frame.payload[28:30] == _SET_MESSAGE_INTERVAL
