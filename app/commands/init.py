@@ -128,6 +128,7 @@ _EXAMPLES = {
     "link.few_messages": "true",
     "link.take_over_from": '["RTL"]',
     "link.role": '"companion"',
+    "camera.source": '"rtsp://192.168.144.25:8554/main.264"',
     "link.signing_key_file": '"vehicle.key"',
     "planner.winds_m_s": "[4.0, 8.0]",
     "aircraft.pan_limit_deg": "135.0",
