@@ -20,26 +20,17 @@ from sidelong.app.study.study import one_flown, table_of
 
 FLIGHTS, FLIGHTS_MAX, FLIGHT_S = 20, 80, 600.0  # more flights while the verdict is in doubt
 LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below these is refused
-# Student's t for 95 % (two-sided) with 1, 2, ... degrees of freedom: a flight does without scipy.
-_T_95 = np.array(
-    [
-        [12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281],
-        [2.2010, 2.1788, 2.1604, 2.1448, 2.1314, 2.1199, 2.1098, 2.1009, 2.0930, 2.0860],
-    ]
-).ravel()
-_NORMAL_95 = 1.959964
 
 
 def t_95(freedom: int) -> float:
-    """Return Student's t for a two-sided interval of 95 %.
+    """Return Student's t for a two-sided interval of 95 % with 1 or more degrees of freedom: a flight has no scipy.
 
-    Args:
-        freedom: Degrees of freedom, from 1; from 21 on by an expansion in their inverse (Abramowitz, Stegun 26.7.5).
+    With t = sqrt(freedom) tan(angle), its density over the angle is proportional to cos(angle) ** (freedom - 1).
     """
-    if freedom <= len(_T_95):
-        return float(_T_95[freedom - 1])
-    z = _NORMAL_95
-    return z + (z**3 + z) / (4.0 * freedom) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
+    angle_rad = np.linspace(0.0, math.pi / 2, 10_001)
+    density = np.cos(angle_rad) ** (freedom - 1)
+    share = np.cumsum(density[1:] + density[:-1])
+    return math.sqrt(freedom) * math.tan(np.interp(0.95, share / share[-1], angle_rad[1:]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +22,7 @@ _SUFFIXES = (".hgt", ".tif", ".tiff", ".hgt.gz", ".zip")
 _TILES_MAX = 5_000
 _REACH_M = 25_000.0  # an hour at 7 m/s
 _POSTS_MAX = 6_000_000  # 24 MB
-_STRIP_POSTS, _COVERAGE_POSTS_MAX = 2_000_000, 20_000_000
+_COVERAGE_POSTS_MAX = 8_000_000
 _KNOTS = 51
 _METRES_PER_DEG = 111_320.0
 
@@ -107,17 +106,14 @@ class ElevationData:
         return float(self.read(Posts(latitude_deg, longitude_deg, step_deg, step_deg, 2, 2))[0, 0])
 
     def coverage(self, bounds: Bounds) -> Coverage:
-        """Return what is covered, and where it is void, at the spacing of the data; strip by strip."""
+        """Return what is covered, and where it is void, at the spacing of the data, or at 8 million posts."""
         within = [tile for tile in self.tiles if tile.posts.bounds.overlap(bounds)]
         if not within:
             return Coverage(bounds, 0.0, 0.0, ())
-        known = outlined = total = 0
-        for strip in _strips(_within(bounds, within[0].posts, _COVERAGE_POSTS_MAX)):
-            known += int(np.isfinite(self.read(strip)).sum())
-            outlined += _outlined(strip, [tile.posts.bounds for tile in self.tiles])
-            total += strip.rows * strip.columns
+        posts = _within(bounds, within[0].posts, _COVERAGE_POSTS_MAX)
+        known = float(np.isfinite(self.read(posts)).mean())
         tiles = tuple(_tile_coverage(tile, bounds) for tile in within)
-        return Coverage(bounds, known / total, (outlined - known) / total, tiles)
+        return Coverage(bounds, known, _outlined(posts, [tile.posts.bounds for tile in within]) - known, tiles)
 
 
 @lru_cache(maxsize=1)
@@ -204,45 +200,30 @@ def _within(bounds: Bounds, raster: Posts, posts_max: int = _POSTS_MAX) -> Posts
     )
 
 
-def _strips(posts: Posts) -> Iterator[Posts]:
-    rows = max(1, _STRIP_POSTS // posts.columns)
-    for first in range(0, posts.rows, rows):
-        yield posts.part(first, min(rows, posts.rows - first))
-
-
-def _outlined(strip: Posts, outlines: list[Bounds]) -> int:
-    """Return how many posts lie within any of the outlines."""
-    latitude = strip.south_deg + np.arange(strip.rows) * strip.step_north_deg
-    longitude = strip.west_deg + np.arange(strip.columns) * strip.step_east_deg
-    inside = np.zeros((strip.rows, strip.columns), bool)
-    for one in outlines:
-        if one.overlap(strip.bounds) is None and strip.rows > 1:
-            continue
-        rows = (latitude >= one.south_deg - 1e-9) & (latitude <= one.north_deg + 1e-9)
-        columns = (longitude >= one.west_deg - 1e-9) & (longitude <= one.east_deg + 1e-9)
+def _outlined(posts: Posts, outlines: list[Bounds]) -> float:
+    """Return the share of the posts that lie within any of the outlines."""
+    latitude = posts.south_deg + np.arange(posts.rows) * posts.step_north_deg
+    longitude = posts.west_deg + np.arange(posts.columns) * posts.step_east_deg
+    inside = np.zeros((posts.rows, posts.columns), bool)
+    for outline in outlines:
+        rows = (latitude >= outline.south_deg - 1e-9) & (latitude <= outline.north_deg + 1e-9)
+        columns = (longitude >= outline.west_deg - 1e-9) & (longitude <= outline.east_deg + 1e-9)
         inside |= rows[:, None] & columns
-    return int(inside.sum())
+    return float(inside.mean())
 
 
 def _tile_coverage(tile: Raster, bounds: Bounds) -> TileCoverage:
     common = tile.posts.bounds.overlap(bounds)
     assert common is not None
-    known = total = 0
-    lowest_m, highest_m = math.inf, -math.inf
-    for strip in _strips(_within(common, tile.posts, _COVERAGE_POSTS_MAX)):
-        heights = tile.read(strip)
-        finite = np.isfinite(heights)
-        known += int(finite.sum())
-        total += heights.size
-        if finite.any():
-            lowest_m = min(lowest_m, float(heights[finite].min()))
-            highest_m = max(highest_m, float(heights[finite].max()))
+    heights_m = tile.read(_within(common, tile.posts, _COVERAGE_POSTS_MAX))
+    known_m = heights_m[np.isfinite(heights_m)]
+    known = known_m.size / heights_m.size
     share = common.area_deg2 / bounds.area_deg2
     return TileCoverage(
         tile.path,
         tile.posts.step_north_deg * _METRES_PER_DEG,
-        share * known / total,
-        share * (total - known) / total,
-        lowest_m if known else None,
-        highest_m if known else None,
+        share * known,
+        share * (1.0 - known),
+        float(known_m.min()) if known else None,
+        float(known_m.max()) if known else None,
     )

@@ -75,11 +75,6 @@ class Posts:
             self.west_deg + (self.columns - 1) * self.step_east_deg,
         )
 
-    def part(self, first_row: int, rows: int) -> Posts:
-        """Return some rows of them."""
-        south_deg = self.south_deg + first_row * self.step_north_deg
-        return Posts(south_deg, self.west_deg, self.step_north_deg, self.step_east_deg, rows, self.columns)
-
 
 class Raster:
     """One file of heights, read by GDAL; opening it reads nothing but its outline.
