@@ -86,7 +86,6 @@ class VehicleClockReader:
     mission time of the other vehicles. If no other vehicle has one, its own clock continues from its latest report.
 
     Args:
-        name: The vehicle's name.
         now_s: Returns the time of its own clock, s.
         mission_s: Returns the mission time that the others have reached, s; NaN where they have none.
         to_mission_s: Converts the time of a source into mission time.
@@ -202,7 +201,6 @@ class Participant:
     """One aircraft of the fleet; mission_s and to_mission_s are as ``VehicleClockReader`` has them.
 
     Args:
-        put_event: Puts an event into its core.
         now_s: Returns the time of its clock, s.
         home_above_m: Height of its home above the common home, m.
     """
