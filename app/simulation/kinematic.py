@@ -274,7 +274,7 @@ class KinematicVehicle:
         craft = self.craft
         place_m = craft.east_m, craft.north_m, craft.height_m
         velocity_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s, craft.climb_m_s
-        return PositionReading(1e-3 * boot_ms, *place_m, *velocity_m_s)
+        return PositionReading(1e-3 * boot_ms, *place_m, *velocity_m_s, self._start.home.altitude_m)
 
     def attitude(self, boot_ms: int) -> Message | Reading:
         """Return the report of the attitude."""
