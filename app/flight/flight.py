@@ -380,6 +380,7 @@ class Flight:
         assert ready is not None
         assert loop is not None
         check_takeover(self._vehicle, self._config.link.take_over_from)
+        mode = mode_of(self._vehicle)
         if not is_flying(self._vehicle):
             raise InputError("the aircraft is on the ground; end this watch and start another one to take off.")
         sources, until_s = SourceRates(self._vehicle), time.monotonic() + _RESUMED_WITHIN_S
@@ -401,6 +402,10 @@ class Flight:
         if home is not None and _has_moved(home, ready.home, ready.plane):
             raise InputError("the autopilot has another home than at take-off; end this watch and start another one.")
         check_takeover(self._vehicle, self._config.link.take_over_from)
+        if mode_of(self._vehicle) != mode:
+            raise InputError(
+                f"the flight mode was changed to {mode_of(self._vehicle)} in the meantime; resume again."
+            )
         loop.put(self._takeover(loop.link_s))
 
     def _request(self, changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wish: Wish) -> None:

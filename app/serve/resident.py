@@ -248,7 +248,8 @@ class Resident:
 
     def request(self, request: Request, who: str) -> tuple[bool, str]:
         """Take a request; return whether it is accepted, and what comes of it in words."""
-        accepted, text = self._watch(who) if request == "watch" else self._release(who)
+        takes = {"watch": self._watch, "release": self._release, "confirm": self._confirm}
+        accepted, text = takes[request](who)
         self._log(f"{request} by {who}: {text}")
         if not accepted:
             self._inform_station(f"{request} refused: {text}")
@@ -271,6 +272,12 @@ class Resident:
         return True, "the vehicle is being checked; sidelong status shows whether the watch is resumed"
 
     @property
+    def _is_beginning(self) -> bool:
+        """Whether a watch is requested, and its takeover has not begun."""
+        display = self._display
+        return self._wanted or (display is not None and display.snapshot is None and not self._is_ending)
+
+    @property
     def _is_ending(self) -> bool:
         """Whether the present watch was released."""
         snapshot = None if self._display is None else self._display.snapshot
@@ -289,10 +296,17 @@ class Resident:
             life.stopped.set()
         return True, "the watch ends; the aircraft goes on with what it flies"
 
+    def _confirm(self, who: str) -> tuple[bool, str]:
+        display = self._display
+        if display is None or display.snapshot is None or display.request is None or self._is_ending:
+            return False, "no watch is under way"
+        display.request(OperatorRequest(display.snapshot.time_s, "confirm", who=who))
+        return True, "what is seen is taken as the target"
+
     def _on_message(self, message: Message) -> None:
         request = None if self._triggers is None else self._triggers.take(message)
-        if request is None:
-            return
+        if request is None or (message.name == "HEARTBEAT" and request == "release" and not self._is_beginning):
+            return  # once sidelong has control, another mode is a takeover
         accepted, _ = self.request(request, _WHO["vehicle"])
         session = self._session
         if message.name == "HEARTBEAT" or session is None:

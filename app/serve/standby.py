@@ -37,7 +37,7 @@ _HIGH, _LOW = 2.0, 0.0
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _REPEATED_S = 2.0  # a command that is not acknowledged comes again
 
-Request = Literal["watch", "release"]
+Request = Literal["watch", "release", "confirm"]
 
 
 class VehicleGoneError(Exception):
@@ -241,7 +241,10 @@ class Triggers:
             self._chosen = 0
         elif self._chosen or (before is not None and mode != before):
             self._chosen += 1
-        return "watch" if self._chosen == _MODE_HEARTBEATS else None
+        if self._chosen == _MODE_HEARTBEATS:
+            return "watch"
+        left = before is not None and before.upper() == wanted.upper() != mode.upper()
+        return "release" if left and mode not in self._own_modes else None
 
     def _aux(self, message: Message, function: int) -> Request | None:
         fields = message.fields

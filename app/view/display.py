@@ -363,6 +363,9 @@ class ViewDisplay(ShownAircraft):
             self._announced.append([None, "operator" if accepted else "refused", f"{action}: {text}"])
             return
         asked = self._shown.get(press["aircraft"], self) if action == "acknowledge" else self
+        if not asked.is_flown and self._is_service and action == "end":  # a watch that is only beginning
+            self._pressed(press | {"action": "release"})
+            return
         if not asked.is_flown:
             self._answer(f"{action} refused: nothing is flown yet")
             return

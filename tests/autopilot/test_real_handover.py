@@ -2,13 +2,15 @@
 
 SIDELONG_PROGRAMS=/path/to/programs python -m pytest tests/autopilot/test_real_handover.py -s
 
-In real time. CYCLES is how often the aircraft is handed over and back.
+In real time. CYCLES is how often the aircraft is handed over and back. TAKEOVERS is how often a station selects a
+mode at a random moment, every second time soon after an order.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import socket
 import threading
@@ -26,6 +28,7 @@ from tests.bench.test_service import Service
 pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(1800)]
 
 CYCLES = int(os.environ.get("CYCLES", "3"))
+TAKEOVERS = int(os.environ.get("TAKEOVERS", "12"))
 WATCHED = "watched from now on"
 RESUMED_WITHIN_S = 10.0
 WATCHED_S, PILOTS_S = 20.0, 15.0
@@ -75,14 +78,73 @@ def test_the_watch_is_resumed_after_each_of_three_takeovers(flavour, tmp_path):
     assert max(took_s) <= RESUMED_WITHIN_S
 
 
+STATIONS_MODES = {
+    "arduplane": {"RTL": (11, 0), "LOITER": (12, 0), "FBWA": (5, 0), "CRUISE": (7, 0)},
+    "px4": {"RTL": (4, 5), "HOLD": (4, 3), "POSITION": (3, 0), "LAND": (4, 6)},
+}
+YIELDED_WITHIN_S, KEPT_S, ORDER_WITHIN_S = 2.0, 4.0, 25.0
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_no_mode_that_a_station_selects_is_taken_back(flavour, tmp_path):
+    more = '[requirement]\ntarget_speed_max_m_s = 4\n[link]\ntake_over_from = ["RTL", "LAND", "failsafe"]\n'
+    config, chance = configured(tmp_path / "mission.toml", flavour, more), random.Random(flavour)
+    sticks = mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0)  # PX4 refuses Position without
+    with (
+        RealVehicle(flavour, "--target", "circle") as vehicle,
+        ChangingRelay(vehicle.urls[0]) as relay,
+        Service(relay.url, tmp_path, str(config)) as service,
+        said(relay, sticks, 0.2),
+    ):
+        service.until("ready")
+        asked(service, "watch")
+        service.wait_for(WATCHED)
+        took_s, taken_back, refused = {}, [], 0
+        for number in range(TAKEOVERS):
+            time.sleep(chance.uniform(1.0, 8.0))
+            if number % 2:
+                before, begin_s = relay.commanded["MISSION_SET_CURRENT"], time.monotonic()
+                while (
+                    relay.commanded["MISSION_SET_CURRENT"] == before and time.monotonic() < begin_s + ORDER_WITHIN_S
+                ):
+                    time.sleep(0.01)
+                time.sleep(chance.uniform(0.0, 2.0))
+            own_mode, (name, mode) = relay.mode, chance.choice(list(STATIONS_MODES[flavour].items()))
+            answer, begin_s = relay.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *mode), time.monotonic()
+            if answer.result != mavlink.MAV_RESULT_ACCEPTED:
+                refused += 1
+                continue
+            service.until("yielded", None)
+            took_s.setdefault(name, []).append(time.monotonic() - begin_s)
+            commanded = sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"})
+            time.sleep(KEPT_S)
+            sent = sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"}) - commanded
+            if relay.mode == own_mode or sent or service.status["state"] != "yielded":
+                taken_back.append((name, relay.mode, sent))
+            watched = service.announced.count(WATCHED)
+            asked(service, "watch")
+            service.wait_for(WATCHED, times=watched + 1)
+        each = ", ".join(f"{name} {len(one)} (at most {max(one):.1f} s)" for name, one in sorted(took_s.items()))
+        print(f"{flavour}: yielded to {each}; {refused} refused by the autopilot; taken back: {taken_back}")
+        assert taken_back == []
+        assert max(map(max, took_s.values())) <= YIELDED_WITHIN_S
+
+
 @contextmanager
 def ground_station(relay):
     """Send heartbeats of a ground station inside the context."""
-    silent, beat = threading.Event(), mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+    with said(relay, mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3), 1.0):
+        yield
+
+
+@contextmanager
+def said(relay, message, every_s):
+    """Send a message as another station inside the context."""
+    silent = threading.Event()
 
     def talk():
-        while not silent.wait(1.0):
-            relay.say(beat)
+        while not silent.wait(every_s):
+            relay.say(message)
 
     talking = threading.Thread(target=talk)
     talking.start()

@@ -130,7 +130,8 @@ def test_after_a_restart_of_the_autopilot_the_switch_has_to_be_low_again():
 
 def test_a_mode_requests_when_a_person_selects_it():
     triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE, ("AUTO", "GUIDED"))
-    assert requests(triggers, map(beat, (12, 12, 12, 5, 12, 5, 12, 12, 12, 12, 10, 5))) == ["watch"]
+    assert requests(triggers, map(beat, (12, 12, 12, 5, 12, 10, 5))) == ["release"]  # not long enough
+    assert requests(triggers, map(beat, (5, 12, 12, 12, 12, 10, 5))) == ["watch"]
     assert requests(triggers, [beat(12, component=191), beat(12, system=8)] * 4) == []
     own = Triggers(ControlSection(flight_mode="AUTO"), VEHICLE, ("AUTO", "GUIDED"))
     assert requests(own, map(beat, (5, 10, 10, 10))) == []  # sidelong selects it itself
@@ -139,7 +140,23 @@ def test_a_mode_requests_when_a_person_selects_it():
 def test_a_mode_that_a_failsafe_selects_requests_nothing():
     triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE)
     assert requests(triggers, [beat(5), *(beat(12, system_status=5) for _ in range(9))]) == []
+    triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE)
     assert requests(triggers, [beat(5), beat(12), receiver(healthy=False), *(beat(12) for _ in range(9))]) == []
+
+
+def test_a_mode_that_is_left_releases_a_watch_that_has_not_begun(serving):
+    async def stands_by(resident):
+        resident._triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE, ("AUTO",))
+        for custom_mode in (5, 12, 12, 12, 5):
+            resident._on_message(beat(custom_mode))
+        resident.again.set()
+        await asyncio.Event().wait()
+
+    async def until(resident):
+        resident.again = asyncio.Event()
+        await asyncio.wait_for(resident.again.wait(), 5.0)
+
+    assert serving(stands_by, until).begun == 0
 
 
 def test_a_ground_stations_command_requests_once():

@@ -41,6 +41,38 @@ class Station:
         self.socket.sendto(message.pack(packer), self._address)
 
 
+class Transmitter:
+    """A transmitter and the receiver of a live vehicle, which reports channel 9 and the receiver's health."""
+
+    def __init__(self, vehicle):
+        autopilot, self._vehicle = vehicle.autopilot, vehicle
+        self._pulse_us, self.receives = 1000, True
+        builders, receiver = autopilot._builders, mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+        status = builders[mavlink.MAVLINK_MSG_ID_SYS_STATUS]
+
+        def health():
+            message = status()
+            message.onboard_control_sensors_present |= receiver
+            message.onboard_control_sensors_enabled |= receiver
+            message.onboard_control_sensors_health &= ~receiver
+            message.onboard_control_sensors_health |= receiver * self.receives
+            return message
+
+        def channels():
+            pulses = [1500] * 8 + [self._pulse_us] + [65535] * 9
+            return mavlink.MAVLink_rc_channels_message(autopilot.boot_ms, 16, *pulses, 200)
+
+        vehicle.do(
+            lambda: builders.update(
+                {mavlink.MAVLINK_MSG_ID_SYS_STATUS: health, mavlink.MAVLINK_MSG_ID_RC_CHANNELS: channels}
+            )
+        )
+
+    def move(self, pulse_us, receives=True):
+        """Let channel 9 have another pulse width from now on."""
+        self._pulse_us, self.receives = pulse_us, receives
+
+
 class Watching:
     """What stands for a flight: it lasts until the service ends it.
 
@@ -172,5 +204,39 @@ def test_what_is_requested_at_any_time_is_what_is_done(vehicle_of, tmp_path, mon
             station.press(HIGH)  # while the watch before is ended
             await come(lambda: watching.begun == begun + 2)
             assert watching.lasting == 1
+
+    asyncio.run(pressed())
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_the_switch_and_the_flight_mode_arrive(vehicle_of, tmp_path, monkeypatch, flavour):  # noqa: F811
+    async def pressed():
+        vehicle = vehicle_of(flavour, speed=4.0)
+        transmitter = Transmitter(vehicle)
+        mode, name, by_pilot = (12, "LOITER", 5) if flavour == "arduplane" else (0x00020000, "ALTCTL", 0x00030000)
+        control = {"rc_channel": 9, "flight_mode": name}
+        async with serving(vehicle, tmp_path, monkeypatch, **control) as (resident, watching, _):
+            switch = resident._triggers._rc
+            for begun in (1, 2):
+                transmitter.move(1000)
+                await come(lambda: switch.up is False and switch.healthy_ms is not None)
+                transmitter.move(2000)
+                await come(lambda begun=begun: watching.begun == begun and watching.lasting)
+                transmitter.move(1000)
+                await come(lambda: not watching.lasting and resident.status.state is State.FAULT)
+            transmitter.move(2000, receives=False)  # what a receiver presets at the loss of its transmitter
+            await come(lambda: switch.healthy_ms is None)
+            for custom_mode in (by_pilot, mode):
+                before = resident._triggers._mode
+                vehicle.do(lambda custom_mode=custom_mode: vehicle.autopilot.set_mode(custom_mode))
+                await come(lambda before=before: resident._triggers._mode != before)
+            await asyncio.sleep(0)
+            assert watching.begun == 2  # nor a mode while the receiver has no signal
+            transmitter.move(1000)
+            await come(lambda: switch.up is False)
+            vehicle.do(lambda: vehicle.autopilot.set_mode(by_pilot))
+            await come(lambda: resident._triggers._chosen == 0 and resident._triggers._mode != name)
+            vehicle.do(lambda: vehicle.autopilot.set_mode(mode))
+            await come(lambda: watching.begun == 3)
 
     asyncio.run(pressed())
