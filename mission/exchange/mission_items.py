@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -214,16 +215,27 @@ def flown_after(
     return index + (off_m < SWITCH_M + aircraft.ground_speed_m_s * duration_s)
 
 
-def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: LocalPlane, flown_m: float) -> bool:
+def is_skipped(
+    layout: MissionLayout,
+    seq: int,
+    begun_m: tuple[float, float],
+    aircraft: AircraftState,
+    plane: LocalPlane,
+    flown_m: float,
+) -> bool:
     """Return whether ``seq`` is flown although the aircraft cannot have passed the waypoint before it.
 
     Args:
+        begun_m: Where the aircraft was when it began to fly to that waypoint; one that misses it passes it abeam.
         flown_m: How far it may have flown since it passed that waypoint.
     """
     if seq - 1 not in layout or seq not in layout:
         return False
     east_m, north_m = place_of(layout.items[seq - 1], plane)
-    return math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m) > _NEAR_M + flown_m
+    ahead_m = east_m - aircraft.east_m, north_m - aircraft.north_m
+    leg_m = east_m - begun_m[0], north_m - begun_m[1]
+    left_m = (ahead_m[0] * leg_m[0] + ahead_m[1] * leg_m[1]) / max(math.hypot(*leg_m), 1.0)
+    return min(math.hypot(*ahead_m), left_m) > _NEAR_M + flown_m
 
 
 def place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
@@ -367,6 +379,14 @@ class _Change:
     activation: Activation | None = None
 
 
+class _Flown(NamedTuple):
+    """The item that was reported last, the aircraft then, and where that was when the item was reported first."""
+
+    seq: int
+    aircraft: AircraftState
+    begun: AircraftState
+
+
 class MissionItemBackend:
     """Flies plans by uploads. ``load`` or ``adopt`` comes first."""
 
@@ -384,6 +404,8 @@ class MissionItemBackend:
         self._current: MissionCurrentReported | None = None
         self._target: PositionTargetReported | None = None
         self._aircraft: AircraftState | None = None
+        self._flown: _Flown | None = None
+        self._current_is_new = False  # since the last position
         self._closed = False
         self._waits = False  # for the next tick, whose link time is that of now
         self.load_result: WriteResult | None = None
@@ -627,7 +649,11 @@ class MissionItemBackend:
     def observe(self, aircraft: AircraftState, mode: str) -> None:
         """Process the aircraft's position and flight mode."""
         self._aircraft = aircraft
-        change = self._change
+        change, before = self._change, self._flown
+        if self._current is not None and self._current_is_new:
+            self._current_is_new, is_same = False, before is not None and before.seq == self._current.seq
+            self._flown = _Flown(self._current.seq, aircraft, before.begun if before and is_same else aircraft)
+            self._look_for_skipped(before, aircraft)
         if change is not None and change.activation is not None:
             change.activation.track(aircraft)
             self._judge_activation(change)
@@ -661,9 +687,7 @@ class MissionItemBackend:
     def _on_current(self, report: MissionCurrentReported) -> None:
         if self._ownership.is_late(report):
             return
-        previous, self._current = self._current, report
-        change = self._change
-        self._look_for_skipped(previous, report)
+        self._current, self._current_is_new, change = report, True, self._change
         if change is not None and change.activation is not None:
             change.activation.current(report.seq)
             self._judge_activation(change)
@@ -675,15 +699,17 @@ class MissionItemBackend:
             self._left = None
         self._ownership.current(report, self._layout, self._left)
 
-    def _look_for_skipped(self, previous: MissionCurrentReported | None, report: MissionCurrentReported) -> None:
+    def _look_for_skipped(self, before: _Flown | None, aircraft: AircraftState) -> None:
         """Announce that another station has chosen a later item of our line: it is flown."""
-        layout, aircraft = self._layout, self._aircraft
-        if previous is None or layout is None or aircraft is None or report.seq <= previous.seq:
+        layout, now = self._layout, self._flown
+        if before is None or now is None or layout is None or now.seq <= before.seq or before.seq not in layout:
             return
-        since_s = report.link_s - previous.link_s + self._upload.round_trip_s
-        flown_m = aircraft.ground_speed_m_s * (_MISSED_S + self._outbox.vehicle_s(since_s))
-        if previous.seq in layout and is_skipped(layout, report.seq, aircraft, self._settings.plane, flown_m):
-            text = f"another station has chosen item {report.seq} of the mission: flying on from there"
+        # Reports may have come late, all at once: the vehicle's clock counts.
+        since_s = aircraft.time_s - before.aircraft.time_s + self._outbox.vehicle_s(self._upload.round_trip_s)
+        flown_m = aircraft.ground_speed_m_s * (_MISSED_S + since_s)
+        begun_m = before.begun.east_m, before.begun.north_m
+        if is_skipped(layout, now.seq, begun_m, aircraft, self._settings.plane, flown_m):
+            text = f"another station has chosen item {now.seq} of the mission: flying on from there"
             self._outbox.report(Announce(self._outbox.time_s, "plan", text))
 
     def _judge_activation(self, change: _Change) -> None:

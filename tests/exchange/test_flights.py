@@ -231,6 +231,29 @@ def test_another_station_that_skips_waypoints_of_our_line_is_reported(in_the_air
     assert flight.run(3.0, lambda: bool(skips()))
 
 
+def stop(flight, seconds, buffered):
+    """Stop the program; what comes in the meantime waits, as far as the socket's buffer holds it."""
+    waiting, end_s = [], flight.simulated.time_s + seconds
+    while flight.simulated.time_s < end_s:
+        flight.simulated.advance(flight.simulated.time_s + flight.simulated.tick_s)
+        waiting += flight.simulated.take()[: max(0, buffered - len(waiting))]
+    flight.expire()
+    for frame in waiting:
+        for message in flight.simulated.messages(frame, flight.link_s):
+            flight.on_message(message)
+
+
+@pytest.mark.parametrize(("flavour", "seed"), [("arduplane", 2), ("arduplane", 5), ("px4", 2)])
+def test_a_stop_of_the_program_is_no_other_station(in_the_air, flavour, seed):
+    flight = in_the_air(flavour, seed=seed)
+    for number in range(12):
+        flight.run(5.0 + (seed * 7 + number * 3.7) % 13)
+        stop(flight, (3.0, 20.0, 60.0)[number // 4], (0, 60, 300, 2000)[number % 4])
+        flight.run(15.0)
+    assert not [one for one in flight.found(Announce) if "another station" in one.text]
+    assert not flight.found(Yield)
+
+
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
 def test_arming_that_is_in_progress_indefinitely_is_given_up_and_disarmed(fly, flavour):
     flight = fly(flavour, begin=False)
