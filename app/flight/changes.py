@@ -22,6 +22,7 @@ from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.mission_change import describe_change
+from sidelong.mission.control.planning import WINDS_MAX
 from sidelong.mission.control.present import Phase, Present
 from sidelong.mission.core.events import Announce, MissionChange, WindPrepared
 
@@ -151,8 +152,7 @@ class PanLimitInput:
             self._note(words)
 
 
-# Wind speeds are prepared for in steps of this share of the airspeed, and no more of them than that.
-_STEP, _AT_MOST = 0.05, 5
+_STEP = 0.05  # between two wind speeds that are prepared for, as a share of the airspeed
 _AVERAGED_OVER_S = 30.0
 
 
@@ -188,7 +188,7 @@ class WindTables:
         share = min((now_s - self._latest_s) / _AVERAGED_OVER_S, 1.0)
         self._mean_m_s += share * (wind_m_s - self._mean_m_s)
         self._latest_s = now_s
-        if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == _AT_MOST or self._making.is_running:
+        if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == WINDS_MAX or self._making.is_running:
             return
         step_m_s = _STEP * self._airspeed_m_s
         nearest_m_s = min(self._ready_m_s, key=lambda one: abs(one - self._mean_m_s))

@@ -28,6 +28,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import RouteGiven
 
 _FAR_M = 20_000.0  # from the origin of the plane: farther routes are probably wrong coordinates
+_ROUTE_WITHIN_S = 120.0  # a slow radio takes a second for each item
 
 
 def check_route(route: RouteSection, own_ids: Collection[int]) -> None:
@@ -67,8 +68,13 @@ def give_route(
             )
 
     async def of_mission(system_id: int) -> None:
+        note(f"reading the route of the target from system {system_id}")
         try:
-            mission = await read_mission(session.vehicle, system_id)
+            async with asyncio.timeout(_ROUTE_WITHIN_S):
+                mission = await read_mission(session.vehicle, system_id)
+        except TimeoutError:
+            note(f"no route: system {system_id} has not sent its mission within {_ROUTE_WITHIN_S:.0f} s")
+            return
         except (LookupError, LinkError) as error:
             note(f"no route: {error}; the flight continues without it")
             return

@@ -32,6 +32,8 @@ from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describ
 from sidelong.mission.route.progress_kernel import Progress, fresh_progress, reset
 from sidelong.mission.route.route import Route, route_from
 
+WINDS_MAX = 5
+"""A flight prepares for so many wind speeds at most: a table takes seconds."""
 # Fleet advice expires after this time.
 _ADVICE_S = 5.0
 # Minimum duration of an approach, while its circle is still within the target's range.
@@ -73,6 +75,8 @@ class Planning:
         """Prepare the planner for winds of a speed from tables in memory; return whether that is new."""
         if speed_m_s in self.prepared_winds_m_s or not isinstance(self.planner, WindPlanner):
             return False
+        if len(self.prepared_winds_m_s) == WINDS_MAX or not 0.0 <= speed_m_s < self._aircraft.airspeed_m_s:
+            return False  # no flight prepares for it: a journal that does is damaged
         self.prepared_winds_m_s.append(speed_m_s)
         self.planner.prepare(speed_m_s)
         return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -79,6 +80,15 @@ def test_a_wind_that_lasts_and_that_no_table_is_near_to_is_prepared_for(wind_m_s
 
 def test_nothing_is_prepared_before_the_target_is_watched():
     assert Windy().shown(4.0, 100, Phase.WAITING) == []
+
+
+def test_no_more_winds_are_prepared_for_than_in_a_flight():
+    controller, prepared = Windy().controller, []
+    controller.planning.planner.prepare = prepared.append
+    winds_m_s = [0.5 + 0.75 * k for k in range(8)]
+    for wind_m_s in (1e9, math.nan, -3.0, *winds_m_s):
+        controller.step(WindPrepared(2.0, wind_m_s))
+    assert prepared == winds_m_s[:5]
 
 
 def test_the_planner_goes_on_with_what_it_remembers():
