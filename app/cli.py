@@ -33,6 +33,7 @@ COMMANDS = {
     "status": ("sidelong.app.commands.serve", "Print what sidelong serve does now."),
     "watch": ("sidelong.app.commands.serve", "Ask sidelong serve to watch, or to resume."),
     "release": ("sidelong.app.commands.serve", "Ask sidelong serve to end the watch."),
+    "confirm": ("sidelong.app.commands.serve", "Confirm that what the payload follows is the target."),
     "prepare": ("sidelong.app.commands.prepare", "Compile and compute ahead what a first flight needs."),
     "connect": ("sidelong.app.commands.connect", "List detected components and failing pre-flight checks."),
     "payload": ("sidelong.app.commands.payload", "Read a payload by its own protocol, publish it as MAVLink."),

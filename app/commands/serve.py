@@ -182,6 +182,15 @@ def release() -> None:
     _ask("release")
 
 
+def confirm() -> None:
+    """Confirm to sidelong serve that what the payload follows is the target, after a warning of another object.
+
+    For example:
+      sidelong confirm
+    """
+    _ask("confirm")
+
+
 def _ask(request: str) -> None:
     answer = ask(request)
     text = f"{answer['text']}".rstrip(".")

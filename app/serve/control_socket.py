@@ -22,7 +22,7 @@ from typing import Any
 
 from sidelong.app.errors import InputError
 
-REQUESTS = ("status", "watch", "release")
+REQUESTS = ("status", "watch", "release", "confirm")
 _NAME = "sidelong/serve.sock"
 _LINE_MAX_BYTES = 4096
 _ANSWER_S, _REQUEST_S = 10.0, 5.0

@@ -17,12 +17,17 @@ from sidelong.mission.control.mission_change import describe_change
 from sidelong.mission.core.events import MissionChange, OperatorRequest
 
 WHO = "the terminal"
-HELP = "type c to change radius, band, height or side, or to hold, resume or end"
-_EXAMPLES = "radius 80 | band 120-450 | height 90 | side right | hold | resume | end"
+HELP = "type c to change radius, band, height or side, or to hold, resume, confirm or end"
+_EXAMPLES = "radius 80 | band 120-450 | height 90 | side right | hold | resume | this is it | end"
 _LENGTH_MAX = 60
 _ENTER, _ESCAPE, _ERASE = ("\r", "\n"), "\x1b", ("\x7f", "\b")
 _NUMBER = r"(\d+(?:\.\d+)?)"
-_ORDERS: dict[str, Literal["hold", "resume", "end"]] = {"hold": "hold", "resume": "resume", "end": "end"}
+_ORDERS: dict[str, Literal["hold", "resume", "confirm", "end"]] = {
+    "hold": "hold",
+    "resume": "resume",
+    "this is it": "confirm",
+    "end": "end",
+}
 
 
 def read_wish(line: str) -> Wish | None:

@@ -55,7 +55,13 @@ _GZIP = {"Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
 _BODY_MAX_BYTES, _BODY_WITHIN_S = 1024, 5.0
 _PAGES_MAX, _OF_ONE_CLIENT_MAX = 50, 16  # waiting requests; fewer than a client has connections
 _WAITS_S = 5.0  # for news, before it is answered that there is none
-_ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
+_ACTIONS: dict[str, set[str | None]] = {
+    "hold": {None},
+    "resume": {None},
+    "end": {None},
+    "confirm": {None},
+    "side": {"left", "right"},
+}
 _NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
 _ALARM = re.compile("[a-z]{1,20}")
 _OF_SERVICE = frozenset({"watch", "release"})  # buttons of a service's page

@@ -329,6 +329,10 @@ def _charge(_alarms: Alarms, now: Present) -> str:
     return now.vehicle.battery_doubt if now.phase.in_control and now.vehicle is not None else ""
 
 
+def _object(_alarms: Alarms, now: Present) -> str:
+    return now.other_object if now.phase.in_control and not now.turn_payload else ""
+
+
 def describe_battery(status: VehicleStatus) -> str:
     """Return all that is known of a battery that is ending, in words; its endurance is known."""
     percent, reserve, home_s = status.battery_percent or 0, status.reserve_percent, status.home_s or 0.0
@@ -381,6 +385,7 @@ _RULES = (
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
     _Rule("charge", _charge, "check the battery's sensor, and watch its voltage", after_s=2.0),
+    _Rule("object", _object, "look at it: press This is it, or point the payload at the target", clear_s=0.0),
     _Rule(
         "target",
         _target,

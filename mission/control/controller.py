@@ -38,7 +38,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Literal
@@ -61,7 +61,7 @@ from sidelong.mission.control.planning import PlanChanges, Planning, UploadLaten
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.present import Phase, Present, breach_in
 from sidelong.mission.control.surroundings import Flown, Surroundings
-from sidelong.mission.control.target_news import JumpNews, PayloadNews, TargetNews, UnseenTarget
+from sidelong.mission.control.target_news import AnotherObject, PayloadNews, TargetNews, UnseenTarget
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     AlarmReported,
@@ -117,6 +117,7 @@ _SILENT_S = 2.0
 _NAMED_WITHIN_S = 3.0  # an autopilot states the reason of a failsafe this long after it has changed the mode
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
+_TOO_FAST = "the payload may follow another object: it moves faster than the target can"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
 _SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
 _LOW_BATTERY_S = 10.0  # without a report in between that is not low
@@ -173,7 +174,7 @@ class StandoffController:
         self._recovery, self._recovered_s = 0, -math.inf  # number of the plan back into the envelope, and when
         self._retreated_s = -math.inf
         self._news = TargetNews()
-        self._payload_news, self._jump_news = PayloadNews(tracker), JumpNews()
+        self._payload_news, self._object = PayloadNews(tracker), AnotherObject()
         self._course = TargetCourse()
         self._attitude: AttitudeReading | None = None
         self._range_s = self._gimbal_s = -math.inf  # of the latest reading of the laser and the gimbal in use
@@ -330,6 +331,7 @@ class StandoffController:
             changes.stuck(self.time_s),
             self._home_m,
             (math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m),
+            self._object.reason,
         )
 
     @property
@@ -342,7 +344,7 @@ class StandoffController:
         limit_s = _UNSEEN_S if self.health.is_usable(Input.GIMBAL) else _GIMBAL_SILENT_S
         unseen = f"the target has not been seen for {unseen_s:.0f} s" if limit_s < unseen_s < math.inf else ""
         jumped = _JUMPED if self.health.payload.is_suspect(self.time_s) else ""
-        return self.health.unknown or self.door.doubt or jumped or unseen or self._wanders()
+        return self.health.unknown or self.door.doubt or self._object.reason or jumped or unseen or self._wanders()
 
     @property
     def _doubt_of_place(self) -> str:
@@ -369,7 +371,8 @@ class StandoffController:
         if self.sighted:
             jumps_s = tracker.payload.jumps_s
             self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
-            self._jump_news.note(self.sighted)
+            if self.aircraft is not None:
+                self._object.note(self.sighted, self.aircraft, tracker.calibration, self.settings.requirement)
             for outcome in self.sighted:
                 if math.isfinite(outcome.nis):
                     self._nis = outcome.nis
@@ -397,18 +400,19 @@ class StandoffController:
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
-            before = self.estimate
             self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
             if self.estimate is not None:
                 self._course.update(self.estimate, self.settings.requirement.course_horizon_s)
                 announced = self._news.announce(self.time_s, self.estimate)
-            announced += self._jump_news.announce(self.time_s, before, self.estimate)
             announced += self._payload_news.announce(self.time_s)
             self.envelope.step(self.snapshot())
             if self.envelope.aircraft != self.settings.aircraft:
                 self._ask_for(self.envelope.aircraft, self.settings.requirement)
                 self._changed_s = self.time_s
             announced += self._health_changes()
+            if Input.SPEED in self.envelope.faults:
+                self._object.suspect(self.time_s, _TOO_FAST)
+            announced += self._object.announce(self.time_s)
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self._may_depart)
         if self.door.doubt is not None:
@@ -461,6 +465,15 @@ class StandoffController:
             wanders = self.health.payload.wander_m(self.time_s) > 0.0
             if away or fault or (target.quality is TrackQuality.GOOD and not wanders):
                 return away
+        elif self._object.reason:
+            # What is seen may be another object: that and the target are kept clear, but for a shadow.
+            is_shadow, left = self._object.is_shadow, self._object.left(self.time_s)
+            seen = None if is_shadow else self._seen(target)
+            others = [one for one in (seen, left) if one is not None]
+            away = self._hold_away(aircraft, present, others[0], "what is seen may be another object", others[1:])
+            if away or is_shadow:
+                return away
+            reach = left
         if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
             self._hold(f"target unseen for {unseen_s:.0f} s")
             return self._circle_as_changed(aircraft, present)
@@ -619,23 +632,24 @@ class StandoffController:
         return reach.after(self.latency.expected_s).clearance_m(plan, airspeed_m_s, hold_s) >= least_m + spare_m
 
     def _hold_away(
-        self, aircraft: AircraftState, present: Plan, reach: Reach, why: str = ""
+        self, aircraft: AircraftState, present: Plan, reach: Reach, why: str = "", others: Sequence[Reach] = ()
     ) -> tuple[StepOutput, ...]:
         """Return the plan to a circle farther away, if the target may come too near to the present one."""
-        why = why or self._doubt_of_place
+        why, reaches = why or self._doubt_of_place, (reach, *others)
         settings, latency_s, plan = self.settings, self.latency.expected_s, None
         airspeed_m_s, keep_m = settings.aircraft.airspeed_m_s, settings.requirement.range_min_m
         flown_m = nearest_arc_m(present, aircraft)
         if flown_m >= present.transition_m:
             present = replace(present, transition=None)
-        clear_m = reach.clearance_m(present, airspeed_m_s, LEAVE_S, flown_m)
+        clear_m = min(one.clearance_m(present, airspeed_m_s, LEAVE_S, flown_m) for one in reaches)
         if clear_m < keep_m:
-            start, later = dead_reckoned(aircraft, latency_s), reach.after(latency_s)
-            plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
+            start, later = dead_reckoned(aircraft, latency_s), [one.after(latency_s) for one in reaches]
+            clockwise = settings.requirement.side.clockwise
+            plans = retreats(start, later[0], clockwise, settings.aircraft, keep_m, later[1:])
             plan = self.surroundings.first_cleared(plans)
         if self.time_s - self._retreated_s < _RETREAT_S:
             clear_m += _RETREAT_GAIN * keep_m
-        if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
+        if plan is None or min(one.clearance_m(plan, airspeed_m_s, LEAVE_S) for one in reaches) <= clear_m:
             self._hold(why)
             return ()
         self._retreated_s = self.time_s
@@ -756,7 +770,7 @@ class StandoffController:
             return ()
         self.surroundings.separation.note(advice.neighbours)
         if before not in ("", advice.target):
-            self._news, self._course = TargetNews(), TargetCourse()
+            self._news, self._course, self._object = TargetNews(), TargetCourse(), AnotherObject()
         if advice.turn_payload:
             self.tracker.payload.expect_another_target()
         if not self.phase.in_control:
@@ -787,6 +801,8 @@ class StandoffController:
                 self.phase = Phase.HOLDING
             case "resume":
                 self.phase = Phase.WATCHING
+            case "confirm":
+                self._object.confirm()
             case "end":
                 self._end(Phase.ENDED, "ended by the operator")
             case "side" if event.side is None or settings.requirement.sector is not None:

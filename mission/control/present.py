@@ -121,6 +121,7 @@ class Present:
         orders: Why plans do not get through to the autopilot; '' while they do.
         home_m: The autopilot's home, east and north; None: not reported.
         home_moved_m: How far the autopilot's home is from that at the takeover, and how far above it.
+        other_object: Why the payload may follow another object; '' if it follows the target.
         vehicle: None where there is no vehicle, as in a replay.
     """
 
@@ -166,6 +167,7 @@ class Present:
     orders: str = ""
     home_m: tuple[float, float] | None = None
     home_moved_m: tuple[float, float] = (0.0, 0.0)
+    other_object: str = ""
     vehicle: VehicleStatus | None = None
 
     @property

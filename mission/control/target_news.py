@@ -1,4 +1,4 @@
-"""Announcements about the target and errors of the payload, and where a target that is not seen can be.
+"""Announcements about the target and errors of the payload, where an unseen target can be, and whether it is one.
 
 Source: docs/how-to/read-the-terminal.md; docs/health.md#the-target-is-not-seen.
 """
@@ -6,16 +6,22 @@ Source: docs/how-to/read-the-terminal.md; docs/health.md#the-target-is-not-seen.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.estimators.filters.biases import Delays
+from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.sensing.sighting import Sighting, SightingOutcome
 from sidelong.estimators.tracking.track import RESTARTED
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Announce
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.geometry.retreat import Reach
 
 # A shorter gap is not announced: lasers often miss for some seconds.
@@ -24,7 +30,13 @@ _DELAY_STEP_S = 0.1  # a smaller change of a delay is not announced
 _YAW_STEP_RAD = math.radians(5.0)  # nor of the gimbal's mounting
 _YAW_LASTS_S = 30.0
 _FACTOR_STEP, _RANGE_STEP_M = 0.05, 10.0
-_JUMP_M = 30.0
+_GROUP, _OBJECTED = 5, 3  # sightings before and after a step, and how many the track's filter has to object to
+_STEP_M, _NOISES = 8.0, 2.5  # a smaller step, or one of less than this many sigmas of two sightings, is noise
+_OBJECTED_NIS = 6.0  # of two or three measured numbers: beyond it one in ten
+_LASTS_S, _AGREE_S = 2.0, 60.0
+_JUDGE_S, _SHADOW_S, _SPACED_S, _SHADOW_COUNT = 1.0, 12.0, 0.8, 9
+_SHADOW_FLOWN_M, _SHADOW_SHARE, _SHADOW_SPEED_SHARE = 20.0, 0.3, 0.6
+_SHADOW_QUANTILE = 0.8  # the rest may be outliers
 
 
 class PayloadNews:
@@ -91,35 +103,166 @@ class PayloadNews:
         return (f"the laser's ranges {text if errors else 'need no correction any more'}",)
 
 
-class JumpNews:
-    """Announces that the track has moved elsewhere: the payload may follow another target."""
+class _Seen(NamedTuple):
+    """Where one sighting put the target, m east and north, and where the aircraft was."""
+
+    time_s: float
+    place_m: tuple[float, float]
+    sigma_m: float
+    aircraft_m: tuple[float, float]
+    objected: bool  # by the track's filter
+
+
+def _median(group: Sequence[_Seen], speed_m_s: float, sigma_m: float) -> tuple[tuple[float, float], bool]:
+    """Return the median place of a group, and whether nearly all of it is one object of that speed at most."""
+    places_m = np.array([one.place_m for one in group])
+    east_m, north_m = np.median(places_m, axis=0).tolist()
+    far_m = speed_m_s * (group[-1].time_s - group[0].time_s) + _NOISES * sigma_m
+    near = np.hypot(places_m[:, 0] - east_m, places_m[:, 1] - north_m) < far_m
+    return (east_m, north_m), int(near.sum()) >= _GROUP - 1
+
+
+class AnotherObject:
+    """Whether the payload may follow another object than the target, by where it sees it.
+
+    Two signs: five sightings lie farther from the five before than a target drives in that time, or the sighted
+    position moves as the aircraft does (its own shadow). Both positions then have to be kept clear until the
+    sightings agree for a minute, or an operator confirms the object.
+
+    Attributes:
+        reason: Why it may be another object, in words; '' if it is the target.
+        is_shadow: Whether it moves with the aircraft, so that it can neither be watched nor be kept clear of.
+    """
 
     def __init__(self) -> None:
-        self._restarted = False
+        self.reason = ""
+        self.is_shadow = False
+        self._since_s = self._judged_s = -math.inf  # of the last sign, and of the last look at the aircraft's motion
+        self._left: tuple[float, Reach] | None = None  # what the payload turned away from, with the time of that
+        self._lately: deque[_Seen] = deque(maxlen=2 * _GROUP)
+        self._moved: deque[_Seen] = deque()
+        # A step that has still to last: its times, where it was before and after it, and the noise of both.
+        self._step: tuple[float, float, tuple[float, float], tuple[float, float], float] | None = None
+        self._news: list[str] = []
 
-    def note(self, outcomes: Sequence[SightingOutcome]) -> None:
-        """Process the outcomes of sightings."""
+    def note(
+        self,
+        outcomes: Sequence[SightingOutcome],
+        aircraft: AircraftState,
+        calibration: Calibration,
+        requirement: Requirement,
+    ) -> None:
+        """Process the outcomes of sightings.
+
+        Args:
+            outcomes: In the order of their times.
+            aircraft: Its latest state.
+            calibration: The payload's errors as they are estimated.
+            requirement: Gives the target's highest speed.
+        """
+        speed_m_s = requirement.target_speed_max_m_s
         for outcome in outcomes:
-            self._restarted |= outcome.reason == RESTARTED
+            sighting = outcome.sighting
+            objected = not outcome.accepted or outcome.reason == RESTARTED or outcome.nis > _OBJECTED_NIS
+            if self._lately and sighting.time_s <= self._lately[-1].time_s:
+                continue
+            if isinstance(sighting, Sighting):
+                sighting = sighting.without(
+                    calibration.yaw_bias_rad, calibration.pitch_bias_rad, calibration.range_bias_m
+                )
+            sigma_m = math.sqrt(float(sighting.covariance.trace()))
+            here_m = aircraft.east_m, aircraft.north_m
+            seen = _Seen(sighting.time_s, (sighting.east_m, sighting.north_m), sigma_m, here_m, objected)
+            self._lately.append(seen)
+            if not self._moved or seen.time_s >= self._moved[-1].time_s + _SPACED_S:
+                self._moved.append(seen)
+            if self._step is None:
+                self._look_for_step(speed_m_s)
+            elif seen.time_s >= self._step[1] + _LASTS_S:
+                self._confirm_step(speed_m_s)
+            if seen.time_s >= self._judged_s + _JUDGE_S:
+                self._judged_s = seen.time_s
+                self._look_for_shadow(seen.time_s, speed_m_s, aircraft.ground_speed_m_s)
+            if self.reason and seen.time_s >= self._since_s + _AGREE_S:
+                self._end(f"{_AGREE_S:.0f} s without a contradiction")
 
-    def announce(
-        self, time_s: float, before: TargetEstimate | None, estimate: TargetEstimate | None
-    ) -> tuple[Announce, ...]:
-        """Return an announcement if the track has moved elsewhere since the last call.
+    def suspect(self, time_s: float, reason: str, is_shadow: bool = False) -> None:
+        """Process a sign that it is another object."""
+        if not self.reason:
+            self._news.append(f"{reason}: both positions are kept clear until you confirm what is seen")
+        self.reason, self.is_shadow, self._since_s = reason, is_shadow, time_s
+
+    def confirm(self) -> None:
+        """Take what is seen for the target: an operator has looked."""
+        if self.reason:
+            self._end("confirmed")
+
+    def _end(self, why: str) -> None:
+        self._news.append(f"what is seen is taken as the target: {why}")
+        self.reason, self._left, self.is_shadow = "", None, False
+        self._lately.clear()
+
+    def left(self, time_s: float) -> Reach | None:
+        """Return where the object is that the payload turned away from; None if it did not, or it is over."""
+        return None if self._left is None else self._left[1].after(time_s - self._left[0])
+
+    def announce(self, time_s: float) -> tuple[Announce, ...]:
+        """Return what is new.
 
         Args:
             time_s: Time on the vehicle's clock, s.
-            before: Estimate at the last call.
-            estimate: Present estimate.
         """
-        restarted, self._restarted = self._restarted, False
-        if not restarted or before is None or estimate is None:
-            return ()
-        jump_m = math.hypot(estimate.east_m - before.east_m, estimate.north_m - before.north_m)
-        if jump_m < _JUMP_M:
-            return ()
-        text = f"the target's position jumped by {jump_m:.0f} m: check that the payload follows the right target"
-        return (Announce(time_s, "track", text),)
+        news, self._news = self._news, []
+        return tuple(Announce(time_s, "track", text) for text in news)
+
+    def _look_for_step(self, speed_m_s: float) -> None:
+        lately = list(self._lately)
+        before, after = lately[:_GROUP], lately[_GROUP:]
+        if len(after) < _GROUP or sum(one.objected for one in after) < _OBJECTED:
+            return
+        sigma_m = math.hypot(before[-1].sigma_m, after[0].sigma_m)
+        (left_m, is_left_one), (now_m, is_now_one) = (_median(group, speed_m_s, sigma_m) for group in (before, after))
+        step_m, since_s = math.dist(left_m, now_m), after[_GROUP // 2].time_s - before[_GROUP // 2].time_s
+        if not (is_left_one and is_now_one) or step_m - speed_m_s * since_s < max(_STEP_M, _NOISES * sigma_m):
+            return
+        self._step = before[-1].time_s, after[0].time_s, left_m, now_m, sigma_m
+
+    def _confirm_step(self, speed_m_s: float) -> None:
+        """Take a step as one if the sightings are still there: a hedge or dust hides the target for moments."""
+        assert self._step is not None
+        (left_s, now_s, left_m, now_m, sigma_m), self._step = self._step, None
+        lately = list(self._lately)[-_GROUP:]
+        there_m, _ = _median(lately, speed_m_s, sigma_m)
+        self._lately.clear()
+        self._lately.extend(lately)
+        if math.dist(there_m, left_m) < math.dist(there_m, now_m):
+            return
+        step_m, known = math.dist(left_m, now_m), self.left(now_s)
+        is_back = known is not None and math.dist((known.east_m, known.north_m), now_m) < known.radius_m + _STEP_M
+        self._left = left_s, Reach(*left_m, 2.0 * sigma_m, speed_m_s)
+        verb = "jumped back" if is_back else "jumped"
+        reason = f"the payload may follow another object: what it sees {verb} by {step_m:.0f} m"
+        self.suspect(lately[-1].time_s, reason)
+
+    def _look_for_shadow(self, now_s: float, speed_m_s: float, ground_speed_m_s: float) -> None:
+        while self._moved[0].time_s < now_s - _SHADOW_S:
+            self._moved.popleft()
+        if now_s - self._moved[0].time_s < 0.8 * _SHADOW_S or len(self._moved) < _SHADOW_COUNT:
+            return
+        if speed_m_s > _SHADOW_SPEED_SHARE * ground_speed_m_s:
+            return  # a target of that speed can drive as the aircraft flies
+        own_m, seen_m = (np.array([getattr(one, name) for one in self._moved]) for name in ("aircraft_m", "place_m"))
+        flown_m = float(np.linalg.norm(own_m - own_m.mean(axis=0))) / math.sqrt(len(own_m))
+        if flown_m < _SHADOW_FLOWN_M:
+            return
+        apart_m = seen_m - own_m
+        differs_m = np.linalg.norm(apart_m - np.median(apart_m, axis=0), axis=1)
+        if float(np.quantile(differs_m, _SHADOW_QUANTILE)) < _SHADOW_SHARE * flown_m:
+            if self._left is None:
+                first = self._moved[0]
+                self._left = first.time_s, Reach(*first.place_m, 2.0 * first.sigma_m, speed_m_s)
+            reason = "the payload may follow another object: what it sees moves with the aircraft, as its shadow"
+            self.suspect(now_s, reason, is_shadow=True)
 
 
 class _Sight(StrEnum):

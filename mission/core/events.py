@@ -176,13 +176,13 @@ class YieldRequested:
 
 @dataclass(frozen=True, slots=True)
 class OperatorRequest:
-    """A person's wish: hold the present circle, resume, watch from another side, end the mission.
+    """A person's wish: hold the circle, resume, watch from another side, confirm what is seen, or end the mission.
 
     who: as the page knows the person; '' where it came from no page.
     """
 
     time_s: float
-    action: Literal["hold", "resume", "side", "end"]
+    action: Literal["hold", "resume", "side", "confirm", "end"]
     side: Side | None = None
     who: str = ""
 

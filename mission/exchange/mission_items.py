@@ -405,7 +405,8 @@ class MissionItemBackend:
         self._target: PositionTargetReported | None = None
         self._aircraft: AircraftState | None = None
         self._flown: _Flown | None = None
-        self._current_is_new = False  # since the last position
+        self._current_is_new = False  # not judged by a position yet
+        self._known_s = -math.inf  # of the position that was known when it was reported
         self._closed = False
         self._waits = False  # for the next tick, whose link time is that of now
         self.load_result: WriteResult | None = None
@@ -650,7 +651,8 @@ class MissionItemBackend:
         """Process the aircraft's position and flight mode."""
         self._aircraft = aircraft
         change, before = self._change, self._flown
-        if self._current is not None and self._current_is_new:
+        # After a pause the first positions may be rejected: a report is judged by one that is newer.
+        if self._current is not None and self._current_is_new and aircraft.time_s > self._known_s:
             self._current_is_new, is_same = False, before is not None and before.seq == self._current.seq
             self._flown = _Flown(self._current.seq, aircraft, before.begun if before and is_same else aircraft)
             self._look_for_skipped(before, aircraft)
@@ -688,6 +690,7 @@ class MissionItemBackend:
         if self._ownership.is_late(report):
             return
         self._current, self._current_is_new, change = report, True, self._change
+        self._known_s = -math.inf if self._aircraft is None else self._aircraft.time_s
         if change is not None and change.activation is not None:
             change.activation.current(report.seq)
             self._judge_activation(change)

@@ -6,7 +6,7 @@ Source: docs/health.md#the-target-is-not-seen; docs/health.md#ways-out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,7 +90,14 @@ class Reach:
         return replace(self, east_m=self.east_m + east_m, north_m=self.north_m + north_m, radius_m=radius_m)
 
 
-def retreats(start: AircraftState, reach: Reach, clockwise: bool, airframe: Aircraft, keep_m: float) -> list[Plan]:
+def retreats(
+    start: AircraftState,
+    reach: Reach,
+    clockwise: bool,
+    airframe: Aircraft,
+    keep_m: float,
+    others: Sequence[Reach] = (),
+) -> list[Plan]:
     """Return plans to circles away from the disk, the best first.
 
     The best is the nearest circle that keeps ``keep_m`` from the disk, on the way and for some time on the circle:
@@ -102,6 +109,7 @@ def retreats(start: AircraftState, reach: Reach, clockwise: bool, airframe: Airc
         clockwise: Sense of flight of the circles.
         airframe: Gives the radius and the airspeed.
         keep_m: Distance to keep from the disk.
+        others: Disks to keep as far from.
     """
     radius_m, airspeed_m_s = airframe.radius_m, airframe.airspeed_m_s
     farthest_m = keep_m + reach.radius_m + radius_m + reach.speed_m_s * HOLD_S
@@ -115,7 +123,8 @@ def retreats(start: AircraftState, reach: Reach, clockwise: bool, airframe: Airc
             plans += paths_to(Circle(east_m, north_m, radius_m, clockwise), start, airframe)
 
     def rank(plan: Plan) -> tuple[float, float, float]:
-        lacks_m = max(keep_m - reach.clearance_m(plan, airspeed_m_s), 0.0)
+        clear_m = min(one.clearance_m(plan, airspeed_m_s) for one in (reach, *others))
+        lacks_m = max(keep_m - clear_m, 0.0)
         circle = plan.circle
         away_m = math.hypot(circle.east_m - reach.east_m, circle.north_m - reach.north_m)
         return lacks_m, round(away_m), plan.transition_m

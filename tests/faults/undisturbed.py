@@ -51,6 +51,7 @@ _WIND_MAX_M_S, _ON_CIRCLE_WITHIN_S = 6.0, 300.0
 _SILENT_AFTER_S = {Input.LASER: 20.0, Input.GIMBAL: 5.0}
 _SYSTEM_TIME, _SET_ROI_LOCATION = 2, 195
 _JUDGED = ("sensor", "position")  # what the plausibility checks announce
+_OTHER = "another object"
 _ESTIMATE = "delays of the payload"  # it names no fault
 
 
@@ -129,7 +130,9 @@ class Craft(ClosedLoop[bytes]):
                 if output.state is InputState.OK:
                     self._hidden.discard(output.input)
                 kept = self._flown.supported if true else self._flown.false
-            elif isinstance(output, Announce) and output.kind in _JUDGED and not output.text.startswith(_ESTIMATE):
+            elif isinstance(output, Announce) and (
+                (output.kind in _JUDGED and not output.text.startswith(_ESTIMATE)) or _OTHER in output.text
+            ):
                 kept = self._flown.false
             else:
                 continue

@@ -47,6 +47,7 @@ CAUSES = {
     "separation": {"separation": "only 42 m from south; 50 m are required"},
     "link": {"connected": False, "vehicle": {"silent_s": 3.0}},
     "battery": {"vehicle": {"battery_percent": 30, "endurance_s": 70.0}},
+    "object": {"other_object": "the payload may follow another object"},
     "charge": {"vehicle": {"battery_doubt": "the reported charge fell from 80 to 3 % within 1 s"}},
     "target": {"unseen_s": 12.0},
     **{one.value: {"health": faulty(one)} for one in Input if one is not Input.LINK},

@@ -302,7 +302,7 @@ def test_the_socket_answers_and_only_its_owner_reaches_it(path):
 
     status, arm, release = asyncio.run(talk())
     assert (status["text"], release["text"]) == ("status", "release")
-    assert arm == {"accepted": False, "text": "a request is one of status, watch, release"}
+    assert arm == {"accepted": False, "text": "a request is one of status, watch, release, confirm"}
     assert not path.exists()
     with pytest.raises(InputError, match="start it with: sidelong serve"):
         control_socket.ask("status")

@@ -67,6 +67,10 @@ export class AlarmList {
       const hold = element("button", "Hold instead", { type: "button", className: "hold" });
       hold.addEventListener("click", () => this.press({ action: "hold", side: null }));
       line.append(hold);
+      const confirm = element("button", "This is it", { type: "button", className: "confirm" });
+      confirm.addEventListener("click", () => this.press({ action: "confirm", side: null }));
+      confirm.hidden = alarm.key !== "object";
+      line.append(confirm);
       const seen = element("button", "Acknowledge", { type: "button", className: "seen" });
       const { key, aircraft } = alarm;
       seen.addEventListener("click", () => this.press({ action: "acknowledge", alarm: key, aircraft }));

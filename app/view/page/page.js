@@ -496,7 +496,7 @@ function described(values) {
   return Object.entries(values).map(([name, value]) => `${CHANGES[name]} ${unit(value)} instead of ${unit(state.asked[name])}`);
 }
 
-const ANSWERED = new Set(["hold", "resume", "side", "change", "end", "relieve", "watch", "release"]);
+const ANSWERED = new Set(["hold", "resume", "side", "change", "end", "relieve", "watch", "release", "confirm"]);
 
 async function press(body) {
   if (ANSWERED.has(body.action)) wait(requested(body));
