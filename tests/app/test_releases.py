@@ -23,7 +23,7 @@ FLOWN = [
     *((Flavour.ARDUPLANE, release) for release in ((4, 4), (4, 5), (4, 6), (4, 7))),
     *((Flavour.PX4, release) for release in ((1, 14), (1, 15), (1, 16), (1, 17), (1, 18))),
 ]
-SILENT = type("Silent", (), {"latest": {}, "only_mavlink_1": False})()
+SILENT = type("Silent", (), {"latest": {}, "only_mavlink_1": False, "is_companion": True})()
 OF = {Flavour(one.key): one for one in AUTOPILOTS}
 
 

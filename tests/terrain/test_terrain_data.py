@@ -119,7 +119,7 @@ def test_the_autopilots_own_data_are_compared_before_the_flight(
     hills_folder: Path, off_m: float, spacing: int, ready: list[bool]
 ) -> None:
     class Silent:
-        system_id, only_mavlink_1 = 1, False
+        system_id, only_mavlink_1, is_companion = 1, False, True
 
     reported_m = ElevationData(hills_folder).height_above_sea_m(*HOME_DEG) + off_m
     lat, lon = (round(1e7 * degrees) for degrees in HOME_DEG)
