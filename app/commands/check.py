@@ -15,6 +15,7 @@ from sidelong.app.commands.options import (
     RadiusOption,
     SetOption,
     TargetSpeedOption,
+    VehicleOption,
     changed_keys,
 )
 from sidelong.app.commands.output import (
@@ -38,6 +39,7 @@ from sidelong.app.config import (
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
+from sidelong.app.process import run
 from sidelong.app.study.prediction import FLIGHT_S, predict
 from sidelong.app.study.study import is_compiled
 from sidelong.mission.paper.scope import scope
@@ -60,6 +62,7 @@ def check(
     target_speed: TargetSpeedOption = None,
     planner: PlannerOption = None,
     set_: SetOption = None,
+    connect: VehicleOption = None,
     json: JsonOption = None,
 ) -> None:
     """Check whether the configured planner can keep the requirement, and name the number to change if it cannot.
@@ -72,6 +75,7 @@ def check(
       sidelong check
       sidelong check mission.toml
       sidelong check mission.toml --planner paper
+      sidelong check mission.toml --connect udpin://0.0.0.0:14540
       sidelong check --airspeed 10 --radius 50 --target-speed 3 --set requirement.range_max_m=400
     """
     checked_output(json)
@@ -85,6 +89,8 @@ def check(
         settings = load_config(config, overrides)
         check_alone(settings)
         check_files(settings)
+        if connect is not None:
+            settings = run(_with_fences(settings, connect))
         print_notes(setting_notes(settings))
         values, reasons = _checked(settings)
         write_json(json, values)
@@ -92,6 +98,8 @@ def check(
             raise InputError(f"infeasible: {reasons}.")
         console.print("feasible")
         return
+    if connect is not None:
+        raise InputError("--connect checks one aircraft; leave it out with a fleet file.")
     fleet = load_fleet(config, overrides)
     check_files(fleet, fleet.target)
     print_notes(setting_notes(fleet))
@@ -105,6 +113,26 @@ def check(
     if refused:
         raise InputError(f"infeasible: {'; '.join(refused)}.")
     console.print("feasible, names, links and heights too")
+
+
+async def _with_fences(settings: Config, url: str) -> Config:
+    """Return the configuration with the fences of the vehicle at a URL, as a launch flies it."""
+    from sidelong.app.flight.session import connected, with_fences  # noqa: PLC0415  # a check needs no link else
+    from sidelong.app.link.parameters import read_table  # noqa: PLC0415
+
+    link = settings.link
+    async with connected(
+        [url],
+        link.heartbeat_timeout_s,
+        key=link.signing_key_file,
+        note=console.print,
+        system_id=link.system_id,
+        role=link.role,
+    ) as session:
+        parameters = await read_table(session.vehicle, session.autopilot, session.release)
+        flown, found = await with_fences(session.vehicle, settings, parameters)
+    console.print(f"the vehicle has {found}")
+    return flown
 
 
 def _checked(settings: Config) -> tuple[dict[str, Any], str]:

@@ -19,7 +19,7 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check, SourceRates, checks, describe_use
-from sidelong.app.flight.session import InputHealth, connected
+from sidelong.app.flight.session import InputHealth, connected, with_fences
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
@@ -155,9 +155,14 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
         )
         status = None if payload is None else payload.status()
+        try:
+            fences = Check("fences", True, str((await with_fences(vehicle, config, parameters))[1]))
+        except InputError as error:
+            fences = Check("fences", False, str(error))
         one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
         found = (
             one,
+            fences,
             *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters),
             *inputs.checks(),
             *(() if status is None else (_payload_check(status),)),

@@ -45,6 +45,9 @@ RadiusOption = Annotated[
 """A float, or "auto"."""
 
 AirspeedOption = Annotated[float | None, AIRCRAFT(help="Airspeed while circling, m/s.")]
+VehicleOption = Annotated[
+    str | None, typer.Option("--connect", metavar="URL", help="Check with the fences that this vehicle stores, too.")
+]
 TargetSpeedOption = Annotated[float | None, AIRCRAFT(help="Highest speed to expect of the target, m/s.")]
 PlannerOption = Annotated[str | None, AIRCRAFT(help=f"{' or '.join(PLANNER_NAMES)}; else as configured.")]
 TerrainOption = Annotated[Path | None, AIRCRAFT(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.")]

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 
 from sidelong.app.analysis.score import Asked
@@ -19,74 +19,17 @@ from sidelong.app.flight.payload_input import check_route, give_route
 from sidelong.app.flight.recording import beginning
 from sidelong.app.flight.shell import FlyingAircraft
 from sidelong.app.link.message import Message
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, has_fix
+from sidelong.app.link.traffic import TrafficReader
 from sidelong.app.records.journal import Header, JournalWriter
 from sidelong.app.records.run_folder import FleetFolder
-from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import RouteGiven
+from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet.coordinator import FleetCoordinator
 from sidelong.mission.fleet.events import ForeignAircraftReported, TargetRouteGiven
 from sidelong.sitl.settings import STARTS_M, TargetSettings
-
-_EVERY_S = 1.0
-_COORDINATES, _ALTITUDE, _HEADING, _VELOCITY = 1, 2, 4, 8  # ADSB_FLAGS_VALID_*
-_FAR_M = 20_000.0
-_UNKNOWN_COURSE = 36_000  # hundredths of a degree, and more
-
-
-class ForeignAircraft:
-    """Reads messages of all senders; ``report`` returns each aircraft once a second.
-
-    own_ids: system ids of the fleet. now_s: mission time. home_altitude_m: of the home that heights refer to.
-    """
-
-    def __init__(
-        self, plane: LocalPlane, home_altitude_m: float, own_ids: Collection[int], now_s: Callable[[], float]
-    ) -> None:
-        self._plane, self._home_altitude_m = plane, home_altitude_m
-        self._own_ids, self._now_s = own_ids, now_s
-        self._announced_s: dict[str, float] = {}
-
-    def report(self, message: Message, member: str = "") -> ForeignAircraftReported | None:
-        """Return the aircraft that a message reports, None where it reports none or did so within the last second.
-
-        Args:
-            message: A message of any sender.
-            member: Name of the fleet's aircraft that sent it, if this program has yielded it.
-        """
-        fields, now_s = message.fields, self._now_s()
-        if message.name == "GLOBAL_POSITION_INT":
-            own = message.system_id in self._own_ids and not member
-            if own or message.component_id != AUTOPILOT_COMPONENT:
-                return None
-            identity, altitude_mm = member or f"system {message.system_id}", fields["alt"]
-            velocity = fields["vy"] * 1e-2, fields["vx"] * 1e-2
-            course_rad, speed_m_s = math.atan2(*velocity), math.hypot(*velocity)
-        elif message.name == "ADSB_VEHICLE" and not member:
-            flags, needed = int(fields["flags"]), _COORDINATES | _ALTITUDE
-            if flags & needed != needed:
-                return None
-            identity, altitude_mm = f"ADS-B {int(fields['ICAO_address']):06X}", fields["altitude"]
-            knows_course = flags & _HEADING and fields["heading"] < _UNKNOWN_COURSE
-            course_rad = math.radians(fields["heading"] * 1e-2) if knows_course else 0.0
-            speed_m_s = fields["hor_velocity"] * 1e-2 if knows_course and flags & _VELOCITY else 0.0
-        else:
-            return None
-        if (
-            not (has_fix(fields) and math.isfinite(now_s))
-            or now_s < self._announced_s.get(identity, -math.inf) + _EVERY_S
-        ):
-            return None
-        east_m, north_m = self._plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
-        if math.hypot(east_m, north_m) > _FAR_M:
-            return None
-        self._announced_s[identity] = now_s
-        height_m = altitude_mm * 1e-3 - self._home_altitude_m
-        flown = east_m, north_m, height_m, course_rad, speed_m_s
-        return ForeignAircraftReported(identity, now_s, *flown, member=bool(member))
 
 
 class FleetFlight:
@@ -185,13 +128,13 @@ class FleetFlight:
         """Let the coordinator receive what the aircraft, and others on their links, report."""
         first, coordination = self._aircraft[0].flight, self._coordination
         home_m = first.home.altitude_m
-        foreign = ForeignAircraft(first.plane, home_m, own_ids, lambda: coordination.now_s)
+        reader = TrafficReader(first.plane, home_m, own_ids, lambda: coordination.now_s)
 
         def bystander(message: Message, member: FlyingAircraft | None = None) -> None:
             if member is None or member.controller.phase is Phase.YIELDED:
-                report = foreign.report(message, "" if member is None else member.name)
-                if report is not None:
-                    coordination.put(report)
+                found = reader.report(message, "" if member is None else member.name)
+                if found is not None:
+                    coordination.put(_reported(found, member is not None))
 
         def join(one: FlyingAircraft) -> None:
             telemetry, vehicle = one.session.telemetry, one.session.vehicle
@@ -244,6 +187,24 @@ class FleetFlight:
         """Return the requirements of each target, in mission time."""
         changes = self._coordination.changes
         return {name: [(-math.inf, first), *changes[name]] for name, first in self._fleet.asked.items()}
+
+
+def _reported(found: Neighbour, member: bool) -> ForeignAircraftReported:
+    """Return the event for the coordinator. member: the aircraft belongs to the fleet."""
+    state = found.state
+    return ForeignAircraftReported(
+        found.name,
+        state.time_s,
+        state.east_m,
+        state.north_m,
+        found.height_m,
+        state.course_rad,
+        state.ground_speed_m_s,
+        member,
+        state.curvature_per_m,
+        found.climb_m_s,
+        found.clear_m,
+    )
 
 
 def simulated_targets(fleet: FleetFile) -> tuple[list[TargetSettings], list[int]]:

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s, with_vehicle_fences
+from sidelong.app.assembly import Prepared, mission_controller_of, winds_m_s
 from sidelong.app.autopilots.autopilot import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
@@ -28,8 +28,9 @@ from sidelong.app.flight.outputs import GimbalPointer, PayloadPointer, open_beac
 from sidelong.app.flight.payload_input import PayloadRunner, check_route, give_route
 from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.session import InputHealth, Session
+from sidelong.app.flight.session import InputHealth, Session, with_fences
 from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, ask_for_streams, wants_few
+from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
@@ -41,6 +42,7 @@ from sidelong.app.link.queries import (
     request_pan_limits,
     vehicle_status,
 )
+from sidelong.app.link.traffic import TrafficReader
 from sidelong.app.link.vehicle import LinkError, StatusText, Vehicle
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.sharing.follow import AltitudeAt
@@ -59,8 +61,9 @@ from sidelong.mission.core.events import (
     HomeReported,
     MissionChange,
     RoundTripReported,
+    TrafficReported,
 )
-from sidelong.mission.core.plan import PanLimitPlanner
+from sidelong.mission.core.plan import AircraftState, PanLimitPlanner
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.exchange.outbox import TakeoverFailed
@@ -75,7 +78,6 @@ _RESUMED_WITHIN_S = 4.0
 _SAME_HOME_M, _SAME_HOME_HEIGHT_M = 30.0, 10.0  # arming sets it again, by another GPS fix
 _DELAY_EVERY_S = 1.0
 _FENCES_EVERY_S = 20.0
-_UNION_OF_INCLUSIONS = 2  # of FENCE_OPTIONS
 _READY_WITHIN_S = 60.0  # of the vehicle's time
 _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
 
@@ -190,12 +192,7 @@ class Flight:
 
     async def _keep_fences(self, parameters: ParameterTable) -> None:
         """Read the vehicle's fences, and fly by those and the configured ones."""
-        try:
-            self._fences = await read_fences(self._vehicle)
-        except LookupError as error:
-            raise InputError(f"the vehicle's fences cannot be read: {error}.") from error
-        every = not int(parameters.values.get("FENCE_OPTIONS", 0.0)) & _UNION_OF_INCLUSIONS
-        self._config = with_vehicle_fences(self._config, self._fences, every)
+        self._config, self._fences = await with_fences(self._vehicle, self._config, parameters)
         self._prepared = replace(self._prepared, config=self._config)
         self._display.note(f"the vehicle has {self._fences}")
 
@@ -420,12 +417,34 @@ class Flight:
                 if wish.action == "resume" and self.controller.phase is Phase.YIELDED:
                     self._resumption.begin(self._try_to_resume)
 
+    def _watch_traffic(self, plane: LocalPlane, home: Home) -> None:
+        """Let the core receive what is reported of other aircraft; of a fleet, the coordinator does."""
+        if self._config.requirement.fleet_size > 1:
+            return
+        vehicle, controller = self._vehicle, self.controller
+
+        def own() -> tuple[AircraftState, float] | None:
+            state, height_m = controller.aircraft, controller.flown_height_m
+            return None if state is None or height_m is None else (state, height_m)
+
+        beacon = (self._config.sharing.beacon or "").upper().removeprefix("ADSB:")
+        reader = TrafficReader(
+            plane, home.altitude_m, (vehicle.system_id,), lambda: self._telemetry.now_s, own, (f"ADS-B {beacon:>06}",)
+        )
+
+        def listen(message: Message) -> None:
+            if reader.report(message) is not None:
+                self.put_event(TrafficReported(self._telemetry.now_s, reader.aircraft))
+
+        vehicle.bystanders.append(listen)
+
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
         """Return the outputs of the flight; ``shared`` stops them."""
 
         def altitude_m(east_m: float, north_m: float) -> float:
             return home.altitude_m + self._target_height_m(east_m, north_m)
 
+        self._watch_traffic(plane, home)
         observers: list[Observer] = []
         for output in outputs(self._config.sharing, plane, altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)

@@ -19,7 +19,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopi
 from sidelong.app.config import Config, SharingSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.outputs import open_beacon
-from sidelong.app.link.message import Message
+from sidelong.app.link.message import Message, plain
 from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import (
     AUTOPILOT_COMPONENT,
@@ -30,7 +30,7 @@ from sidelong.app.link.telemetry import (
     Telemetry,
     has_fix,
 )
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import REMOTE_ID_STATUS, Vehicle
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import (
@@ -193,6 +193,7 @@ _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
+_REMOTE_ID_GOOD, _REMOTE_ID_SILENT_S = 0, 10.0
 _NAMED = (Purpose.GROUND_STATION, Purpose.MISSION_ITEMS)
 _SENSORS = {
     0x1: "gyroscope",
@@ -311,6 +312,7 @@ def checks(
         *_limit_checks(config, aircraft, autopilot.limits(parameters.values), parameters),
         *(Check(purpose, True, parameters.found_for(purpose)) for purpose in _NAMED),
         *_link_failsafe_checks(vehicle, autopilot, parameters),
+        *_remote_id_checks(vehicle),
         *(
             Check(
                 need.name,
@@ -341,6 +343,18 @@ def _link_failsafe_checks(vehicle: Vehicle, autopilot: Autopilot, parameters: Pa
     failsafe = "" if vehicle.is_companion else autopilot.renewed_failsafe(parameters.values, vehicle.own_id[0])
     found = f"{failsafe} does not begin while sidelong is connected as a ground station; link.role = companion"
     return (Check("link failsafe", True, found),) if failsafe else ()
+
+
+def _remote_id_checks(vehicle: Vehicle) -> tuple[Check, ...]:
+    """Require that a Remote ID module, where there is one, allows arming."""
+    message, heartbeat = vehicle.latest.get(REMOTE_ID_STATUS), vehicle.latest.get("HEARTBEAT")
+    if message is None:
+        return ()
+    error = plain(str(message.fields["error"])) or "it gives no reason"
+    found = "ready" if int(message.fields["status"]) == _REMOTE_ID_GOOD else f"does not allow arming: {error}"
+    if heartbeat is not None and heartbeat.received_s - message.received_s > _REMOTE_ID_SILENT_S:
+        found = "its module is silent"
+    return (Check("Remote ID", found == "ready", found, "set the operator, or see the module", before_take_off=True),)
 
 
 def _guidance_check(config: Config, autopilot: Autopilot) -> Check:

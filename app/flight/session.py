@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sidelong.app.assembly import tracker_of
-from sidelong.app.autopilots.autopilot import Autopilot, Release
+from sidelong.app.assembly import tracker_of, with_vehicle_fences
+from sidelong.app.autopilots.autopilot import Autopilot, ParameterTable, Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import Check, autopilot_of, check_release
@@ -24,6 +24,7 @@ from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.mavsdk_link import SETTLING_S, FrameListener, MavsdkLink, Role
 from sidelong.app.link.message import Message
+from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.queries import release_of
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
 from sidelong.app.link.transport import Transport
@@ -39,6 +40,7 @@ from sidelong.mission.health.health import Health
 _CLOSE_S = 30.0
 _FRAMES = 150
 _BACK_MAX_SHARE = 0.06  # the share of reordered packets on a single link is lower
+_UNION_OF_INCLUSIONS = 2  # of FENCE_OPTIONS: to be inside one of them is enough
 _REMEDY = "give one of them another system id, or end the second route to it"
 
 
@@ -164,6 +166,16 @@ async def connected(
         for task in background:
             task.cancel()
         await asyncio.gather(*background, return_exceptions=True)
+
+
+async def with_fences(vehicle: Vehicle, config: Config, parameters: ParameterTable) -> tuple[Config, VehicleFences]:
+    """Return the configuration with the vehicle's fences, and those. Raises InputError if it cannot be flown so."""
+    try:
+        found = await read_fences(vehicle)
+    except LookupError as error:
+        raise InputError(f"the vehicle's fences cannot be read: {error}.") from error
+    every = not int(parameters.values.get("FENCE_OPTIONS", 0.0)) & _UNION_OF_INCLUSIONS
+    return with_vehicle_fences(config, found, every), found
 
 
 class VehicleInputs:

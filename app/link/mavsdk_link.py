@@ -44,7 +44,10 @@ from sidelong.app.link.vehicle import LinkError
 
 _LOOK_FOR_OTHERS_S = 2.0
 # What other systems on the links are received for: their traffic, and an ally's mission.
-_OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")
+_OF_OTHERS = (
+    *("HEARTBEAT", "GLOBAL_POSITION_INT", "ADSB_VEHICLE", "OPEN_DRONE_ID_LOCATION"),
+    *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"),
+)
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
 _SEND_S, _PARAMETER_S = 2.0, 4.0

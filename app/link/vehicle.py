@@ -16,6 +16,8 @@ from sidelong.app.link.message import Message, plain
 from sidelong.app.link.quality import LinkReport
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 
+REMOTE_ID_STATUS = "OPEN_DRONE_ID_ARM_STATUS"
+"""Sent by a Remote ID module next to the autopilot."""
 _CHUNK_CHARACTERS = 50
 _WARNING = 4  # MAV_SEVERITY
 _KEPT = 50
@@ -163,7 +165,7 @@ class VehicleMessages:
             bystander(message)
         if message.system_id != self.system_id:
             return
-        if message.component_id == AUTOPILOT_COMPONENT:
+        if message.component_id == AUTOPILOT_COMPONENT or message.name == REMOTE_ID_STATUS:
             self.latest[message.name] = message
             if message.name == "STATUSTEXT":
                 self.texts.take(message)

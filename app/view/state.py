@@ -17,6 +17,7 @@ from sidelong.app.config import AircraftSection, Config, RequirementSection
 from sidelong.app.view.history import Json
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present, VehicleStatus
+from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
@@ -99,6 +100,15 @@ def _inputs(snapshot: Present) -> list[str]:
 def _vehicle(vehicle: VehicleStatus) -> Json:
     status = {field.name: getattr(vehicle, field.name) for field in fields(vehicle) if field.name not in _UNSENT}
     return status | {name: _number(status[name], 0) for name in ("endurance_s", "home_s")}
+
+
+def _other(other: Neighbour, time_s: float) -> Json:
+    """Return a foreign aircraft where it is by now, as the map draws aircraft."""
+    state = other.state
+    gone_m = state.ground_speed_m_s * (time_s - state.time_s)
+    at_m = state.east_m + gone_m * math.sin(state.course_rad), state.north_m + gone_m * math.cos(state.course_rad)
+    flown = {"course_rad": round(state.course_rad, 4), "height_m": _number(other.height_m, 0)}
+    return {"name": other.name, "aircraft": {"at_m": _rounded(*at_m), **flown}}
 
 
 class WatchShares:
@@ -189,6 +199,7 @@ class StateEncoder:
             "unknown": snapshot.unknown,
             "inputs": _inputs(snapshot),
             "route": None if snapshot.route is None else _route(snapshot.route),
+            "traffic": [_other(one, time_s) for one in snapshot.traffic],
             "share_in_band": _number(self._shares.in_band, 3),
             "share_on_side": _number(self._shares.on_side, 3),
         }

@@ -30,7 +30,7 @@ _FOLDERS = (
     "mission/exchange",
 )
 _RECEIVED = {
-    "ADSB_VEHICLE": "other aircraft, avoided by a fleet",
+    "ADSB_VEHICLE": "other aircraft, by ADS-B or FLARM",
     "AIS_VESSEL": "a vessel that reports itself",
     "ATTITUDE": "attitude of the aircraft at the moment of each sighting",
     "AUTOPILOT_VERSION": "release of the autopilot, and what it supports",
@@ -55,6 +55,8 @@ _RECEIVED = {
     "MISSION_ITEM_INT": "an item on board, read back",
     "MISSION_REQUEST": "the autopilot asks for an item (ArduPilot)",
     "MISSION_REQUEST_INT": "the autopilot asks for an item",
+    "OPEN_DRONE_ID_ARM_STATUS": "whether a Remote ID module allows arming",
+    "OPEN_DRONE_ID_LOCATION": "other aircraft, by Remote ID",
     "ORBIT_EXECUTION_STATUS": "circle that PX4 flies by command",
     "PARAM_VALUE": "value of a parameter",
     "POSITION_TARGET_GLOBAL_INT": "circle that ArduPlane flies by command",

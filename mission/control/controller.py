@@ -26,7 +26,9 @@ Rules
     (:mod:`sidelong.mission.geometry.retreat`).
 11. What is flown is judged once a second (:mod:`sidelong.mission.control.envelope`). Below the floor nothing is
     commanded but the way back to the plan's height; ``at_breach`` ends the mission instead.
-12. While advice is fresh, estimate, target and side are those of the advice; without it the aircraft goes on by its
+12. Where a foreign aircraft is predicted to come nearer than it has to be kept clear of, the present circle is flown
+    at another height until it has passed, or another circle is flown.
+13. While advice is fresh, estimate, target and side are those of the advice; without it the aircraft goes on by its
     own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
@@ -81,6 +83,7 @@ from sidelong.mission.core.events import (
     RoundTripReported,
     RouteGiven,
     StepOutput,
+    TrafficReported,
     WindPrepared,
     WindReported,
     Yield,
@@ -101,6 +104,7 @@ from sidelong.mission.core.plan import (
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
 from sidelong.mission.geometry.retreat import HOLD_S, LEAVE_S, Reach, escapes, paths_to, retreats
+from sidelong.mission.geometry.separation import Encounter
 from sidelong.mission.health.health import Health
 from sidelong.mission.viewpoint.course_hold import TargetCourse
 
@@ -113,6 +117,8 @@ _NEAR_SHARE = 1.25  # of its radius: from there an autopilot joins a circle with
 _RETREAT_S, _RETREAT_GAIN = 20.0, 0.25  # a retreat is flown so long, unless another one gains this share of the range
 _BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
+_KEEP_CLEAR_EVERY_S, _BETTER_SHARE = 5.0, 0.1  # a new plan has this time to show what it does
+_HEIGHT_MARGIN_M, _LEAST_HEIGHT_M = 12.0, 40.0  # of a height that keeps clear: for both altimeters; above home
 _SILENT_S = 2.0
 _NAMED_WITHIN_S = 3.0  # an autopilot states the reason of a failsafe this long after it has changed the mode
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
@@ -186,6 +192,9 @@ class StandoffController:
         self._changed_s: float | None = None  # when a person last changed the mission; None: that is flown
         self._height_asked_m: float | None = None
         self._off_track_s: deque[float] = deque(maxlen=_OFTEN)  # when the aircraft had left its line
+        self.encounter: Encounter | None = None  # the closest approach of a foreign aircraft, as predicted
+        self._kept_clear_s, self._near = -math.inf, ""  # and the aircraft of which no plan keeps farther away
+        self._heights_before: Heights | None = None  # while another height is flown to keep clear
         self._crossed = 0  # decisions in a row at which another aircraft was too near below the circle
         self._height_m: float | None = None  # the aircraft's, above home
         self._mode_yield_s = -math.inf  # when another flight mode was last yielded to
@@ -250,6 +259,8 @@ class StandoffController:
                 return self._operator(event)
             case MissionChange():
                 return self._mission_changed(event)
+            case TrafficReported():
+                self.surroundings.separation.note(event.aircraft)
             case AlarmReported() | BatteryReported():
                 return _announced(event) if isinstance(event, AlarmReported) else self._battery_reported(event)
             case FleetAdvice() | NeighbourPlanned():
@@ -323,7 +334,7 @@ class StandoffController:
             self.planning.target,
             self.planning.turn_payload,
             self._over,
-            self.planning.too_near(self.time_s),
+            self.planning.too_near(self.time_s) or self._traffic_text,
             self.health.reports,
             self._unknown(),
             self._position_age_s,
@@ -332,7 +343,12 @@ class StandoffController:
             self._home_m,
             (math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m),
             self._object.reason,
+            traffic=self.surroundings.separation.traffic,
         )
+
+    @property
+    def _traffic_text(self) -> str:
+        return "" if self.encounter is None or self.encounter.share >= 1.0 else str(self.encounter)
 
     @property
     def _position_age_s(self) -> float:
@@ -413,6 +429,7 @@ class StandoffController:
             if Input.SPEED in self.envelope.faults:
                 self._object.suspect(self.time_s, _TOO_FAST)
             announced += self._object.announce(self.time_s)
+            self._judge_traffic()
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self._may_depart)
         if self.door.doubt is not None:
@@ -427,6 +444,13 @@ class StandoffController:
             return announced
         return announced + self._decide() if due else ()
 
+    def _judge_traffic(self) -> None:
+        """Predict how near foreign aircraft come to what is flown and what is on its way to the autopilot."""
+        self.encounter = None
+        if self.present is not None and self.phase.in_control and self.surroundings.separation.traffic:
+            self.surroundings.flown = self.flown
+            self.encounter = self._encounter_of(self.present, self.coming)
+
     # -- deciding ------------------------------------------------------------------------------------------
 
     def _decide(self) -> tuple[StepOutput, ...]:
@@ -438,7 +462,7 @@ class StandoffController:
         back = self._back_into_envelope(aircraft, present)
         if back is not None or self.phase is not Phase.WATCHING:
             return back or ()
-        escape = self._escape(aircraft, present)
+        escape = self._keep_clear(aircraft, present) or self._escape(aircraft, present)
         if escape or target is None:
             return escape
         is_lost = Input.PATH in self.envelope.faults and self.time_s - self._recovered_s >= _BACK_AGAIN_S
@@ -517,6 +541,72 @@ class StandoffController:
             return (decided, *announced, *self.changes.upload(self.time_s, plan, self._wind, decision.reason, text))
         changed = self._circle_as_changed(aircraft, present)
         return (decided, *announced, *(changed if changed or announced else self._corrected_radius(present)))
+
+    def _keep_clear(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...]:
+        """Return the plan that keeps clear of foreign aircraft: the circle at another height, or another circle."""
+        found, height_m, now_s = self.encounter, self.flown_height_m, self.time_s
+        if found is None or found.share >= 1.0 or height_m is None:
+            return self._level_again(present)
+        if now_s < self._kept_clear_s + _KEEP_CLEAR_EVERY_S:
+            return ()
+        self._kept_clear_s = now_s
+        settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
+        best: tuple[Plan, Heights | None] | None = None
+        best_share = found.share + _BETTER_SHARE
+        plans = [(self._again(present), heights) for heights in self._other_heights(found, height_m)]
+        others = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
+        for plan, heights in chain(plans, ((plan, None) for plan in others)):
+            flown = self.surroundings.levelled(plan, height_m, self.surroundings.flown.target_m, heights)
+            if isinstance(flown, str) or (heights is None and isinstance(self.surroundings.cleared(plan), str)):
+                continue
+            coming = self._encounter_of(present, flown)
+            share = math.inf if coming is None else coming.share
+            if share > best_share:
+                best, best_share = (flown, heights), share
+            if best_share >= 1.0:
+                break
+        if best is None:
+            if found.other.name == self._near:
+                return ()
+            self._near = found.other.name
+            return (Announce(now_s, "decision", f"no plan keeps farther away: {found}"),)
+        plan, heights = best
+        if heights is not None:
+            if self._heights_before is None and self.surroundings.heights is not None:
+                self._heights_before = self.surroundings.heights.at(height_m)
+            self.surroundings.heights = heights
+        to = "" if heights is None else f" at {plan.circle_height_m(height_m):.0f} m above home"
+        return self.changes.upload(now_s, plan, self._wind, f"keeping clear{to}: {found}")
+
+    def _other_heights(self, found: Encounter, height_m: float) -> list[Heights]:
+        """Return the heights above and below a foreign aircraft, the nearest one first.
+
+        None where layers keep the own fleet apart, and over terrain, whose heights follow the ground.
+        """
+        heights, keep_m = self.surroundings.heights, found.other.clear_m[1] + _HEIGHT_MARGIN_M
+        if not isinstance(heights, OneHeight) or self.surroundings.separation.has_fleet:
+            return []
+        wanted_m = [one for one in (found.height_m - keep_m, found.height_m + keep_m) if one >= _LEAST_HEIGHT_M]
+        return [heights.at(one) for one in sorted(wanted_m, key=lambda one_m: abs(one_m - height_m))]
+
+    def _level_again(self, present: Plan) -> tuple[StepOutput, ...]:
+        """Return the present circle at the previous height, once no foreign aircraft comes near there."""
+        before = self._heights_before
+        if before is None or self.time_s < self._kept_clear_s + _KEEP_CLEAR_EVERY_S:
+            return ()
+        again = self.surroundings.levelled(self._again(present), self.flown_height_m, None, before)
+        found = None if isinstance(again, str) else self._encounter_of(present, again)
+        if isinstance(again, str) or (found is not None and found.share < 1.0 + _BETTER_SHARE):
+            return ()
+        self.surroundings.heights, self._heights_before = before, None
+        return self.changes.upload(self.time_s, again, self._wind, "the other aircraft has passed: the old height")
+
+    def _encounter_of(self, present: Plan, coming: Plan | None) -> Encounter | None:
+        flown = self.surroundings.flown
+        assert flown.aircraft is not None
+        assert flown.height_m is not None
+        separation, airspeed_m_s = self.surroundings.separation, flown.airspeed_m_s
+        return separation.encounter(present, coming, flown.aircraft, flown.height_m, flown.wind, airspeed_m_s)
 
     def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...]:
         """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""
@@ -829,6 +919,7 @@ class StandoffController:
         own = settings.aircraft.configured or settings.aircraft
         self._ask_for(aircraft_after(event, own), requirement_after(event, settings.requirement))
         if event.height_m is not None:
+            self._heights_before = None
             self.surroundings.heights, self._height_asked_m = self._heights_at(event.height_m), event.height_m
         self._changed_s = self.time_s
         when = "from the next plan on" if self.phase is Phase.WATCHING else "when you resume"

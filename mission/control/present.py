@@ -12,6 +12,7 @@ from enum import StrEnum
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
+from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.inputs import UNFULFILLED, Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
@@ -123,6 +124,7 @@ class Present:
         home_moved_m: How far the autopilot's home is from that at the takeover, and how far above it.
         other_object: Why the payload may follow another object; '' if it follows the target.
         vehicle: None where there is no vehicle, as in a replay.
+        traffic: The foreign aircraft near the own one.
     """
 
     time_s: float
@@ -169,6 +171,7 @@ class Present:
     home_moved_m: tuple[float, float] = (0.0, 0.0)
     other_object: str = ""
     vehicle: VehicleStatus | None = None
+    traffic: tuple[Neighbour, ...] = ()
 
     @property
     def side(self) -> Side:

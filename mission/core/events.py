@@ -20,7 +20,7 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Side, Wind
@@ -235,6 +235,14 @@ class BatteryReported:
     rejected: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class TrafficReported:
+    """All aircraft near a single flight, by their latest reports: whenever one reports, once a second at most."""
+
+    time_s: float
+    aircraft: tuple[Neighbour, ...]
+
+
 Event = (
     PositionReading
     | AttitudeReading
@@ -258,6 +266,7 @@ Event = (
     | MissionChange
     | AlarmReported
     | BatteryReported
+    | TrafficReported
     | FleetAdvice
     | NeighbourPlanned
 )

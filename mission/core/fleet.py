@@ -30,8 +30,10 @@ class Neighbour:
     """Another aircraft.
 
     Attributes:
-        ours: It follows the plans of ``NeighbourPlanned``; a foreign aircraft flies straight on.
+        ours: It follows the plans of ``NeighbourPlanned``; a foreign aircraft goes on straight or turning as it does.
         target: Name of the target it watches; '' for a foreign aircraft.
+        climb_m_s: Of a foreign aircraft.
+        clear_m: Distance to keep from it horizontally or vertically, m; (0, 0): the least distance in all directions.
     """
 
     name: str
@@ -40,6 +42,8 @@ class Neighbour:
     ours: bool
     target: str = ""
     role: Role = Role.WANTED
+    climb_m_s: float = 0.0
+    clear_m: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

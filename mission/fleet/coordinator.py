@@ -546,7 +546,14 @@ class FleetCoordinator:
             if other is not vehicle and other.report is not None and not other.yielded
         ]
         others = [
-            Neighbour(craft.identity, shifted_state(craft.state, by_s), craft.height_m, False)
+            Neighbour(
+                craft.identity,
+                shifted_state(craft.state, by_s),
+                craft.height_m,
+                False,
+                climb_m_s=craft.climb_m_s,
+                clear_m=craft.clear_m,
+            )
             for craft in self._foreign.values()
         ]
         return FleetAdvice(

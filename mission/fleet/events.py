@@ -124,11 +124,15 @@ class ForeignAircraftReported:
     course_rad: float
     speed_m_s: float
     member: bool = False
+    curvature_per_m: float = 0.0
+    climb_m_s: float = 0.0
+    clear_m: tuple[float, float] = (0.0, 0.0)
 
     @property
     def state(self) -> AircraftState:
         """How it flies, on mission time."""
-        return AircraftState(self.mission_time_s, self.east_m, self.north_m, self.course_rad, self.speed_m_s, 0.0)
+        flown = self.course_rad, self.speed_m_s, self.curvature_per_m
+        return AircraftState(self.mission_time_s, self.east_m, self.north_m, *flown)
 
 
 @dataclass(frozen=True, slots=True)

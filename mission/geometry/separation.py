@@ -3,9 +3,10 @@
 Height layers keep aircraft apart wherever they fly; then nothing else is asked. Where two heights are closer than the
 least distance, three things are: on the way, moment by moment, the distance less what the speeds may be wrong by; and
 on the circles that both end in, where the phase is unknown, that the circles themselves are far enough apart. A
-foreign aircraft is predicted straight on, for a limited time.
+foreign aircraft is predicted to go on as it flies, for a limited time, and no plan may bring it nearer than it comes
+anyway.
 
-Source: docs/how-to/several-aircraft.md.
+Source: docs/how-to/several-aircraft.md; ASTM F3442/F3442M for the distances from manned and other unmanned aircraft.
 """
 
 from __future__ import annotations
@@ -24,11 +25,42 @@ from sidelong.mission.geometry import line_kernel as kernel
 from sidelong.mission.geometry.progress import line_of
 
 MIN_SEPARATION_M = 50.0
+# Horizontally and vertically: 2000 and 250 ft are well clear of a manned aircraft; 500 and 100 ft are a near mid-air
+# collision, and what is kept from other unmanned aircraft.
+WELL_CLEAR_M, NEAR_COLLISION_M = (609.6, 76.2), (152.4, 30.5)
+PREDICTED_S = 75.0
+_REPORT_MAX_AGE_S = 20.0
 _STEP_S = 1.0
 _FOREIGN_S = 30.0  # a foreign aircraft's straight-line prediction is valid for this time
 _SPEED_ERROR = 0.05  # share of the airspeed by which each aircraft may be ahead of its line's time, or behind it
 _LINE_ERROR_M = 10.0  # flown lines differ from planned ones
 _LONGEST_S = 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class Encounter:
+    """The predicted closest approach of a foreign aircraft.
+
+    Attributes:
+        in_s: Time until then, s.
+        horizontal_m: Horizontal distance then.
+        height_m: Height of the other aircraft above home then.
+        vertical_m: Difference of the heights then.
+        share: The larger one of both distances, each as a share of what is to be kept; below 1 neither is.
+    """
+
+    other: Neighbour
+    in_s: float
+    horizontal_m: float
+    height_m: float
+    vertical_m: float
+    share: float
+
+    def __str__(self) -> str:
+        near = self.horizontal_m < NEAR_COLLISION_M[0] and self.vertical_m < NEAR_COLLISION_M[1]
+        level = "near collision" if near else "not well clear"
+        distances = f"{self.horizontal_m:.0f} m horizontally and {self.vertical_m:.0f} m vertically"
+        return f"{level}: {self.other.name} comes within {distances} in {self.in_s:.0f} s"
 
 
 @dataclass(slots=True)
@@ -66,7 +98,14 @@ class Separation:
             return None
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
+        before, after = (
+            self.encounter(present or plan, coming, aircraft, height_m, wind, airspeed_m_s) for coming in (None, plan)
+        )
+        if after is not None and after.share < min(1.0, 1.0 if before is None else before.share):
+            return str(after)
         for name, other in self._others.items():
+            if other.clear_m != (0.0, 0.0):
+                continue
             neighbour = self._plans.get(name) if other.ours else None
             vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_planned(neighbour))})
             if vertical_m >= self.min_m:
@@ -85,6 +124,38 @@ class Separation:
                 if circles_apart_m(plan.circle, ending.circle) - 2.0 * _LINE_ERROR_M < flat_m:
                     return f"its circle is too near to that of {name}, at almost the same height"
         return None
+
+    @property
+    def has_fleet(self) -> bool:
+        """Whether aircraft of the own fleet are near: their layers keep them apart."""
+        return any(other.ours for other in self._others.values())
+
+    @property
+    def traffic(self) -> tuple[Neighbour, ...]:
+        """The foreign aircraft."""
+        return tuple(other for other in self._others.values() if not other.ours)
+
+    def encounter(
+        self,
+        present: Plan,
+        coming: Plan | None,
+        aircraft: AircraftState,
+        height_m: float,
+        wind: Wind,
+        airspeed_m_s: float,
+    ) -> Encounter | None:
+        """Return the closest approach of the foreign aircraft that comes closest; see ``breach``."""
+        others = [
+            one
+            for one in self._others.values()
+            if one.clear_m != (0.0, 0.0) and aircraft.time_s - one.state.time_s < _REPORT_MAX_AGE_S
+        ]
+        if not others:
+            return None
+        count = 1 + round(PREDICTED_S / _STEP_S)
+        own = flown_places(aircraft, present, coming, wind, airspeed_m_s, _STEP_S, count)
+        heights_m = _heights_m(present, coming, aircraft.time_s, height_m, airspeed_m_s, own.shape[1])
+        return min((_closest(own, heights_m, aircraft.time_s, one) for one in others), key=lambda one: one.share)
 
     def crossed(self, present: Plan, height_m: float) -> str | None:
         """Return in words which lower aircraft of the fleet flies a circle that crosses the own one, or None.
@@ -135,6 +206,37 @@ class Separation:
         growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
         ours, theirs = np.ascontiguousarray(own[:, :n]), np.ascontiguousarray(theirs)
         return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
+
+
+def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighbour) -> Encounter:
+    """Return the closest approach of one aircraft to own places, which are _STEP_S apart from ``now_s`` on."""
+    state = other.state
+    ahead_s = now_s - state.time_s + _STEP_S * np.arange(own.shape[1])
+    turned_rad = state.curvature_per_m * state.ground_speed_m_s * ahead_s
+    # The chord of an arc, and its direction.
+    gone_m = state.ground_speed_m_s * ahead_s * np.sinc(0.5 * turned_rad / math.pi)
+    along_rad = state.course_rad + 0.5 * turned_rad
+    east_m, north_m = state.east_m + gone_m * np.sin(along_rad), state.north_m + gone_m * np.cos(along_rad)
+    flat_m, their_m = np.hypot(own[0] - east_m, own[1] - north_m), other.height_m + other.climb_m_s * ahead_s
+    vertical_m = np.abs(heights_m - their_m)
+    shares = np.maximum(flat_m / other.clear_m[0], vertical_m / other.clear_m[1])
+    k = int(shares.argmin())
+    found = float(flat_m[k]), float(their_m[k]), float(vertical_m[k]), float(shares[k])
+    return Encounter(other, _STEP_S * k, *found)
+
+
+def _heights_m(
+    present: Plan, coming: Plan | None, now_s: float, height_m: float, airspeed_m_s: float, count: int
+) -> FloatArray:
+    """Return the own heights above home every _STEP_S: towards that of the plan that is flown by then."""
+    heights_m = np.empty(count)
+    for k in range(count):
+        heights_m[k] = height_m
+        plan = coming if coming is not None and now_s + _STEP_S * k >= coming.departure_s else present
+        if plan.heights is not None:
+            step_m = plan.heights.slope * airspeed_m_s * _STEP_S
+            height_m += min(max(plan.heights.to_m - height_m, -step_m), step_m)
+    return heights_m
 
 
 def flown_places(

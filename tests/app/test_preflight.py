@@ -73,6 +73,17 @@ def test_a_failsafe_that_a_ground_station_renews_is_reported(autopilot, values, 
     assert "link failsafe" not in {one.name for one in checks(Config(), vehicle, autopilot, table, None, ())}
 
 
+@pytest.mark.parametrize(
+    ("status", "error", "ready"), [(0, "", True), (1, "missing operator location", False), (1, "", False)]
+)
+def test_a_remote_id_module_has_to_allow_arming(status, error, ready):
+    silent = Silent(OPEN_DRONE_ID_ARM_STATUS={"status": status, "error": error})
+    found = checks(Config(), silent, Px4(), NOTHING_READ, None, ())
+    (check,) = (one for one in found if one.name == "Remote ID")
+    assert (check.ready, check.before_take_off) == (ready, True)
+    assert error in check.found
+
+
 def test_an_unhealthy_sensor_is_named():
     used, compass = 0x2F, 0x4
     fields = {

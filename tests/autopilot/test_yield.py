@@ -44,12 +44,12 @@ def test_a_companion_does_not_stand_in_for_a_silent_ground_station(vehicle_of, l
     application = launch(vehicle.url, "--set", "link.role=companion")
     application.wait_for(WATCHED)
 
-    def hear_a_station_for_the_last_time():
+    def receive_a_station_for_the_last_time():
         for name, value in LINK_FAILSAFE[flavour].items():
             vehicle.autopilot.parameters.set(name, value)
         vehicle.autopilot.gcs_received_s = vehicle.autopilot.now_s
 
-    vehicle.do(hear_a_station_for_the_last_time)
+    vehicle.do(receive_a_station_for_the_last_time)
     application.wait_for("commanding nothing more")
     application.wait_for("by a failsafe of the autopilot: ")
     announced_s = vehicle.simulation.time_s

@@ -301,7 +301,8 @@ export class FlightMap {
     this.aircraft.toggleAttribute("hidden", !aircraft);
     const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
     if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
-    this.drawFleet([...(state?.others ?? []), ...(other?.aircraft ? [{ ...other, name: "what if" }] : [])].filter((one) => one.aircraft), placed, x, y);
+    const others = [...(state?.others ?? []), ...(state?.traffic ?? []), ...(other?.aircraft ? [{ ...other, name: "what if" }] : [])];
+    this.drawFleet(others.filter((one) => one.aircraft), placed, x, y);
     for (const { name, at_m } of state?.targets ?? []) {
       svg("circle", { class: "target", cx: x(at_m[0]), cy: y(at_m[1]), r: 5 }, this.others);
       svg("text", { class: "label", x: x(at_m[0]) + 9, y: y(at_m[1]) + 16 }, this.others).textContent = name;
