@@ -309,33 +309,6 @@ def test_a_target_that_stopped_stands_or_goes_on_as_estimated(paper_aircraft, pa
     assert np.any(winding(look.scene, look.table.motions, watching(sector, fresh_memory(1.0)), turns).place != 0.0)
 
 
-def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft, paper_requirement):
-    """It goes 200 m to and fro at 4 m/s; 48 m before it turns for the fourth time it is expected to."""
-    motions, turns = a_table(paper_aircraft, paper_requirement).motions, TURNING
-    for side in (1.0, -1.0):
-        memory, wish = fresh_memory(side), SideRule(False, 50.0, math.nan, 20.0)
-        present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
-        for time_s in range(189):
-            turned, past_m = divmod(4.0 * time_s, 200.0)
-            north_m, speed_m_s = (past_m, 4.0) if turned % 2 == 0 else (200.0 - past_m, -4.0)
-            target = prompt(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
-            here = LinePoint(-280.0 * side, 90.0, 0.0, side / 60.0)
-            watcher = Watcher(craft_of(paper_aircraft), wish, 5.0, memory)
-            flown = FlownPlan(*line_of(present), 0.0)
-            scene = scene_of(float(time_s), here, 10.0, target, flown, (0.0, 0.0), 0.0, watcher)
-        futures = winding(scene, motions, watching(wish, memory), turns)
-        straight, again = futures.place[0], futures.place[1]
-        assert futures.weight.sum() == pytest.approx(1.0)
-        assert futures.weight[1] >= 0.7
-        np.testing.assert_allclose(straight[:20, 1], 4.0 * np.arange(20), atol=1e-6)
-        np.testing.assert_allclose(again[:10, 1], 4.0 * np.arange(10), atol=1e-6)
-        assert again[30, 1] == pytest.approx(48.0 - (120.0 - 48.0), abs=8.0)
-        watched = np.arctan2(futures.facing[1, :, 0], futures.facing[1, :, 1])
-        assert abs(watched[10]) < 0.2
-        assert abs(watched[35]) > 2.9
-        assert first_of(futures, 2).weight == pytest.approx([1.0 - futures.weight[1], futures.weight[1]])
-
-
 @pytest.mark.parametrize(("side", "under_way"), [(1.0, False), (-1.0, True)])
 def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, paper_requirement, side, under_way):
     table = a_table(paper_aircraft, paper_requirement)
