@@ -14,7 +14,9 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -58,6 +60,8 @@ def opened(url: str) -> Transport:
     address = (host, int(last))
     if scheme.startswith("udp"):
         return UdpTransport(address, listening=scheme == "udpin")
+    if scheme == "tcpin":
+        return TcpServerTransport(address)
     connect: Callable[[], _Stream] = partial(_tcp_connected, address)
     if scheme.startswith("serial"):
         connect = partial(_serial_opened, *address, scheme == "serial_flowcontrol")
@@ -133,6 +137,107 @@ class UdpTransport(_Threaded):
         while len(peers) > _PEERS_MAX:
             del peers[min(peers, key=lambda one: peers[one])]
         self._peers = peers
+
+
+@dataclass(slots=True)
+class _Client:
+    """A connection to a ``TcpServerTransport``; received_s: when it last sent what confirms it as a peer, or came."""
+
+    connection: socket.socket
+    peer: tuple[str, int]
+    received_s: float
+    confirmed: bool = False
+    unsent: bytes = b""
+
+
+class TcpServerTransport(_Threaded):
+    """A TCP port. It goes on listening while clients are connected, and sends to confirmed peers only.
+
+    A client that is not confirmed makes room for the next one, first of the host that has the most.
+    """
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._server = socket.create_server(address)
+        self._server.setblocking(False)
+        self._clients: dict[int, _Client] = {}
+
+    def send(self, data: bytes) -> None:
+        with self._lock:
+            for client in self._clients.values():
+                if client.confirmed and len(client.unsent) + len(data) <= _UNSENT_MAX_BYTES:
+                    client.unsent += data
+                    _flush(client)
+
+    def close(self) -> None:
+        super().close()
+        with self._lock:
+            for client in self._clients.values():
+                client.connection.close()
+            self._clients.clear()
+        self._server.close()
+
+    def _run(self, receive: Receive) -> None:
+        while not self._closing.is_set():
+            with self._lock:
+                unsent = [number for number, client in self._clients.items() if client.unsent]
+            readable, writable, _ = select.select([self._server.fileno(), *self._clients], unsent, [], _WAKE_S)
+            if self._server.fileno() in readable:
+                self._accept(time.monotonic())
+            for number in readable:
+                if number in self._clients:
+                    self._read(number, receive)
+            with self._lock:
+                for number in writable:
+                    if number in self._clients:
+                        _flush(self._clients[number])
+            now_s = time.monotonic()
+            for number, client in list(self._clients.items()):
+                if not client.confirmed and now_s - client.received_s > _SILENT_S:
+                    self._drop(number)
+
+    def _read(self, number: int, receive: Receive) -> None:
+        client = self._clients[number]
+        try:
+            data = client.connection.recv(_READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(number)
+        elif receive(data, client.peer):
+            client.confirmed, client.received_s = True, time.monotonic()
+
+    def _accept(self, now_s: float) -> None:
+        try:
+            connection, peer = self._server.accept()
+        except OSError:  # it has gone again, or this process has no descriptor left
+            return
+        connection.setblocking(False)
+        if len(self._clients) >= _PEERS_MAX:
+            hosts = Counter(client.peer[0] for client in self._clients.values())
+            idle = [
+                (-hosts[client.peer[0]], client.received_s, number)
+                for number, client in self._clients.items()
+                if not client.confirmed or now_s - client.received_s > _SILENT_S
+            ]
+            if not idle:
+                connection.close()
+                return
+            self._drop(min(idle)[2])
+        with self._lock:
+            self._clients[connection.fileno()] = _Client(connection, peer, now_s)
+
+    def _drop(self, number: int) -> None:
+        with self._lock:
+            self._clients.pop(number).connection.close()
+
+
+def _flush(client: _Client) -> None:
+    with contextlib.suppress(OSError):  # a broken connection is found by reading
+        client.unsent = client.unsent[client.connection.send(client.unsent) :]
 
 
 class _StreamTransport(_Threaded):
@@ -272,7 +377,7 @@ def sharing_opener(links: Sequence[Sequence[str]], opened: Callable[[str], Trans
     return opener
 
 
-_SCHEMES = ("udpin", "udpout", "tcpout")
+_SCHEMES = ("udpin", "udpout", "tcpout", "tcpin")
 _SERIAL_URL = re.compile(r"serial(?:_flowcontrol)?://(/[^:]+):\d+")
 
 
@@ -298,14 +403,15 @@ def checked_url(url: str) -> str:
             raise InputError(f"{url!r}: there is no device {device}; plug it in, or name another.")
         return url
     host, port = address.resolved(repr(url))
-    if address.scheme == "udpin":
-        _probe_port(url, host, port)
+    if address.scheme.endswith("in"):
+        _probe_port(url, address.scheme, host, port)
     return f"{address.scheme}://{host}:{port}"
 
 
-def _probe_port(url: str, address: str, port: int) -> None:
+def _probe_port(url: str, scheme: str, address: str, port: int) -> None:
     # A second process may bind a UDP port and silently steal the traffic of the first: check first.
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+    kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    with socket.socket(socket.AF_INET, kind) as probe:
         try:
             probe.bind((address, port))
         except OSError as error:

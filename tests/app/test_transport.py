@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import queue
@@ -92,6 +93,42 @@ def test_tcp_out_connects_again(listening):
                 assert ear.next() == b"from the vehicle %d" % number
                 transport.send(b"to the vehicle")
                 assert connection.recv(100) == b"to the vehicle"
+
+
+def tcp_client(port):
+    return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+
+
+def test_tcp_in_takes_the_next_client(listening, free_port):
+    port = free_port()
+    transport, ear = listening(f"tcpin://127.0.0.1:{port}")
+    for _ in range(2):
+        with tcp_client(port) as client:
+            for _ in range(2):  # it is known as a friend once the next bytes are read
+                client.sendall(b"friend")
+                assert ear.next() == b"friend"
+            transport.send(b"answer")
+            assert client.recv(100) == b"answer"
+
+
+def test_strangers_who_connect_first_do_not_shut_the_vehicle_out_of_tcp_in(listening, free_port):
+    port = free_port()
+    transport, ear = listening(f"tcpin://127.0.0.1:{port}")
+    strangers = [tcp_client(port) for _ in range(30)]
+    with tcp_client(port) as vehicle:
+        for _ in range(2):
+            vehicle.sendall(b"friend")
+            assert ear.next() == b"friend"
+        later = [tcp_client(port) for _ in range(30)]
+        later[-1].sendall(b"stranger")
+        assert ear.next() == b"stranger"
+        transport.send(b"answer")
+        assert vehicle.recv(100) == b"answer"
+    for stranger in (*strangers, *later):
+        stranger.setblocking(False)
+        with contextlib.suppress(BlockingIOError, ConnectionResetError):
+            assert stranger.recv(100) == b""
+        stranger.close()
 
 
 def test_a_peer_that_reads_nothing_does_not_hold_up_the_sender(listening):
