@@ -391,7 +391,7 @@ class PlanChanges:
 
     def stuck(self, now_s: float) -> str:
         """Return why plans do not get through: several in a row, or all of some time, have failed; '' if they do."""
-        is_tried = self._in_vain and self.under_way is not None
+        is_tried = self._in_vain > 1 and self.under_way is not None
         if self._in_vain < _STUCK and not (is_tried and now_s - self._in_vain_since_s >= _STUCK_S):
             return ""
         return f"{self._in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"

@@ -30,7 +30,7 @@ def test_lower_bank_limit_widens_the_circle_and_keeps_the_band(flavour, launch, 
         RealVehicle(flavour, "--speed", SPEED, "--target-speed", 4, "--truth", truth) as vehicle,
         ChangingRelay(vehicle.urls[0]) as relay,
     ):
-        flight = launch(relay.url, str(config), "--duration", str(DURATION_S), "--quiet")
+        flight = launch(relay.url, str(config), "--duration", str(DURATION_S))
         flight.wait_for("watched from now on")
         time.sleep(60.0 / SPEED)
         relay.set_parameter(name, limit_deg)
