@@ -925,9 +925,8 @@ class PayloadFit:
         erring: bool = False,
         factor: float = 1.0,
     ) -> Fit:
-        """Return the fit of ranges that are multiplied by a factor; its cost is that of the ranges as read."""
-        found = Fit(*fit_readings(_scaled(readings, factor), sigmas, _ERRING if erring else _SMALL, start, scale_m))
-        return found._replace(cost=found.cost - len(readings.ranges) * math.log(factor))
+        """Return the fit of ranges that are multiplied by a factor."""
+        return Fit(*fit_readings(_scaled(readings, factor), sigmas, _ERRING if erring else _SMALL, start, scale_m))
 
     def _fit_sound(self, readings: Readings) -> Fit:
         """Return the best fit with errors as small as the priors say."""
