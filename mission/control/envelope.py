@@ -27,6 +27,7 @@ from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 
 _HEIGHT_M, _FLOOR_M, _CLEARANCE_M = 15.0, 5.0, 15.0  # how far an autopilot may be off the height of its plan
 _PATH_M, _FENCE_M = 60.0, 15.0  # the same across its path; transitions are judged closer: see PlanChanges
+_LEAVES_M = 3.0  # more in a second: the aircraft is carried off its plan
 _OFF_M = 20.0  # farther off its plan an aircraft may not roll as fast as it has to
 _LASTS_S, _OVER_S = 2.0, 3.0  # a breach is reported after the one and is over after the other
 # A target's way over two times, s, against its limit: the share of it and the speed, m/s, allowed for errors.
@@ -151,7 +152,7 @@ class Envelope:
         self._wind, self._airspeed_m_s = Wind(), math.nan
         self._turns = _Turns()
         self._reported_rad = self._reached_rad = math.inf  # bank limits
-        self._rolls_rad_s, self._short = math.inf, 0
+        self._rolls_rad_s, self._short, self._leaving = math.inf, 0, 0
         self._limit, self._learned_s, self._now_s = "", -math.inf, -math.inf  # what was learned last, and when
 
     @property
@@ -220,11 +221,13 @@ class Envelope:
     def _judge_bank(self, now: Present, here: AircraftState, plan: Plan) -> None:
         """Learn a bank that is not exceeded although the aircraft is carried out of its turn."""
         point = point_at(plan, nearest_arc_m(plan, here), here)
-        self.off_m = math.hypot(here.east_m - point.east_m, here.north_m - point.north_m)
+        before_m, self.off_m = self.off_m, math.hypot(here.east_m - point.east_m, here.north_m - point.north_m)
+        is_leaving = self.off_m > before_m + _LEAVES_M and not self._path.arrives
+        self._leaving = self._leaving + 1 if is_leaving else 0
         bank_rad = self._turns.bank_rad()
         if bank_rad is None:
             self._short = 0
-            if self.off_m > _OFF_M:
+            if self.off_m > _OFF_M and self._leaving >= _STEADY_S:
                 self._judge_roll()
             return
         self._turns.learn(bank_rad, _airspeed_m_s(here, now.wind))
