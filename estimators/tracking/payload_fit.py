@@ -139,6 +139,7 @@ _DELAYS_MAX_S = 0.95 * MAX_DELAY_S  # a delay at the end of its range fits nothi
 _YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08
 _RANGE_SHARE_MAX = 0.5  # ranges that shrink to nothing would put the target at the aircraft
 _FACTOR_FROM_M, _FACTOR_BETTER, _FACTOR_STEPS, _FACTORS = 10.0, 10.0, 3, (0.25, 4.0)
+_NOISE_SCALED = 0.5  # 1 for noise that is all of the ranges' own, 0 for none
 _FACTOR_STARTS = 1.4, 0.7  # from 1, a lesser minimum may hold
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
 # configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
@@ -926,7 +927,9 @@ class PayloadFit:
         factor: float = 1.0,
     ) -> Fit:
         """Return the fit of ranges that are multiplied by a factor."""
-        return Fit(*fit_readings(_scaled(readings, factor), sigmas, _ERRING if erring else _SMALL, start, scale_m))
+        found = Fit(*fit_readings(_scaled(readings, factor), sigmas, _ERRING if erring else _SMALL, start, scale_m))
+        # Noise that is scaled with the ranges makes those likely that are divided, and others unlikely.
+        return found._replace(cost=found.cost - _NOISE_SCALED * len(readings.ranges) * math.log(factor))
 
     def _fit_sound(self, readings: Readings) -> Fit:
         """Return the best fit with errors as small as the priors say."""
