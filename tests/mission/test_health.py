@@ -526,7 +526,7 @@ DRIFTS = {  # the time within which they are reported
     "range, 0.3 m/s": (lengthening(0.3, 90.0), Input.LASER, "its ranges drift", 140.0),
     "range, -0.3 m/s": (lengthening(0.3, -90.0), Input.LASER, "its ranges drift", 140.0),
     "pitch, 0.1 degrees/s": (pitching(0.1, 15.0), Input.GIMBAL, "its pitch drifts", 125.0),
-    "height, 0.3 m/s": (rising(0.3, 60.0), Input.GIMBAL, "the aircraft's height drifts", 150.0),
+    "height, 0.3 m/s": (rising(0.3, 60.0), Input.GIMBAL, "the aircraft's height drifts", 165.0),
     "ranges of some bearings": (
         wrong_at(-90.0, 60.0, 1.15, of_nose=True),
         Input.LASER,
