@@ -279,7 +279,6 @@ def with_vehicle_fences(config: Config, found: VehicleFences, every: bool) -> Co
     """Return a configuration that keeps the fences of the vehicle, too.
 
     Args:
-        config: The configuration.
         found: What the vehicle stores.
         every: Whether the autopilot demands to be inside all of its inclusion fences, or inside one.
 

@@ -278,7 +278,6 @@ class ObjectTracker:
         """Take a picture.
 
         Args:
-            picture: The picture.
             time_s: When it was taken.
             view: From where and which way.
             velocity_m_s: The target's velocity (east, north) by the estimate, None where it is not known.

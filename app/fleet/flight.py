@@ -36,7 +36,6 @@ class FleetFlight:
     """The ``Coordinator`` of a shell.
 
     Args:
-        fleet: The fleet.
         folder: The folder of its run.
         displays: The display of each aircraft, by its name.
         note: Displays a text about all of them.

@@ -260,7 +260,6 @@ async def payload_input(
     """Read the configured payload by its driver; None for one that speaks MAVLink.
 
     Args:
-        config: the configuration.
         vehicle: whose payload it is.
         report: receives what happens to the payload, in words.
         on_frame: receives each measurement as a MAVLink frame.

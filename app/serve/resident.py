@@ -163,7 +163,6 @@ class Resident:
     """One vehicle's service.
 
     Args:
-        config: The configuration.
         out: Where run folders are made.
         log: Receives lines, from any thread.
         decorate: Shows each watch elsewhere, too.

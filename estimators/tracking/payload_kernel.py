@@ -93,7 +93,6 @@ def aircraft_at(positions: FloatArray, after: int, time_s: float) -> tuple[int, 
     Args:
         positions: rows of time s, east m, north m, velocity east m/s, velocity north m/s.
         after: a row before the time, from which to search.
-        time_s: the time.
     """
     k = after
     while k < len(positions) - 2 and positions[k + 1, 0] < time_s:
@@ -113,7 +112,6 @@ def look(readings: Readings, gimbal_s: float, looks: FloatArray) -> None:
     """Compute bearing rad, depression rad and the frame's turn rate rad/s of the lines of sight, (n, 3).
 
     Args:
-        readings: the readings.
         gimbal_s: delay of the gimbal.
         looks: where the numbers are written.
     """
@@ -148,7 +146,6 @@ def fit_readings(
     where their growth counts nothing: at the end.
 
     Args:
-        readings: the readings.
         sigmas: of the priors of the shared numbers.
         heavy: whether they may be far beyond these, which then follow Student's distribution.
         start: the shared numbers to start from.

@@ -146,7 +146,6 @@ def time_to_s(aircraft: AircraftState, place_m: tuple[float, float], airspeed_m_
     Args:
         aircraft: State of the aircraft.
         place_m: The position (east, north), m.
-        airspeed_m_s: Airspeed, m/s.
         wind: Estimate of the wind.
 
     Returns:

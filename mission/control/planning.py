@@ -346,7 +346,6 @@ class PlanChanges:
         """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``.
 
         Args:
-            plan: The plan.
             flown: The circle that is flown.
             commanded: The circle as it was sent to the autopilot.
         """
@@ -372,7 +371,6 @@ class PlanChanges:
 
         Args:
             time_s: Time on the vehicle's clock, s.
-            plan: The plan.
             wind: Estimate of the wind.
             reason: Reason of the decision, in words.
             text: What is announced; empty: the reason.

@@ -122,7 +122,6 @@ class Surroundings:
         """Check a plan against fences and ground alone.
 
         Args:
-            plan: The plan.
             flown_m: Present height above home, m; None if it does not matter, as for the first circle.
             target_m: Target's position (east, north), m; None if unknown.
             heights: Rules for the heights instead of the present ones.

@@ -130,7 +130,6 @@ def arc(aircraft: AircraftState, length_m: float, curvature_per_m: float) -> Pat
 
     Args:
         aircraft: Where it begins.
-        length_m: Its length, m.
         curvature_per_m: Its curvature, 1/m; positive to the right.
     """
     return _sampled(aircraft, ((max(length_m, 1.0), curvature_per_m),))

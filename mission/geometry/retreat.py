@@ -142,7 +142,6 @@ def paths_to(circle: Circle, start: AircraftState, airframe: Aircraft) -> list[P
     Each begins with the way on which the aircraft rolls into its turn.
 
     Args:
-        circle: The circle.
         start: The aircraft at the departure.
         airframe: Gives the radius of the turn and the roll rate.
     """
