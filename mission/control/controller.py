@@ -388,7 +388,7 @@ class StandoffController:
             jumps_s = tracker.payload.jumps_s
             self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
             if self.aircraft is not None:
-                self._object.note(self.sighted, self.aircraft, tracker.calibration, self.settings.requirement)
+                self._object.note(self.sighted, self.aircraft, lambda: tracker.calibration, self.settings.requirement)
             for outcome in self.sighted:
                 if math.isfinite(outcome.nis):
                     self._nis = outcome.nis

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.sensing.sighting import Sighting, SightingOutcome
+from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
 from sidelong.estimators.tracking.track import RESTARTED
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Announce
@@ -103,14 +104,27 @@ class PayloadNews:
         return (f"the laser's ranges {text if errors else 'need no correction any more'}",)
 
 
-class _Seen(NamedTuple):
-    """Where one sighting put the target, m east and north, and where the aircraft was."""
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """One sighting, with what was known of the payload and the aircraft; few of them are looked at closely."""
 
     time_s: float
-    place_m: tuple[float, float]
-    sigma_m: float
+    sighting: AnySighting
+    calibration: Callable[[], Calibration]
     aircraft_m: tuple[float, float]
     objected: bool  # by the track's filter
+
+    @cached_property
+    def place_m(self) -> tuple[float, float]:
+        """Where it puts the target, east and north."""
+        errors = self.calibration()
+        right = self.sighting.without(errors.yaw_bias_rad, errors.pitch_bias_rad, errors.range_bias_m)
+        return right.east_m, right.north_m
+
+    @cached_property
+    def sigma_m(self) -> float:
+        """Standard deviation of that, over both axes."""
+        return math.sqrt(float(self.sighting.covariance.trace()))
 
 
 def _median(group: Sequence[_Seen], speed_m_s: float, sigma_m: float) -> tuple[tuple[float, float], bool]:
@@ -149,7 +163,7 @@ class AnotherObject:
         self,
         outcomes: Sequence[SightingOutcome],
         aircraft: AircraftState,
-        calibration: Calibration,
+        calibration: Callable[[], Calibration],
         requirement: Requirement,
     ) -> None:
         """Process the outcomes of sightings.
@@ -157,7 +171,7 @@ class AnotherObject:
         Args:
             outcomes: In the order of their times.
             aircraft: Its latest state.
-            calibration: The payload's errors as they are estimated.
+            calibration: Returns the payload's errors as they are estimated now.
             requirement: Gives the target's highest speed.
         """
         speed_m_s = requirement.target_speed_max_m_s
@@ -166,13 +180,8 @@ class AnotherObject:
             objected = not outcome.accepted or outcome.reason == RESTARTED or outcome.nis > _OBJECTED_NIS
             if self._lately and sighting.time_s <= self._lately[-1].time_s:
                 continue
-            if isinstance(sighting, Sighting):
-                sighting = sighting.without(
-                    calibration.yaw_bias_rad, calibration.pitch_bias_rad, calibration.range_bias_m
-                )
-            sigma_m = math.sqrt(float(sighting.covariance.trace()))
             here_m = aircraft.east_m, aircraft.north_m
-            seen = _Seen(sighting.time_s, (sighting.east_m, sighting.north_m), sigma_m, here_m, objected)
+            seen = _Seen(sighting.time_s, sighting, calibration, here_m, objected)
             self._lately.append(seen)
             if not self._moved or seen.time_s >= self._moved[-1].time_s + _SPACED_S:
                 self._moved.append(seen)
@@ -216,9 +225,11 @@ class AnotherObject:
         return tuple(Announce(time_s, "track", text) for text in news)
 
     def _look_for_step(self, speed_m_s: float) -> None:
+        if len(self._lately) < 2 * _GROUP or sum(one.objected for one in self._lately) < _OBJECTED:
+            return
         lately = list(self._lately)
         before, after = lately[:_GROUP], lately[_GROUP:]
-        if len(after) < _GROUP or sum(one.objected for one in after) < _OBJECTED:
+        if sum(one.objected for one in after) < _OBJECTED:
             return
         sigma_m = math.hypot(before[-1].sigma_m, after[0].sigma_m)
         (left_m, is_left_one), (now_m, is_now_one) = (_median(group, speed_m_s, sigma_m) for group in (before, after))

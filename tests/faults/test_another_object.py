@@ -34,7 +34,7 @@ def noted(places_m, every_s=0.5, objected=True):
         fix = Fix(every_s * number, east_m, north_m, 1.0)
         outcome = SightingOutcome(fix, not objected, 20.0 if objected else 1.0, "")
         state = AircraftState(every_s * number, 0.0, 300.0, 0.0, 15.0, 0.0)
-        another.note([outcome], state, NONE, REQUIREMENT)
+        another.note([outcome], state, lambda: NONE, REQUIREMENT)
     return another
 
 
