@@ -85,7 +85,7 @@ class Body:
 
 
 def put_in_flight(craft: airframe.SimulatedAirframe, state: AircraftState, height_m: float) -> None:
-    """Let an airframe fly as ``state`` says, over ground that it cannot touch."""
+    """Let an airframe fly as in ``state``, over ground that it cannot touch."""
     craft.flying, craft.ground_m = True, -math.inf
     craft.east_m, craft.north_m, craft.height_m = state.east_m, state.north_m, height_m
     craft.velocity_east_m_s = state.ground_speed_m_s * math.sin(state.course_rad)

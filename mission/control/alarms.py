@@ -22,7 +22,7 @@ _LEAST_STEPS = 3
 _ROUNDING = 0.5  # when N percent are first reported, the charge is N + 0.5 or, if it is cut off, N + 1
 _LEAST_GROUND_SPEED_M_S = 1.0
 _FASTEST_PERCENT_PER_S = 100.0 / 240.0  # the smallest aircraft with a laser and a gimbal fly for longer
-_STEP_PERCENT = 3.0  # so much a charge that is estimated from the voltage changes at once
+_STEP_PERCENT = 3.0  # by this share a charge that is estimated from the voltage may change at once
 _CONFIRMED_SHARE = 0.9  # of the highest voltage: that of a lithium cell at less than half of its charge
 
 
@@ -372,7 +372,7 @@ _INPUTS = {
     Input.HEIGHT: "take over, or switch to RTL, if the aircraft does not come back to its height",
     Input.FENCE: "take over, or switch to RTL, if the aircraft does not turn back",
     Input.PATH: "be ready to take over by the transmitter",
-    Input.AIRCRAFT: "check the autopilot's limits and who has changed them; be ready to take over",
+    Input.AIRCRAFT: "check the autopilot's limits and whether another station changed them; be ready to take over",
     Input.SPEED: "check what the payload follows, or raise requirement.target_speed_max_m_s",
     Input.HOME: "check where home is now: the autopilot flies there when it returns",
     Input.ORDERS: "take over to move the aircraft, or press Hold to keep it circling here",

@@ -114,7 +114,10 @@ _OFTEN, _OFTEN_S = 3, 120.0  # that the aircraft leaves its line: it may not fol
 _BACK_AGAIN_S = 20.0  # after which the way back to height or fence is commanded again
 _SAME_HOME_M = 2.0  # against which the present plan was sent
 _NEAR_SHARE = 1.25  # of its radius: from there an autopilot joins a circle without leaving it far
-_RETREAT_S, _RETREAT_GAIN = 20.0, 0.25  # a retreat is flown so long, unless another one gains this share of the range
+_RETREAT_S, _RETREAT_GAIN = (
+    20.0,
+    0.25,
+)  # a retreat lasts, unless another gains this share of the range
 _BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _KEEP_CLEAR_EVERY_S, _BETTER_SHARE = 5.0, 0.1  # a new plan has this time to show what it does

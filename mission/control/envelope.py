@@ -37,7 +37,7 @@ _HOME_M, _HOME_HEIGHT_M = 30.0, 5.0
 _AIRSPEED_SHARE, _AIRSPEED_OVER_S = 0.3, 30.0
 _RESERVE, _LEAST_RESERVE = 1.25, 1.1  # of the radius, for what the autopilot corrects
 _ROLL_SHARE = 0.5  # rad that the aircraft may turn on a circle in the time that it takes to roll into it
-_ADAPTED_S = 10.0  # a limit that was learned is reported for so long at least
+_ADAPTED_S = 10.0  # a limit that was learned is reported for this time at least
 _STEADY_S, _STEADY_RAD, _TURNING_RAD = 3.0, math.radians(4.0), math.radians(5.0)
 _SHORT_RAD, _WIDE_M, _WIDE_SHARE = math.radians(5.0), 10.0, 0.25
 _ROLLED_RAD, _ROLL_SHORT = math.radians(9.0), 0.8
@@ -270,7 +270,7 @@ class Envelope:
         self._judge(now, Input.ORDERS, "orders", now.orders, lasts_s=0.0)
 
     def _judge(self, now: Present, watched: Input, kind: str, fault: str, lasts_s: float = _LASTS_S) -> None:
-        """Raise a fault that lasts, and drop one that is over. kind: what of the input is breached."""
+        """Raise a fault that lasts, and drop it when it is over. kind: what of the input is breached."""
         if not fault:
             self._since_s.pop(watched, None)
             if now.time_s - self._over_s.setdefault(watched, now.time_s) >= _OVER_S:

@@ -33,7 +33,7 @@ from sidelong.mission.route.progress_kernel import Progress, fresh_progress, res
 from sidelong.mission.route.route import Route, route_from
 
 WINDS_MAX = 5
-"""A flight prepares for so many wind speeds at most: a table takes seconds."""
+"""A flight prepares for at most this number of wind speeds: a table takes seconds."""
 # Fleet advice expires after this time.
 _ADVICE_S = 5.0
 # Minimum duration of an approach, while its circle is still within the target's range.
@@ -306,7 +306,7 @@ _LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
 # An aircraft that is off its transition for this time does not return automatically. The same holds if it turns this
 # much tighter than any plan: it orbits a waypoint that it cannot reach, near its path all the time.
 _OFF_TRACK_S, _ORBITS = 6.0, 2.0
-# The aircraft cannot be moved when so many plans in a row, or all of this time, have failed.
+# The aircraft cannot be moved when this number of plans in a row, or all of this time, have failed.
 _STUCK, _STUCK_S = 3, 30.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03

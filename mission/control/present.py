@@ -241,7 +241,7 @@ class Present:
 
     @property
     def breach(self) -> str:
-        """What the aircraft itself breaches, in words: meanwhile the requirement is not fulfilled; '' if nothing."""
+        """What the aircraft itself breaches, in words: the requirement is then not fulfilled; '' if nothing."""
         return breach_in(self.health)
 
     @property

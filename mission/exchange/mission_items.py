@@ -651,7 +651,7 @@ class MissionItemBackend:
         """Process the aircraft's position and flight mode."""
         self._aircraft = aircraft
         change, before = self._change, self._flown
-        # After a pause the first positions may be rejected: a report is judged by one that is newer.
+        # After a pause the first positions may be rejected: a report is judged by a newer one.
         if self._current is not None and self._current_is_new and aircraft.time_s > self._known_s:
             self._current_is_new, is_same = False, before is not None and before.seq == self._current.seq
             self._flown = _Flown(self._current.seq, aircraft, before.begun if before and is_same else aircraft)

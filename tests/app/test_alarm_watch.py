@@ -180,7 +180,7 @@ def test_a_battery_that_dips_is_an_alarm_and_ends_no_watch(rig, last, lasts_s):
         assert not any(isinstance(one, End) for one in controller.step(event))
 
 
-def test_the_end_of_a_battery_says_all_that_is_known(rig, last):
+def test_the_end_of_a_battery_states_all_that_is_known(rig, last):
     for second in range(400):
         time_s, percent = last.time_s + second, 100.0 - second * 0.2
         rig.status = replace(

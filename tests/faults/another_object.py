@@ -15,7 +15,7 @@ KINDS = ("crossing", "swap", "car", "shadow")
 
 
 class Misled(FaultyPayload):
-    """A payload that looks where it is told to: ``place_m`` gives that at a time, None: at the target."""
+    """A payload that looks where it is pointed: ``place_m`` gives that at a time, None: at the target."""
 
     def __init__(self, rng, place_m):
         super().__init__(ERRORS, rng)
