@@ -131,6 +131,7 @@ def study(
     duration: Annotated[
         float | None, _TARGETS(help="Longest run, s; default 1200, or a recorded target's whole track.")
     ] = None,
+    fidelity: Annotated[str | None, typer.Option(hidden=True)] = None,  # noqa: ARG001  # refused where it is given
     fleet: Annotated[
         int,
         AIRCRAFT(
@@ -416,6 +417,7 @@ def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
     if autopilot and autopilot not in LAG_S:
         raise InputError(f"--autopilot: there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}.")
     useless = {
+        "fidelity": (True, "every study flies the closed loop; leave it out"),
         "home": ("terrain" not in given, "it places the study on elevation data; give --terrain with it"),
         "jobs": ("scheduler" in given, "the workers of --scheduler compute; leave it out"),
         **dict.fromkeys(("export", "report", "store"), (fleet > 1, "--fleet prints a table; give --json instead")),
