@@ -28,6 +28,7 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
         position_age_s=0.0,
         health=(),
         unknown="",
+        breach="",
         requirement=REQUIREMENT,
         pan_limit_rad=math.pi,
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
