@@ -175,17 +175,17 @@ def launch(
             flown = settings = several.members[0].config
     else:
         flown = settings = load_config(config, overrides)
-    address = _map_address(view, silent, flown)
-    _check_simulated(flown, {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot})
-    if settings is None:
-        _check_fleet(several)
-    else:
-        flown = _checked(settings, speed, payload_url)
-    check_space(out, duration, 1 if settings is not None else len(several.aircraft), warn)
-    # The flight modules take a second to load; report a wrong option first.
-    from sidelong.app.commands.flying import fly_recorded  # noqa: PLC0415
+    with shielded_output():  # from the first line that is printed
+        address = _map_address(view, silent, flown)
+        _check_simulated(flown, {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot})
+        if settings is None:
+            _check_fleet(several)
+        else:
+            flown = _checked(settings, speed, payload_url)
+        check_space(out, duration, 1 if settings is not None else len(several.aircraft), warn)
+        # The flight modules take a second to load; report a wrong option first.
+        from sidelong.app.commands.flying import fly_recorded  # noqa: PLC0415
 
-    with shielded_output():
         ended = fly_recorded(flown, duration, out, quiet, address)
         _announce(ended, json)
         if ended.reason is not None:
