@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,7 +105,12 @@ def test_a_study_over_hills_is_kept_and_goes_on_and_reports_both_ways(hills_fold
     assert known["planners"]["predictive"] == given
     assert math.isfinite(ignored["planners"]["predictive"]["min_clearance_m"]["worst"])
     assert "time_in_sight" in rows.read_text().splitlines()[0]
-    assert "Time in sight, %" in report.read_text()
+    page = report.read_text()  # one run of each spreads over nothing, so the table states all
+    assert "<th>in sight, %</th>" in page
+    for terrain, design in (("known", known), ("ignored", ignored)):
+        sight = design["planners"]["predictive"]["time_in_sight"]
+        (row,) = re.findall(f"<tr><td>{terrain}</td><td>predictive</td>.*?</tr>", page)
+        assert f"<td>{100.0 * sight['mean']:.1f}/{100.0 * sight['worst']:.1f}</td>" in row
 
 
 def test_a_sweep_of_the_terrain_needs_one() -> None:
