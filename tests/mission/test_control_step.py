@@ -36,6 +36,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 
 RADIUS_M, SPEED_M_S, HEIGHT_M = 60.0, 15.0, 100.0
 TARGET = (300.0, 0.0)
+JOINED_S = 3.0
 HERE = Circle(0.0, 0.0, RADIUS_M, True)
 THERE = Circle(100.0, 50.0, RADIUS_M, True)
 LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
@@ -71,12 +72,19 @@ def make(planner: Scripted, **settings) -> StandoffController:
 def fly(
     controller: StandoffController, start_s: float, end_s: float, *, seen: bool = True, radius_m: float = RADIUS_M
 ) -> list[Command]:
-    """Fly round HERE's centre at 10 Hz, looking at a standing target; return the commands."""
+    """Fly round HERE's centre at 10 Hz, looking at a standing target; return the commands.
+
+    A narrower circle touches HERE at JOINED_S, so that the aircraft rolls into it where it is.
+    """
     commands: list[Command] = []
+    joined_rad = JOINED_S * SPEED_M_S / RADIUS_M
+    between_m = RADIUS_M - radius_m
+    centre_m = between_m * math.sin(joined_rad), between_m * math.cos(joined_rad)
     for tick in range(round(start_s * 10), round(end_s * 10)):
         time_s = tick / 10
-        turn_rad = time_s * SPEED_M_S / radius_m
-        east_m, north_m = radius_m * math.sin(turn_rad), radius_m * math.cos(turn_rad)
+        turn_rad = joined_rad + (time_s - JOINED_S) * SPEED_M_S / radius_m
+        east_m = centre_m[0] + radius_m * math.sin(turn_rad)
+        north_m = centre_m[1] + radius_m * math.cos(turn_rad)
         course_rad = turn_rad + math.pi / 2
         bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * radius_m))
         velocity = SPEED_M_S * math.sin(course_rad), SPEED_M_S * math.cos(course_rad)
@@ -257,10 +265,12 @@ def test_an_aircraft_that_leaves_its_transition_is_sent_to_a_circle_that_keeps_t
 
 def test_an_aircraft_that_orbits_a_waypoint_next_to_its_line_is_sent_to_the_circle():
     controller = make(Scripted([THERE], ahead_s=1.0))
-    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
+    (prepare,) = kinds(engaged(controller, JOINED_S), UploadPlan)
     orbit_m = RADIUS_M / 4
     course = np.linspace(0.0, 4.0 * math.pi, 200)
-    east_m, north_m = -orbit_m * np.cos(course), orbit_m * np.sin(course)
+    joined_rad = JOINED_S * SPEED_M_S / RADIUS_M
+    east_m = (RADIUS_M - orbit_m) * math.sin(joined_rad) - orbit_m * np.cos(course)
+    north_m = (RADIUS_M - orbit_m) * math.cos(joined_rad) + orbit_m * np.sin(course)
     line = Path(orbit_m * course, east_m, north_m, course, np.full(200, 1.0 / RADIUS_M))
     controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
     controller.changes.under_way.command = replace(prepare, plan=replace(prepare.plan, transition=line))
