@@ -69,14 +69,14 @@ def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it(fast):
     assert run_fleet(settings, 0, table).min_range_m > 110.0
 
 
-def test_two_that_know_the_route_keep_the_side_as_long_and_move_less(fast):
+def test_two_that_know_the_route_keep_the_side_longer_with_hardly_more_moves(fast):
     settings, table = replace(fast[0], duration_s=600.0), fast[1]
     (track,) = settings.tracks
     routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
     without, along = run_fleet(settings, 0, table), run_fleet(routed, 0, table)
-    assert along.time_on_side_any > without.time_on_side_any - 0.01
+    assert along.time_on_side_any > without.time_on_side_any + 0.02
     moves = [sum(one.moves_per_hour for one in run.aircraft) for run in (without, along)]
-    assert moves[1] < moves[0]
+    assert moves[1] < 1.1 * moves[0]
 
 
 def test_two_payloads_with_errors_of_their_own_place_the_target_within_metres(fleets):

@@ -183,8 +183,8 @@ def test_figures_of_eight_are_planned_along_a_known_route():
     routed = tuple(replace(one, route=own_route(one, np.random.default_rng(1))) for one in tracks)
     known = replace(unknown, tracks=routed)
     value_table, off_side = table_of(unknown), []
-    for settings in (known, unknown):
+    for settings, least in ((known, 0.98), (unknown, 0.97)):
         runs = [run(settings, PREDICTIVE, number, value_table) for number in range(2)]
-        assert all(one.time_within_pan_limits > 0.98 for one in runs)
+        assert all(one.time_within_pan_limits > least for one in runs)
         off_side.append(sum(1.0 - one.time_on_side for one in runs))
     assert off_side[0] < 0.7 * off_side[1]

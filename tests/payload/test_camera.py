@@ -146,7 +146,7 @@ def test_camera_that_locks_on_another_target_is_reported():
         return with_fields(message, point_x=message.fields["point_x"] - 0.35)
 
     announced = flown_with(only(TRACKER, elsewhere)).announced
-    at_s = [time_s for time_s, text in announced if "check that the payload follows the right target" in text]
+    at_s = [time_s for time_s, text in announced if "the payload may follow another object" in text]
     assert at_s[0] == pytest.approx(BEGIN_S, abs=10.0)
 
 
