@@ -40,7 +40,7 @@ _ROLL_SHARE = 0.5  # rad that the aircraft may turn on a circle in the time that
 _ADAPTED_S = 10.0  # a limit that was learned is reported for this time at least
 _STEADY_S, _STEADY_RAD, _TURNING_RAD = 3.0, math.radians(4.0), math.radians(5.0)
 _SHORT_RAD, _WIDE_M, _WIDE_SHARE = math.radians(5.0), 10.0, 0.25
-_ROLLED_RAD, _ROLL_SHORT = math.radians(9.0), 0.8
+_ROLLED_RAD, _EVEN_RAD, _ROLL_SHORT = math.radians(9.0), math.radians(1.0), 0.8
 _EFFICIENCY_MIN, _EFFICIENCY_MAX, _EFFICIENCY_OVER_S = 0.6, 1.0, 10.0
 
 
@@ -114,16 +114,21 @@ class _Turns:
         share = min(max(share, _EFFICIENCY_MIN), _EFFICIENCY_MAX)
         self.efficiency += (share - self.efficiency) / _EFFICIENCY_OVER_S
 
-    def roll_rate_rad_s(self) -> float:
-        """Return the roll rate while it has been the same for some seconds, as by a limit; else infinity."""
+    def roll_rate_rad_s(self, goal_rad: float) -> float:
+        """Return the roll rate while it has been the same for some seconds, as by a limit; else infinity.
+
+        Args:
+            goal_rad: Bank that is asked for: a limit is reached only on the way to it, and far from it.
+        """
         recent = self._rolls
         if not self._is_filled:
             return math.inf
         first, last = recent[0], recent[-1]
         rate_rad_s = (last.roll_rad - first.roll_rad) / (last.time_s - first.time_s)
         off_rad = max(abs(one.roll_rad - first.roll_rad - rate_rad_s * (one.time_s - first.time_s)) for one in recent)
-        is_steady = abs(last.roll_rad - first.roll_rad) > _ROLLED_RAD and off_rad < 0.5 * _STEADY_RAD
-        return abs(rate_rad_s) if is_steady else math.inf
+        is_steady = abs(last.roll_rad - first.roll_rad) > _ROLLED_RAD and off_rad < _EVEN_RAD
+        is_far = math.copysign(1.0, rate_rad_s) * (goal_rad - last.roll_rad) > _SHORT_RAD
+        return abs(rate_rad_s) if is_steady and is_far else math.inf
 
 
 class Envelope:
@@ -183,9 +188,13 @@ class Envelope:
         """Process an attitude."""
         self._turns.note(reading)
 
-    def _judge_roll(self) -> None:
-        """Learn a roll rate that is not exceeded although the aircraft is far off its plan."""
-        own, rate_rad_s = self.aircraft, self._turns.roll_rate_rad_s()
+    def _judge_roll(self, goal_rad: float) -> None:
+        """Learn a roll rate that is not exceeded although the aircraft is far off its plan and rolls towards it.
+
+        Args:
+            goal_rad: Bank of the plan; one that rolls away from it is on its way back to the plan.
+        """
+        own, rate_rad_s = self.aircraft, self._turns.roll_rate_rad_s(goal_rad)
         planned_rad_s = own.airspeed_m_s**3 * sharpness_per_m2(own.airspeed_m_s, craft_of(own)) / GRAVITY_M_S2
         if rate_rad_s < min(_ROLL_SHORT * planned_rad_s, self._rolls_rad_s):
             self._rolls_rad_s = rate_rad_s
@@ -228,7 +237,8 @@ class Envelope:
         if bank_rad is None:
             self._short = 0
             if self.off_m > _OFF_M and self._leaving >= _STEADY_S:
-                self._judge_roll()
+                per_m = point.curvature_per_m / self._turns.efficiency
+                self._judge_roll(math.atan(here.ground_speed_m_s**2 * per_m / GRAVITY_M_S2))
             return
         self._turns.learn(bank_rad, _airspeed_m_s(here, now.wind))
         sense = math.copysign(1.0, point.curvature_per_m)
