@@ -57,6 +57,16 @@ def tracker_of(config: Config) -> Tracker:
     return Tracker(replace(settings, latency_sigma_s=0.0) if config.payload.point_gimbal else settings)
 
 
+def stand_on_ground(tracker: Tracker, config: Config, ground: Ground | None) -> None:
+    """Let the target stand on the ground, where it is known: by elevation data, or flat by configuration."""
+    if ground is None and config.terrain.flat:
+        from sidelong.estimators.terrain.ground import flat_ground  # noqa: PLC0415  # as in surroundings_of
+
+        ground = flat_ground(config.terrain.sigma_m)
+    if ground is not None:
+        tracker.stand_on(ground, config.sensors.angles_alone)
+
+
 def _track_of(config: Config) -> Track:
     """Return a track for the configured sensors, to warm up with."""
     return Track(tracker_settings(config.sensors, config.planner.lost_after_s))
@@ -113,12 +123,8 @@ class Prepared:
         config, make = self.config, self.make_planner
         surroundings = Surroundings() if plane is None else surroundings_of(config, plane, home_deg)
         tracker = tracker_of(config)
-        if surroundings.ground is not None:
-            tracker.stand_on(surroundings.ground, config.sensors.angles_alone)
-        elif plane is not None and config.terrain.flat:
-            from sidelong.estimators.terrain.ground import flat_ground  # noqa: PLC0415  # as in surroundings_of
-
-            tracker.stand_on(flat_ground(config.terrain.sigma_m), config.sensors.angles_alone)
+        if plane is not None:
+            stand_on_ground(tracker, config, surroundings.ground)
         settings = StandoffSettings(
             config.requirement.requirement(),
             config.aircraft.aircraft(),

@@ -417,7 +417,7 @@ class Flight:
                 if wish.action == "resume" and self.controller.phase is Phase.YIELDED:
                     self._resumption.begin(self._try_to_resume)
 
-    def _watch_traffic(self, plane: LocalPlane, home: Home) -> None:
+    def _watch_traffic(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> None:
         """Let the core receive what is reported of other aircraft; of a fleet, the coordinator does."""
         if self._config.requirement.fleet_size > 1:
             return
@@ -437,6 +437,7 @@ class Flight:
                 self.put_event(TrafficReported(self._telemetry.now_s, reader.aircraft))
 
         vehicle.bystanders.append(listen)
+        shared.callback(vehicle.bystanders.remove, listen)
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
         """Return the outputs of the flight; ``shared`` stops them."""
@@ -444,7 +445,7 @@ class Flight:
         def altitude_m(east_m: float, north_m: float) -> float:
             return home.altitude_m + self._target_height_m(east_m, north_m)
 
-        self._watch_traffic(plane, home)
+        self._watch_traffic(plane, home, shared)
         observers: list[Observer] = []
         for output in outputs(self._config.sharing, plane, altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)

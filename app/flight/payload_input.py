@@ -16,7 +16,6 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.session import Session
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import read_mission
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.transport import Peer, Transport, opened
 from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleTimeline
 from sidelong.app.payload.driver import AircraftPose, DriverSettings, Measured
@@ -90,7 +89,6 @@ def give_route(
 
 _TICK_S, _TICK_MIN_S = 0.01, 0.004
 _RETRY_S = 1.0
-_STAMPED = frozenset(("ATTITUDE", "GLOBAL_POSITION_INT"))
 _DELAY_MAX_S = 0.5
 
 
@@ -194,9 +192,8 @@ class PayloadInput:
 
     def on_message(self, message: Message) -> AircraftPose | None:
         """Update the vehicle's time from a message; return the vehicle's position if it is known."""
-        if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
+        if not self._timeline.on_report(message):
             return None
-        self._timeline.on_message(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
         attitude, position = (self._vehicle.latest.get(name) for name in ("ATTITUDE", "GLOBAL_POSITION_INT"))
         return None if attitude is None or position is None else _pose(attitude.fields, position.fields)
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from sidelong.app.assembly import tracker_of, with_vehicle_fences
 from sidelong.app.autopilots.autopilot import Autopilot, ParameterTable, Release
-from sidelong.app.config import Config
+from sidelong.app.config import Config, LinkSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import Check, autopilot_of, check_release
 from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
@@ -95,6 +95,20 @@ class Session:
         error = None if task.cancelled() else task.exception()
         if error is not None and not isinstance(error, LinkError):  # the link reports its own faults
             self.note(f"a fault of the program, {error!r}; the flight continues")
+
+
+def connected_by(
+    link: LinkSection, note: Callable[[str], object], urls: Sequence[str] = ()
+) -> contextlib.AbstractAsyncContextManager[Session]:
+    """Connect as ``connected`` does, by the configured links or by other URLs of the same vehicle."""
+    return connected(
+        urls or link.connections,
+        link.heartbeat_timeout_s,
+        key=link.signing_key_file,
+        note=note,
+        system_id=link.system_id,
+        role=link.role,
+    )
 
 
 @contextlib.asynccontextmanager

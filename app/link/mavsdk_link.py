@@ -20,7 +20,7 @@ import json
 import re
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
@@ -233,14 +233,15 @@ class MavsdkLink:
             reason = str(error) or f"MAVSDK did not take it for {_SEND_S:g} s: is this computer too slow?"
             raise LinkError(f"{name} could not be sent: {reason}") from error
 
-    def serve(self, system_id: int, component_id: int) -> None:
-        """Receive the commands to a component that this program is, too."""
-        self._links.served.add((system_id, component_id))
-
-    def send_frame(self, frame: bytes) -> None:
-        """Send a frame as such a component."""
-        if not self._closed:
-            self._links.send(frame)
+    @contextlib.contextmanager
+    def serving(self, system_id: int, component_id: int) -> Iterator[Callable[[bytes], None]]:
+        """Be another component, too: receive the commands to it, and yield what sends its frames."""
+        served = system_id, component_id
+        self._links.served.add(served)
+        try:
+            yield lambda frame: None if self._closed else self._links.send(frame)
+        finally:
+            self._links.served.discard(served)
 
     # -- parameters ----------------------------------------------------------------------------------------
 

@@ -295,7 +295,8 @@ class Telemetry:
             # The gimbal's own heading, of the moment of the measurement: the aircraft's need not be interpolated.
             quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
         self._sight = GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
-        self._sights.add(self._sight)
+        if self._half_view:  # only a camera looks back
+            self._sights.add(self._sight)
         return self._sight
 
     def _camera_fov(self, message: Message) -> Event | None:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import math
 import re
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -112,11 +113,10 @@ class Link(Protocol):
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send one message. Raises LinkError when it cannot be sent."""
 
-    def serve(self, system_id: int, component_id: int) -> None:
-        """Receive the commands to a component that this program is, too."""
-
-    def send_frame(self, frame: bytes) -> None:
-        """Send a frame as such a component."""
+    def serving(
+        self, system_id: int, component_id: int
+    ) -> contextlib.AbstractContextManager[Callable[[bytes], None]]:
+        """Be another component, too: receive the commands to it, and yield what sends its frames."""
 
     async def parameter(self, name: str) -> float | None:
         """Return a parameter's value, or None where the vehicle has none of that name."""
@@ -309,6 +309,7 @@ class Vehicle(VehicleMessages):
                 return
 
 
+_STAMPED = frozenset(("ATTITUDE", "GLOBAL_POSITION_INT"))
 _REAL_WINDOW_S = 10.0
 _SIMULATED_WINDOW_S, _SIMULATED_AHEAD_MAX_S = 0.5, 0.06  # a little more than the time between two stamps
 _JUMP_S = 5.0
@@ -330,6 +331,13 @@ class VehicleTimeline:
         self._window_s = _REAL_WINDOW_S if real else _SIMULATED_WINDOW_S
         self._ahead_max_s = math.inf if real else _SIMULATED_AHEAD_MAX_S
         self._samples: deque[tuple[float, float]] = deque()  # (arrival, stamp)
+
+    def on_report(self, message: Message) -> bool:
+        """Take a message that has just arrived; return whether it is a position or an attitude of the autopilot's."""
+        if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
+            return False
+        self.on_message(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
+        return True
 
     def on_message(self, stamp_s: float, arrived_s: float) -> None:
         """Take a message of the vehicle.

@@ -13,10 +13,11 @@ from collections.abc import Callable
 from dataclasses import astuple, dataclass
 
 from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.config import AircraftSection
 from sidelong.app.link.message import Message
+from sidelong.app.link.wire import Decoder
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import STEP_S, Target
-from sidelong.app.simulation.wire import Decoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
 from sidelong.mission.core.circle import Circle
@@ -72,6 +73,13 @@ class Body:
     lag_s: float = 0.45
     climb_m_s: float = 6.0
     descent_m_s: float = 4.0
+
+    @staticmethod
+    def configured(own: AircraftSection, lag_s: float) -> Body:
+        """Return that of a configuration."""
+        limits = own.aircraft()
+        bank_rad, roll_rad_s = limits.bank_max_rad, limits.roll_rate_max_rad_s
+        return Body(own.airspeed_m_s, bank_rad, roll_rad_s, lag_s, own.climb_m_s, own.descent_m_s)
 
     @property
     def build(self) -> airframe.AirframeParameters:

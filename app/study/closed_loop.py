@@ -98,17 +98,9 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         errors, assumed = payload_of(settings)
         known = config.aircraft.height_above == "ground"
         autopilot = next(one for one in FLOWN_AUTOPILOTS if one.key == settings.autopilot)
-        own, limits = config.aircraft, config.aircraft.aircraft()
         state, height_m = start_on(settings, flown, circle), _first_height_m(config, circle, ground)
         start = Start(PLANE, HOME, circle, height_m, state, BOOT_S)
-        body = Body(
-            own.airspeed_m_s,
-            limits.bank_max_rad,
-            limits.roll_rate_max_rad_s,
-            settings.lag_s or LAG_S[settings.autopilot],
-            own.climb_m_s,
-            own.descent_m_s,
-        )
+        body = Body.configured(config.aircraft, settings.lag_s or LAG_S[settings.autopilot])
         payload = Payload(errors, noise_rng)
         vehicle = KinematicVehicle(autopilot, body, settings.wind, start, payload, target, RATES)
         super().__init__(vehicle)
@@ -129,7 +121,7 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         self.controller = controller = StandoffController(
             StandoffSettings(
                 config.requirement.requirement(),
-                limits,
+                config.aircraft.aircraft(),
                 lost_after_s=config.planner.lost_after_s,
                 give_up_after_s=math.inf,
             ),

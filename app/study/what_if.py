@@ -80,14 +80,7 @@ class FlownOn(ClosedLoop[Message | Reading]):
             circle = Circle.tangent_to(*place, limits.radius_m, config.requirement.requirement().side.clockwise)
         height_m = begin.height_m if math.isfinite(begin.height_m) else own.height_m
         home = Home(plane.origin_latitude_deg, plane.origin_longitude_deg, home_altitude_m)
-        body = Body(
-            own.airspeed_m_s,
-            limits.bank_max_rad,
-            limits.roll_rate_max_rad_s,
-            LAG_S[autopilot.key],
-            own.climb_m_s,
-            own.descent_m_s,
-        )
+        body = Body.configured(own, LAG_S[autopilot.key])
         errors = PayloadErrors(
             sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limits.pan_limit_rad
         )

@@ -12,7 +12,7 @@ from operator import attrgetter
 from typing import Generic, TypeVar
 
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.rotations import Quaternion, from_roll_pitch_yaw, interpolated, multiply
+from sidelong.estimators.rotations import interpolated
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, Reading
 
 T = TypeVar("T", bound=Reading)
@@ -178,12 +178,3 @@ def gimbal_at(gimbals: ReadingHistory[GimbalReading], time_s: float) -> tuple[Gi
         return None
     quaternion = interpolated(a.quaternion_wxyz, b.quaternion_wxyz, (time_s - a.time_s) / gap_s)
     return GimbalReading(time_s, quaternion, a.frame, a.source), gap_s
-
-
-def parent_of_gimbal(gimbal: GimbalReading, attitude: AttitudeReading, mount: Quaternion) -> Quaternion:
-    """Return the rotation from what a gimbal's attitude is relative to, with its mount, to north-east-down."""
-    if gimbal.frame == "earth":
-        return 1.0, 0.0, 0.0, 0.0
-    level = gimbal.frame == "vehicle"
-    roll_rad, pitch_rad = (0.0, 0.0) if level else (attitude.roll_rad, attitude.pitch_rad)
-    return multiply(from_roll_pitch_yaw(roll_rad, pitch_rad, attitude.yaw_rad), mount)

@@ -222,6 +222,16 @@ def ned_from_body(attitude: AttitudeReading) -> Quaternion:
     return from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
 
 
+def parent_of_gimbal(gimbal: GimbalReading, attitude: AttitudeReading | None, mount: Quaternion) -> Quaternion:
+    """Return the rotation from what a gimbal's attitude is relative to, through its mount, to north-east-down."""
+    if gimbal.frame == "earth":
+        return 1.0, 0.0, 0.0, 0.0
+    if attitude is None:
+        raise ValueError(f"a {gimbal.frame}-frame gimbal points nowhere without the aircraft's attitude")
+    level = gimbal.frame == "vehicle"
+    return multiply(from_roll_pitch_yaw(0.0, 0.0, attitude.yaw_rad) if level else ned_from_body(attitude), mount)
+
+
 def line_of_sight(
     gimbal: GimbalReading, attitude: AttitudeReading | None, parent_from_mount: Quaternion
 ) -> LineOfSight:
@@ -233,12 +243,7 @@ def line_of_sight(
     """
     direction = sight_direction(normalized(gimbal.quaternion_wxyz))
     if gimbal.frame != "earth":
-        if attitude is None:
-            raise ValueError(f"a {gimbal.frame}-frame gimbal points nowhere without the aircraft's attitude")
-        aircraft = (
-            from_roll_pitch_yaw(0.0, 0.0, attitude.yaw_rad) if gimbal.frame == "vehicle" else ned_from_body(attitude)
-        )
-        direction = rotate(multiply(aircraft, parent_from_mount), direction)
+        direction = rotate(parent_of_gimbal(gimbal, attitude, parent_from_mount), direction)
     north, east, down = direction
     return LineOfSight(math.atan2(east, north), math.atan2(down, math.hypot(north, east)))
 

@@ -7,8 +7,9 @@ import math
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent, packed
+from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent
 from sidelong.app.link.message import Message
+from sidelong.app.link.wire import Packer
 
 STATION, OTHER = (255, 190), (254, 190)
 
@@ -70,8 +71,8 @@ def test_what_a_station_requests_is_sent_and_can_be_packed(camera, message_id, n
     result, answers = ask(camera[0], mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
     assert result == mavlink.MAV_RESULT_ACCEPTED
     assert [one[0] for one in answers] == [name]
-    decoder, encoder = mavlink.MAVLink(None), mavlink.MAVLink(None, 1, CAMERA_COMPONENT)
-    decoded = decoder.parse_buffer(packed(answers[0], encoder))[0]
+    frame = Packer((1, CAMERA_COMPONENT)).frame(*answers[0], system_id=1)
+    decoded = mavlink.MAVLink(None).parse_buffer(frame)[0]
     assert (decoded.get_type(), decoded.get_srcComponent()) == (name, CAMERA_COMPONENT)
     if name == "CAMERA_INFORMATION":
         assert decoded.flags & mavlink.CAMERA_CAP_FLAGS_HAS_TRACKING_RECTANGLE

@@ -17,8 +17,8 @@ from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.link.frames import FrameSplitter
 from sidelong.app.link.quality import LinkQuality
 from sidelong.app.link.raw_links import LinkMerger
+from sidelong.app.link.wire import OWN_ID, Packer
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
-from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, UploadPlan

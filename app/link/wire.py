@@ -1,4 +1,4 @@
-"""Messages to frames and back, as the two ends of a simulated link see them."""
+"""Messages to frames and back: of a component that this program is, and of the two ends of a simulated link."""
 
 from __future__ import annotations
 
