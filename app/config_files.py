@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from sidelong.app.config import Config, RouteSection, check_alone, check_flyable
-from sidelong.app.errors import InputError
+from sidelong.app.config import SIMULATED_VIDEO, Config, RouteSection, check_alone, check_flyable
+from sidelong.app.errors import InputError, missing_package
 from sidelong.app.link.transport import checked_form
 from sidelong.app.records.route_file import read_flight_route
 from sidelong.app.terrain.elevation_data import elevation_data
@@ -67,6 +67,8 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
         from sidelong.app.link.key_file import read_key  # noqa: PLC0415  # as above
 
         yield "link.signing_key_file", partial(read_key, config.link.signing_key_file)
+    if config.camera.source is not None:
+        yield "camera.source", partial(_check_camera, config, config.camera.source)
     if config.terrain.folder is not None:
         yield "terrain.folder", partial(elevation_data, Path(config.terrain.folder))
     for field, route in (("route", config.route), *((f"target {one.name!r}: route", one.route) for one in targets)):
@@ -79,6 +81,21 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
         for one in targets:
             if one.motion is not None:
                 yield f"target {one.name!r}: motion", partial(_check_motion, one.motion)
+
+
+def _check_camera(config: Config, source: str) -> None:
+    try:
+        from sidelong.app.camera.video import checked_source  # noqa: PLC0415  # an extra
+    except ImportError as error:
+        raise missing_package("it", "av opencv-contrib-python-headless") from error
+    if config.payload.point_gimbal:
+        raise InputError("it leads the gimbal itself; leave payload.point_gimbal out.")
+    if config.is_simulated and source != SIMULATED_VIDEO:
+        raise InputError(f"a simulated vehicle has a simulated camera; give {SIMULATED_VIDEO} alone.")
+    if not config.is_simulated:
+        if source == SIMULATED_VIDEO:
+            raise InputError(f"{SIMULATED_VIDEO!r} is for a simulated vehicle; name the video.")
+        checked_source(source)
 
 
 def _check_guidance(key: str, guidance: str) -> None:

@@ -13,13 +13,14 @@ from sidelong.app.camera.tracker import Box, ObjectTracker, Picture, Tracked, Tr
 from sidelong.app.camera.view import View
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.rotations import Quaternion, multiply, normalized
-from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory, gimbal_at, parent_of_gimbal
+from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory, gimbal_at
 from sidelong.estimators.sensing.readings import (
     IMAGE_TRACKER,
     AttitudeReading,
     GimbalReading,
     PositionReading,
 )
+from sidelong.estimators.sensing.sighting import parent_of_gimbal
 
 _GIMBAL_SPAN_S = 6.0
 _GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, which stands for a picture that is newer
@@ -35,15 +36,11 @@ class Pictured:
         time_s: When it was taken.
         tracked: The object.
         size_px: Of the picture.
-        estimate_px: Where the estimate is seen; None: unknown.
-        estimate_radius_px: Radius of its 95 % ellipse, by the longer axis.
     """
 
     time_s: float
     tracked: Tracked
     size_px: tuple[int, int]
-    estimate_px: tuple[float, float] | None = None
-    estimate_radius_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,19 +118,15 @@ class TargetCamera:
         if self._wish is not None:
             self._begin(picture, time_s, view, self._wish)
             self._wish = None
-        estimate = self._estimate(time_s)
-        usable = estimate is not None and estimate.quality is not TrackQuality.LOST
-        velocity_m_s = predicted = None
-        if usable and estimate is not None:
-            if time_s - estimate.last_sighting_s < _ESTIMATE_AGE_MAX_S:
-                velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
-            predicted = estimate.position_m(time_s)
+        estimate, velocity_m_s = self._estimate(time_s), None
+        if (
+            estimate is not None
+            and estimate.quality is not TrackQuality.LOST
+            and time_s - estimate.last_sighting_s < _ESTIMATE_AGE_MAX_S
+        ):
+            velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         tracked = self._tracker.update(picture, time_s, view, velocity_m_s)
-        marked, radius_px = None, 0.0
-        if predicted is not None and estimate is not None:
-            marked = view.pixel(*predicted)
-            radius_px = estimate.ellipse_95.semi_major_m * view.scale_px_m(*predicted)
-        self.view, self.latest = view, Pictured(time_s, tracked, view.size_px, marked, radius_px)
+        self.view, self.latest = view, Pictured(time_s, tracked, view.size_px)
         return self.latest
 
     # -- what follows from it ------------------------------------------------------------------------------

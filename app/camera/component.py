@@ -251,7 +251,7 @@ class CameraComponent:
             "lens_id": 0,
             "flags": int(_FLAGS) if self._video_uri else int(_FLAGS & ~mavlink.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM),
             "cam_definition_version": 0,
-            "cam_definition_uri": "",
+            "cam_definition_uri": b"",
         }
 
     def _settings(self, now_s: float) -> dict[str, Any]:
@@ -290,8 +290,8 @@ class CameraComponent:
             "count": 1,
             "type": int(kind),
             **self._stream(),
-            "name": "camera",
-            "uri": self._video_uri[:160],
+            "name": b"camera",
+            "uri": self._video_uri.encode()[:160],
             "encoding": int(mavlink.VIDEO_STREAM_ENCODING_H264),
         }
 
@@ -322,12 +322,3 @@ def _milliseconds(now_s: float) -> int:
 def _octets(text: str) -> list[int]:
     """Return a name as CAMERA_INFORMATION has it: 32 bytes."""
     return list(text.encode()[:32].ljust(32, b"\0"))
-
-
-def packed(sent: Sent, encoder: mavlink.MAVLink) -> bytes:
-    """Return a message as a frame; fields that are not given are 0, others than the message's are left out."""
-    kind = getattr(mavlink, f"MAVLink_{sent[0].lower()}_message")
-    fields = {name: sent[1].get(name, 0) for name in kind.fieldnames}
-    encoder.seq = (encoder.seq + 1) % 256
-    data: bytes = kind(**{k: v.encode() if isinstance(v, str) else v for k, v in fields.items()}).pack(encoder)
-    return data

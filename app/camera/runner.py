@@ -12,18 +12,17 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.camera.camera import Pictured, TargetCamera
-from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent, Sent, packed
-from sidelong.app.camera.video import Picture, VideoFile, VideoSource, jpeg
+from sidelong.app.camera.camera import TargetCamera
+from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent, Sent
+from sidelong.app.camera.video import Picture, VideoFile, VideoSource
 from sidelong.app.config import CameraSection
 from sidelong.app.link.message import Message
-from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
-from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleTimeline
+from sidelong.app.link.vehicle import Vehicle, VehicleTimeline
+from sidelong.app.link.wire import Packer
 from sidelong.estimators.tracking.tracker import Tracker
 
 _WAIT_S = 0.1
 _POINT_EVERY_S, _REPORT_EVERY_S = 0.1, 0.4  # a tracker's error lasts for seconds: more reports would say no more
-_STAMPED = frozenset(("ATTITUDE", "GLOBAL_POSITION_INT"))
 _CLICK_ABOVE_M = 40.0
 _MEGABYTE = 1e6
 
@@ -67,7 +66,8 @@ class CameraRunner:
         )
         uri = settings.stream if settings.stream else self._source if "://" in self._source else ""
         self._component = CameraComponent(vehicle.system_id, self.camera, view_rad, uri)
-        self._encoder = mavlink.MAVLink(None, vehicle.system_id, CAMERA_COMPONENT)
+        self._packer = Packer((vehicle.system_id, CAMERA_COMPONENT))
+        self._transmit: Callable[[bytes], None] = lambda _frame: None
         self._timeline = VehicleTimeline()
         self._outputs = [VideoFile(settings.stream, settings.rate_hz)] if settings.stream else []
         if record is not None and settings.record_mb:
@@ -75,7 +75,6 @@ class CameraRunner:
         self._height_m, self._heading_rad = 0.0, math.nan
         self._point_s = self._report_s = -math.inf
         self._state = "idle"
-        self.picture: tuple[bytes, Pictured] | None = None  # the latest, as JPEG
 
     def stepped(self, event: object, _outputs: object) -> None:
         """Take an event of the flight."""
@@ -89,17 +88,16 @@ class CameraRunner:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._note, text)
 
-        vehicle, link = self._vehicle, self._vehicle.link
-        source = VideoSource(self._source, report)
+        vehicle, source = self._vehicle, VideoSource(self._source, report)
         vehicle.listeners.append(self._note_message)
         vehicle.bystanders.append(self._commanded)
-        link.serve(vehicle.system_id, CAMERA_COMPONENT)
         try:
-            while not source.ended:
-                taken = await asyncio.to_thread(source.next, _WAIT_S)
-                if taken is not None:
-                    self._take(*taken)
-                self._work()
+            with vehicle.link.serving(vehicle.system_id, CAMERA_COMPONENT) as self._transmit:
+                while not source.ended:
+                    taken = await asyncio.to_thread(source.next, _WAIT_S)
+                    if taken is not None:
+                        self._take(*taken)
+                    self._work()
             self._note(f"video {self._source} has ended")
         finally:
             vehicle.listeners.remove(self._note_message)
@@ -111,14 +109,12 @@ class CameraRunner:
     # -- in ------------------------------------------------------------------------------------------------
 
     def _note_message(self, message: Message) -> None:
-        if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
+        if not self._timeline.on_report(message):
             return
-        fields = message.fields
-        self._timeline.on_message(fields["time_boot_ms"] * 1e-3, time.monotonic())
         if message.name == "ATTITUDE":
-            self._heading_rad = fields["yaw"]
+            self._heading_rad = message.fields["yaw"]
         else:
-            self._height_m = fields["relative_alt"] * 1e-3
+            self._height_m = message.fields["relative_alt"] * 1e-3
 
     def _commanded(self, message: Message) -> None:
         for sent in self._component.command(message, time.monotonic()):
@@ -139,7 +135,6 @@ class CameraRunner:
                 output.put(picture, taken_s)
         if pictured is None:
             return
-        self.picture = jpeg(picture), pictured
         state = pictured.tracked.state
         if state != self._state:
             self._state = state
@@ -182,11 +177,8 @@ class CameraRunner:
             "param3": math.nan,
             "param4": math.nan,
             "param5": float(mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK),
-            "target_system": self._vehicle.system_id,
-            "target_component": AUTOPILOT_COMPONENT,
         }
         self._send(("COMMAND_LONG", fields))
 
     def _send(self, sent: Sent) -> None:
-        with contextlib.suppress(LinkError):
-            self._vehicle.link.send_frame(packed(sent, self._encoder))
+        self._transmit(self._packer.frame(*sent, self._vehicle.system_id))

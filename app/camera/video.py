@@ -125,13 +125,6 @@ class VideoSource:
                     yield np.asarray(frame.to_ndarray(format="bgr24", width=width, height=height), np.uint8)
 
 
-def jpeg(picture: Picture, quality: int = 70) -> bytes:
-    """Return a picture as JPEG."""
-    done, data = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, quality))
-    assert done
-    return data.tobytes()
-
-
 class VideoFile:
     """Writes pictures as MPEG-TS with H.264, within a budget of bytes: to a file, or to udp://HOST:PORT."""
 
@@ -149,7 +142,13 @@ class VideoFile:
         return self._written >= self._budget_bytes
 
     def put(self, picture: Picture, time_s: float) -> None:
-        """Write a picture. Raises OSError, of which PyAV's errors are."""
+        """Write a picture. Raises OSError."""
+        try:
+            self._put(picture, time_s)
+        except av.FFmpegError as error:  # some of them are no OSError
+            raise OSError(str(error)) from error
+
+    def _put(self, picture: Picture, time_s: float) -> None:
         height, width = picture.shape[:2]
         if self._container is None:
             url = f"{self._target}?pkt_size=1316" if self._target.startswith("udp:") else self._target

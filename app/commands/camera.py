@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sidelong.app.assembly import ground_of, tracker_of
+from sidelong.app.assembly import ground_of, stand_on_ground, tracker_of
 from sidelong.app.commands.options import SetOption, changed_keys
 from sidelong.app.commands.output import console, say
 from sidelong.app.config import Config, load_config
-from sidelong.app.errors import InputError, missing_package
+from sidelong.app.config_files import check_files
+from sidelong.app.errors import InputError
 from sidelong.app.flight.payload_input import payload_input
-from sidelong.app.flight.session import connected
+from sidelong.app.flight.session import connected_by
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.queries import home_of
@@ -24,7 +25,6 @@ from sidelong.app.link.transport import checked_url
 from sidelong.app.payload.registry import KIND_NAMES, read_payload
 from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing
-from sidelong.estimators.terrain.ground import flat_ground
 from sidelong.mission.core.events import Event
 
 if TYPE_CHECKING:
@@ -79,13 +79,9 @@ def camera(
     )
     if settings.camera.source is None:
         raise InputError("name the video, such as rtsp://HOST/PATH, or a --config with camera.source.")
-    try:
-        from sidelong.app.camera.video import checked_source  # noqa: PLC0415  # an extra
-    except ImportError as error:
-        raise missing_package("sidelong camera", "av opencv-contrib-python-headless") from error
-    checked_source(settings.camera.source)
     if not settings.link.connections:
         raise InputError("no vehicle is named; give --connect URL, or a --config with link.url.")
+    check_files(settings)
     for link in settings.link.connections:
         checked_url(link)
     with contextlib.suppress(KeyboardInterrupt):
@@ -93,20 +89,11 @@ def camera(
 
 
 async def _track(settings: Config, duration_s: float | None) -> None:
-    from sidelong.app.camera.runner import CameraRunner  # noqa: PLC0415  # as above
+    from sidelong.app.camera.runner import CameraRunner  # noqa: PLC0415  # an extra
 
-    link = settings.link
-    urls = link.connections
-    console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
+    console.print(f"waiting for a heartbeat on {' and '.join(settings.link.connections)}")
     async with (
-        connected(
-            urls,
-            link.heartbeat_timeout_s,
-            key=link.signing_key_file,
-            note=console.print,
-            system_id=link.system_id,
-            role=link.role,
-        ) as session,
+        connected_by(settings.link, console.print) as session,
         payload_input(settings, session.vehicle, console.print) as gimbal,
     ):
         await ask_for_streams(session.vehicle)
@@ -117,10 +104,7 @@ async def _track(settings: Config, duration_s: float | None) -> None:
             home = await home_of(session.vehicle)
         plane = session.telemetry.plane
         ground = ground_of(settings, plane, (home.latitude_deg, home.longitude_deg))
-        if ground is None and settings.terrain.flat:
-            ground = flat_ground(settings.terrain.sigma_m)
-        if ground is not None:
-            tracker.stand_on(ground, settings.sensors.angles_alone)
+        stand_on_ground(tracker, settings, ground)
         sensing = Sensing(tracker)
 
         def ground_m(east_m: float, north_m: float) -> float:

@@ -36,7 +36,6 @@ from sidelong.app.commands.report import write_report
 from sidelong.app.config import (
     DEMONSTRATION,
     MAX_AIRCRAFT,
-    SIMULATED_VIDEO,
     Config,
     load_config,
     reach_warning,
@@ -45,7 +44,7 @@ from sidelong.app.config import (
     with_values,
 )
 from sidelong.app.config_files import check_files, check_single
-from sidelong.app.errors import InputError, missing_package
+from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
 from sidelong.app.link.transport import checked_url
@@ -199,7 +198,7 @@ def launch(
 
 def _checked(settings: Config, speed: float | None, payload_url: str | None) -> Config:
     """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
-    settings = _with_camera(_with_simulated_payload(settings, speed, payload_url))
+    settings = _with_simulated_camera(_with_simulated_payload(settings, speed, payload_url))
     print_notes(check_single(settings))
     _check_input(settings)
     print_notes((room_warning(settings), reach_warning(settings), *setting_notes(settings)))
@@ -223,23 +222,10 @@ def _payload_keys(payload: str | None) -> tuple[str | None, str | None, str | No
     return None, *read_payload("--payload", payload)
 
 
-def _with_camera(settings: Config) -> Config:
-    """Return the settings with what a camera needs of a simulation. Raises InputError where it cannot be used."""
-    if settings.camera.source is None:
+def _with_simulated_camera(settings: Config) -> Config:
+    """Return the settings with what a rendered camera needs."""
+    if settings.camera.source is None or not settings.is_simulated:
         return settings
-    try:
-        from sidelong.app.camera.video import checked_source  # noqa: PLC0415  # an extra
-    except ImportError as error:
-        raise missing_package("camera.source", "av opencv-contrib-python-headless") from error
-    if settings.payload.point_gimbal:
-        raise InputError("camera.source leads the gimbal itself; leave payload.point_gimbal out.")
-    if not settings.is_simulated:
-        if settings.camera.source == SIMULATED_VIDEO:
-            raise InputError(f"camera.source {SIMULATED_VIDEO!r} is for a simulated vehicle; name the video.")
-        checked_source(settings.camera.source)
-        return settings
-    if settings.camera.source != SIMULATED_VIDEO:
-        raise InputError(f"camera.source: a simulated vehicle has a simulated camera; give {SIMULATED_VIDEO} alone.")
     changed: dict[str, Any] = {"simulation": {"speed": 1.0}}  # pictures are made in real time
     if not settings.terrain.is_known:
         changed["terrain"] = {"flat": True}

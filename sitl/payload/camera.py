@@ -9,7 +9,7 @@ import math
 import threading
 from collections.abc import Callable
 from fractions import Fraction
-from queue import Empty, Full, Queue
+from queue import Full, Queue
 from typing import Any
 
 import av
@@ -116,10 +116,9 @@ class VideoServer:
     """Encodes pictures in a thread of its own and sends them; pictures that come too fast are dropped."""
 
     def __init__(self, url: str, settings: CameraSettings) -> None:
-        self._queue: Queue[tuple[float, Image] | None] = Queue(maxsize=4)
+        self._queue: Queue[tuple[float, Image]] = Queue(maxsize=4)
         self._url, self._settings = url, settings
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._run, daemon=True).start()
 
     def put(self, time_s: float, picture: Image) -> None:
         """Send a picture."""
@@ -128,19 +127,6 @@ class VideoServer:
         except Full:
             return  # the encoder is behind
 
-    def close(self) -> None:
-        """End the stream."""
-        while True:
-            try:
-                self._queue.put_nowait(None)
-                break
-            except Full:
-                try:
-                    self._queue.get_nowait()
-                except Empty:
-                    continue
-        self._thread.join(2.0)
-
     def _run(self) -> None:
         settings, url = self._settings, self._url
         with av.open(f"{url}?pkt_size=1316", "w", format="mpegts") as out:
@@ -148,8 +134,8 @@ class VideoServer:
             stream.width, stream.height, stream.pix_fmt = settings.width_px, settings.height_px, "yuv420p"
             stream.options = {"preset": "ultrafast", "tune": "zerolatency", "g": str(round(settings.rate_hz))}
             stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
-            while (item := self._queue.get()) is not None:
-                time_s, picture = item
+            while True:
+                time_s, picture = self._queue.get()
                 frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
                 frame.pts, frame.time_base = round(1000.0 * time_s), Fraction(1, 1000)
                 for packet in stream.encode(frame):

@@ -116,9 +116,10 @@ class Scenery:
 
     def target_m(self, time_s: float) -> tuple[float, float]:
         """Return where the target is (east, north)."""
-        seconds = np.arange(len(self._path_m))
-        east_m, north_m = (float(np.interp(time_s, seconds, one)) for one in self._path_m.T)
-        return east_m, north_m
+        at = min(max(int(time_s), 0), len(self._path_m) - 2)
+        (east_m, north_m), (next_east_m, next_north_m) = self._path_m[at : at + 2].tolist()
+        share = min(max(time_s - at, 0.0), 1.0)
+        return east_m + share * (next_east_m - east_m), north_m + share * (next_north_m - north_m)
 
     def _target(self, time_s: float) -> _Box:
         """Return the target; standing, it keeps the direction of its last motion."""
