@@ -135,9 +135,11 @@ def page(browser, view, snapshot):
     with shown:
         for name, one in zip(NAMES, (snapshot, alongside(snapshot)), strict=True):
             shown.of(name).show(one)
-        shown.pump()
         opened = browser.new_page()
         opened.goto(shown.url)
+        button = opened.get_by_role("button", name="Relieve wing")
+        while not (button.count() and button.is_enabled()):
+            shown.pump()  # again: what finds the process of the page busy is dropped
         yield opened
         opened.close()
 
