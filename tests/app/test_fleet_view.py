@@ -134,6 +134,7 @@ def page(browser, view, snapshot):
     shown.requests = Requests()
     with shown:
         for name, one in zip(NAMES, (snapshot, alongside(snapshot)), strict=True):
+            shown.of(name).engage(one.time_s, None)
             shown.of(name).show(one)
         opened = browser.new_page()
         opened.goto(shown.url)
