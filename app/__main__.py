@@ -8,7 +8,6 @@ from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Run the command line."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, _leave)

@@ -264,7 +264,6 @@ def mission_controller_of(
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:
-    """Return the configured keep-in and keep-out polygons in the plane."""
 
     def outlines(polygons: Sequence[Polygon]) -> list[Outline]:
         return [[plane.east_north_m(*corner) for corner in polygon] for polygon in polygons]

@@ -45,7 +45,6 @@ class Allowances:
         self._left: dict[Hashable, tuple[float, float]] = {}  # what is left, and since when
 
     def left(self, sender: Hashable, now_s: float) -> float:
-        """Return what a sender may still use."""
         left, at_s = self._left.get(sender, (self._burst, now_s))
         return min(self._burst, left + (now_s - at_s) * self._rate_s)
 

@@ -69,7 +69,6 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
 
 
 def warm_up_exchange() -> None:
-    """Run what lays plans out for the autopilot, and what judges the watch."""
     TargetCourse().update(_TARGET, 1.0)
     courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
     ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))

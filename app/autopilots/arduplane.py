@@ -79,8 +79,6 @@ def _modes() -> dict[int, str]:
 
 
 class ArduPlane:
-    """``Autopilot`` for ArduPlane."""
-
     name, key = "ArduPlane", "arduplane"
     mav_autopilot = int(_mav.MAV_AUTOPILOT_ARDUPILOTMEGA)
     releases = SupportedReleases(

@@ -36,7 +36,6 @@ class Release:
 
     @property
     def series(self) -> str:
-        """Major and minor number, such as ``4.6``."""
         return f"{self.major}.{self.minor}"
 
 
@@ -61,8 +60,6 @@ _OLDEST = Release(0, 0)
 
 
 class Purpose(StrEnum):
-    """What a parameter is read for."""
-
     AIRSPEED = "airspeed"
     BANK_LIMIT = "bank limit"
     CIRCLE = "loiter and waypoint radius"
@@ -165,7 +162,6 @@ class ParameterTable:
         )
 
     def notes(self) -> tuple[ParameterNote, ...]:
-        """Return the parameters that matter, with what their values mean."""
         return tuple(
             ParameterNote(parameter.name, value, "" if value is None else parameter.notes.get(value, ""))
             for parameter in self._listed

@@ -56,8 +56,6 @@ _PARAMETERS = (
 
 
 class Px4:
-    """``Autopilot`` for PX4's fixed wings."""
-
     name, key = "PX4", "px4"
     mav_autopilot = int(_mav.MAV_AUTOPILOT_PX4)
     releases = SupportedReleases(

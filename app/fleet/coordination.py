@@ -131,7 +131,6 @@ class VehicleClockReader:
         self._utc_rejected = self._restarted = True
 
     def report(self, message: Message) -> ClockReported | None:
-        """Return the clock that a message reports, or None."""
         reported = self._report(message)
         if reported is not None:
             self._reported_offset_s = reported.mission_time_s - reported.time_s
@@ -246,7 +245,6 @@ class Coordination:
         self._moved_s = math.inf
 
     def add(self, participant: Participant) -> None:
-        """Take an aircraft in."""
         self._participants[participant.name] = participant
 
     # -- mission time --------------------------------------------------------------------------------------
@@ -301,7 +299,6 @@ class Coordination:
     # -- what the aircraft report --------------------------------------------------------------------------
 
     def stepped(self, name: str) -> Stepped:
-        """Return the callback for each step of that aircraft's core."""
         participant = self._participants[name]
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
@@ -311,7 +308,6 @@ class Coordination:
         return received
 
     def message(self, name: str, message: Message) -> None:
-        """Take a message of that aircraft: its clock, its battery."""
         participant = self._participants[name]
         participant.received_s = time.monotonic()
         advised = participant.clock.report(message)
@@ -356,11 +352,9 @@ class Coordination:
     # -- what a person asks --------------------------------------------------------------------------------
 
     def watch_from(self, side: Side, who: str) -> None:
-        """Set the required side."""
         self.put(SideRequested(self.now_s, side, who))
 
     def relieve(self, name: str, who: str) -> None:
-        """Let another one take that aircraft's place."""
         self.put(ReliefRequested(name, self.now_s, who))
 
     # -- output of the coordinator -------------------------------------------------------------------------

@@ -101,8 +101,6 @@ class FleetAircraftSection(AircraftSection):
 
 
 class TargetSection(Section):
-    """A target that is watched."""
-
     name: _Name = "target"
     """Letters, digits, - and _."""
     side: Literal["left", "right"] | None = None
@@ -127,8 +125,6 @@ class Member:
 
 
 class FleetFile(Config):
-    """Everything a mission of several aircraft needs."""
-
     aircraft: list[FleetAircraftSection] = Field(min_length=1, max_length=MAX_AIRCRAFT)  # type: ignore[assignment]
     target: list[TargetSection] = Field(default=[TargetSection()], min_length=1, max_length=MAX_TARGETS)
 

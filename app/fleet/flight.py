@@ -59,7 +59,6 @@ class FleetFlight:
         self._is_flown = False
 
     def prepare(self) -> None:
-        """Compile and compute what the coordinator needs."""
         self._coordinator = coordinator_of(self._fleet, self._progress)
 
     @property
@@ -83,7 +82,6 @@ class FleetFlight:
 
     @contextlib.asynccontextmanager
     async def coordinated(self, aircraft: list[FlyingAircraft]) -> AsyncIterator[None]:
-        """Coordinate these aircraft inside the context, and keep the journal of it."""
         self._aircraft = aircraft
         own_ids = {one.session.vehicle.system_id for one in aircraft}
         for route in self._fleet.routes.values():
@@ -104,7 +102,6 @@ class FleetFlight:
         (self._displays[name].note if name in self._displays else self._note)(text)
 
     def _launch(self, name: str) -> None:
-        """Let a reserve take off."""
         for one in self._aircraft:
             if one.name == name:
                 one.wanted.set()
@@ -162,7 +159,6 @@ class FleetFlight:
             give_route(route, self._aircraft[0].session, first.plane, put, self._note)
 
     def stepped(self, one: FlyingAircraft) -> Stepped:
-        """Return what is called after each step of an aircraft's core."""
         report, track = self._coordination.stepped(one.name), self._tracks[one.name]
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
@@ -175,15 +171,12 @@ class FleetFlight:
         return received
 
     def lost(self, one: FlyingAircraft) -> None:
-        """Take that an aircraft's flight is over."""
         self._coordination.lost(one.name, one.outcome)
 
     def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]:
-        """Return mission time less an aircraft's own, s, and where it was."""
         return self._coordinator.offset_s(one.name) or 0.0, self._tracks[one.name]
 
     def asked(self) -> dict[str, Asked]:
-        """Return the requirements of each target, in mission time."""
         changes = self._coordination.changes
         return {name: [(-math.inf, first), *changes[name]] for name, first in self._fleet.asked.items()}
 

@@ -33,8 +33,6 @@ from sidelong.mission.viewpoint.side_policy import side_words
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AircraftPart(FlownAircraft):
-    """One aircraft's part, with its own flight."""
-
     flown: FlightRecord
 
 
@@ -89,7 +87,6 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
 
 
 def _written(folder: FleetFolder) -> FleetSummary:
-    """Return the summary that the run wrote."""
     values, name = folder.read_summary(), str(folder.summary)
     try:
         parts = ("targets", "aircraft")

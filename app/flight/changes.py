@@ -30,8 +30,6 @@ GIMBAL = "gimbal"
 
 
 class MissionChanges:
-    """Changes of one flight. put: passes a change to the control loop; say: reports its result to the operator."""
-
     def __init__(
         self,
         config: Config,
@@ -45,11 +43,9 @@ class MissionChanges:
 
     @property
     def is_busy(self) -> bool:
-        """Whether an earlier change is still being made ready."""
         return self._making_ready.is_running
 
     def take(self, change: MissionChange) -> None:
-        """Accept a requested change."""
         height_alone = replace(change, height_m=None) == MissionChange(change.time_s, who=change.who)
         if self.is_busy and not height_alone:
             self._announce(
@@ -67,7 +63,6 @@ class MissionChanges:
             self._making_ready.begin(lambda: self._carry_out(change, changed))
 
     def stop(self) -> None:
-        """Give up what is under way."""
         self._making_ready.stop()
 
     def _checked(self, change: MissionChange) -> Config:
@@ -179,7 +174,6 @@ class WindTables:
         self._making = OneTask()
 
     def show(self, snapshot: Present) -> None:
-        """Take the current wind, and start a table if one is missing."""
         if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
             return
         wind_m_s, now_s = snapshot.wind.speed_m_s, snapshot.time_s
@@ -198,7 +192,6 @@ class WindTables:
             self._making.begin(lambda: self._make(speed_m_s))
 
     def stop(self) -> None:
-        """Give up what is under way."""
         self._making.stop()
 
     async def _make(self, speed_m_s: float) -> None:

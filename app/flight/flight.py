@@ -117,7 +117,6 @@ class StoppedClock:
         self._now_s, self._wall_s = now_s, wall_s
 
     def update(self, now_s: float, wall_s: float) -> None:
-        """Compare the vehicle's clock with this computer's."""
         if now_s == self._now_s:
             self.seconds += wall_s - self._wall_s
         elif abs(now_s - self._now_s) > self.seconds:
@@ -126,8 +125,6 @@ class StoppedClock:
 
 
 class Flight:
-    """Flies a configuration on a connected vehicle."""
-
     def __init__(
         self,
         session: Session,
@@ -191,7 +188,6 @@ class Flight:
         self.share_plane(plane)
 
     async def _keep_fences(self, parameters: ParameterTable) -> None:
-        """Read the vehicle's fences, and fly by those and the configured ones."""
         self._config, self._fences = await with_fences(self._vehicle, self._config, parameters)
         self._prepared = replace(self._prepared, config=self._config)
         self._display.note(f"the vehicle has {self._fences}")
@@ -347,7 +343,6 @@ class Flight:
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
 
     def _limits_changed(self, values: Mapping[str, float]) -> None:
-        """Plan for the bank limit that another station has set."""
         bank_deg = self._autopilot.limits(values).bank_max_deg
         if bank_deg is not None:
             self.put_event(BankLimitReported(self._telemetry.now_s, math.radians(bank_deg)))
@@ -406,7 +401,6 @@ class Flight:
         loop.put(self._takeover(loop.link_s))
 
     def _request(self, changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wish: Wish) -> None:
-        """Pass a person's wish on to what takes it."""
         match wish:
             case MissionChange():
                 changes.take(wish)
@@ -440,7 +434,6 @@ class Flight:
         shared.callback(vehicle.bystanders.remove, listen)
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Observer]:
-        """Return the outputs of the flight; ``shared`` stops them."""
 
         def altitude_m(east_m: float, north_m: float) -> float:
             return home.altitude_m + self._target_height_m(east_m, north_m)
@@ -456,7 +449,6 @@ class Flight:
         return observers
 
     def _pan_limits(self, changes: MissionChanges) -> list[Observer]:
-        """Return what plans for the gimbal's pan limits, where the planner can."""
         planner, configured_deg = self.controller.planning.planner, self._config.aircraft.pan_limit_deg
         if not (isinstance(planner, PanLimitPlanner) and planner.plans_pan_limits):
             return []
@@ -494,7 +486,6 @@ class Flight:
         return height_m if math.isfinite(height_m) else 0.0
 
     def _pointers(self, plane: LocalPlane, altitude_m: AltitudeAt, shared: contextlib.ExitStack) -> list[Observer]:
-        """Return what points the gimbal, by the payload's own protocol or by the vehicle."""
         always = self._config.payload.point_gimbal
         if self._payload is not None and always:
             tracker = self.controller.tracker
@@ -506,7 +497,6 @@ class Flight:
         return [pointer]
 
     def _camera_runner(self) -> CameraRunner | None:
-        """Return what tracks the target in the picture of the configured camera."""
         config = self._config
         if config.camera.source is None:
             return None
@@ -715,7 +705,6 @@ class AlarmWatch:
         self._low = False
 
     def acknowledge(self, wish: AlarmReported) -> None:
-        """Take an operator's acknowledgement."""
         if self._alarms.acknowledge(wish.key):
             self._put(wish)
 

@@ -56,20 +56,16 @@ class CommandExecutor:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something waits to be sent."""
         return self._sending or not self._waiting.empty()
 
     def send(self, message: SendMessage) -> None:
-        """Send a message after those that wait already."""
         self._waiting.put_nowait(message)
 
     def drop(self) -> None:
-        """Send nothing of what still waits."""
         while not self._waiting.empty():
             self._waiting.get_nowait()
 
     async def run(self) -> None:
-        """Send until cancelled."""
         while True:
             self._sending = False
             message = await self._waiting.get()
@@ -81,8 +77,6 @@ class CommandExecutor:
 
 
 class Log(Protocol):
-    """Where events and commands are kept."""
-
     def write(self, record: InboundEvent | Output) -> None: ...
 
 
@@ -93,8 +87,6 @@ class Observer(Protocol):
 
 
 class Display(Observer, Protocol):
-    """Where a person sees what goes on."""
-
     def say(self, announcement: Announce) -> None: ...
 
 
@@ -147,11 +139,9 @@ class ControlLoop:
 
     @property
     def is_sending(self) -> bool:
-        """Whether something waits to be sent."""
         return self._executor.is_busy
 
     def put(self, event: InboundEvent) -> None:
-        """Add an event to the queue."""
         self._queue.put_nowait(event)
 
     def stop(self) -> None:
@@ -159,7 +149,6 @@ class ControlLoop:
         self.put(ShutdownRequested(self._telemetry.now_s, self.link_s))
 
     def received(self, message: Message) -> None:
-        """Take a message of the vehicle."""
         self._received_s = time.monotonic()
         event = self._telemetry.event(message)
         report = self._reports.report(message, self._telemetry.now_s, self.link_s) if event is None else event

@@ -164,7 +164,6 @@ class GimbalPointer:
         self._sending.begin(lambda: self._send(estimate, east_m, north_m, range_m))
 
     def stop(self) -> None:
-        """Give up what is under way."""
         self._sending.stop()
 
     async def _send(self, estimate: TargetEstimate, east_m: float, north_m: float, range_m: float) -> None:
@@ -210,7 +209,6 @@ class PayloadPointer:
         self._next_s = -math.inf
 
     def show(self, snapshot: Present) -> None:
-        """Command the angles if it is time to."""
         estimate, aircraft, heading_rad = snapshot.estimate, snapshot.aircraft, self._heading_rad()
         if not snapshot.phase.in_control or estimate is None or aircraft is None or heading_rad is None:
             return

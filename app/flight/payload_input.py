@@ -118,7 +118,6 @@ class PayloadRunner:
         self._loop = asyncio.get_running_loop()
 
     async def run(self) -> None:
-        """Serve the payload until cancelled."""
         try:
             self._transport = await self._opened()
             self._transport.start(self._arrived)
@@ -130,7 +129,6 @@ class PayloadRunner:
                 await asyncio.to_thread(self._transport.close)
 
     def aircraft(self, pose: AircraftPose) -> None:
-        """Let the gimbal know of the aircraft."""
         self._send(self._session.aircraft(pose, self._driver_s(time.monotonic())))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> None:
@@ -143,7 +141,6 @@ class PayloadRunner:
         return self._session.pan_limits_rad
 
     def status(self) -> PayloadStatus:
-        """Return what the payload delivers now."""
         return self._session.status(self._driver_s(time.monotonic()))
 
     async def _opened(self) -> Transport:

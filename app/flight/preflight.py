@@ -78,22 +78,18 @@ class SourceRate:
 
 
 class SourceRates:
-    """Listens to a vehicle until ``close``."""
-
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         vehicle.listeners.append(self._count)
         self.begin()
 
     def begin(self) -> None:
-        """Discard the messages received so far."""
         self._telemetry = Telemetry(self._vehicle.system_id)
         self._counts: Counter[tuple[str, Source]] = Counter()
         self._begun_s = math.inf  # of this computer's clock
         self._first_s = math.inf  # of the vehicle's
 
     def close(self) -> None:
-        """Listen no more."""
         self._vehicle.listeners.remove(self._count)
 
     async def received(self, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:

@@ -94,12 +94,10 @@ class Recording:
             return None
 
     def frame(self, data: bytes) -> None:
-        """Take a raw frame, from any thread; one that carries a signing key is not kept."""
         if self._tlog is not None and (data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2):
             self._tlog.write(data, self._time.stamp_s(data, time.time()))
 
     def follow(self, system_id: int) -> None:
-        """Let this vehicle's clock be that of the tlog."""
         self._time.system_id = system_id
 
     def begin(
@@ -135,7 +133,6 @@ class Recording:
             self._journal.write(record)
 
     def close(self) -> None:
-        """Write what is left."""
         if self._journal is not None:
             self._journal.close()
         if self._tlog is not None:

@@ -46,8 +46,6 @@ _REMEDY = "give one of them another system id, or end the second route to it"
 
 @dataclass(slots=True)
 class Session:
-    """A connected vehicle and what is known of it."""
-
     vehicle: Vehicle
     autopilot: Autopilot
     release: Release | None  # of its firmware; None: not reported
@@ -214,7 +212,6 @@ class VehicleInputs:
         self._vehicle.listen(self._message, "GLOBAL_POSITION_INT")
 
     def close(self) -> None:
-        """Listen no more: the control step runs."""
         self._vehicle.listeners.remove(self._message)
 
     def _message(self, message: Message) -> None:
@@ -234,7 +231,6 @@ class SenderCheck:
         self._kinds: list[tuple[int, int]] = []
 
     def frame(self, data: bytes) -> None:
-        """Take a raw frame."""
         if len(data) < FRAME_MIN_BYTES:
             return
         frame = Frame(data)
@@ -245,7 +241,6 @@ class SenderCheck:
         self._last[frame.system_id] = frame.sequence
 
     def judge(self, inputs: VehicleInputs) -> None:
-        """Judge these inputs from now on."""
         self._inputs = inputs
         if self._message not in inputs.listeners:
             inputs.listeners.append(self._message)
@@ -292,7 +287,6 @@ class InputHealth:
         inputs.listeners.append(self._on_message)
 
     def close(self) -> None:
-        """Listen no more."""
         self._inputs.listeners.remove(self._on_message)
 
     def _on_message(self, message: Message, event: Event | None, admitted: Event | None) -> None:
@@ -313,7 +307,6 @@ class InputHealth:
             self._health.changes(now_s, tracker.ranges, tracker.gimbals, door.input_faults)
 
     def checks(self) -> tuple[Check, ...]:
-        """Return what is wrong with an input, or that nothing is."""
         wrong = [(one.input, one.text) for one in self._health.reports if one.state in _BAD]
         if self._tracker.turns:
             yaw_error_rad = self._tracker.calibration.yaw_bias_rad

@@ -128,7 +128,6 @@ class Life:
             self._at_once = False
 
     def watch(self, vehicle: Vehicle) -> None:
-        """Note from now on whether the vehicle is armed."""
 
         def on_message(message: Message) -> None:
             if message.name == "HEARTBEAT" and message.component_id == AUTOPILOT_COMPONENT:
@@ -230,12 +229,10 @@ class FlyingAircraft:
 
     @property
     def controller(self) -> StandoffController:
-        """Its control step."""
         return self.flight.controller
 
     @property
     def is_received(self) -> bool:
-        """Whether its link is not silent."""
         return self.controller.snapshot().connected
 
     @property
@@ -244,7 +241,6 @@ class FlyingAircraft:
         return self.controller.phase.in_control or bool(self.outcome) or not self.wanted.is_set()
 
     def failed(self, error: Exception) -> None:
-        """Take what its flight failed with."""
         known = isinstance(error, FlightError | InputError)
         self.error, self.outcome = error, f"failed: {error if known else f'a fault of the program, {error!r}'}"
 
@@ -267,7 +263,6 @@ class FlightEnded:
 
     @property
     def is_internal(self) -> bool:
-        """Whether the reason is a fault of this program."""
         return self.reason is not None and not isinstance(self.reason, FlightError | InputError | Interrupted)
 
 
@@ -338,7 +333,6 @@ class Shell:
     _simulated: SimulatedVehicles | None = None
 
     async def fly(self) -> FlightEnded:
-        """Connect, check, take off, watch and shut down."""
         coordinator = self._coordinator
         async with contextlib.AsyncExitStack() as stack:
             with self._life.computing():
@@ -433,7 +427,6 @@ class Shell:
         await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
 
     async def _prepare(self) -> None:
-        """Check all, and let all fly in one plane."""
         done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
         self._go_on_with(done)
         check_apart(self._aircraft)

@@ -32,7 +32,6 @@ _PACE_S = 0.01
 
 
 def free_udp_port() -> int:
-    """Return a free UDP port of the loopback interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

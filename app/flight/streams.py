@@ -29,16 +29,13 @@ class OneTask:
 
     @property
     def is_running(self) -> bool:
-        """Whether a task is under way."""
         return self._task is not None and not self._task.done()
 
     def begin(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Begin the work, unless other work is under way."""
         if not self.is_running:
             self._task = asyncio.create_task(work())
 
     def stop(self) -> None:
-        """Cancel what is under way."""
         if self._task is not None:
             self._task.cancel()
 
@@ -124,7 +121,6 @@ class StreamKeeper:
         self._requesting.begin(self._keep_requesting)
 
     def show(self, snapshot: Present) -> None:
-        """Look at the rates from time to time."""
         if abs(snapshot.time_s - self._look_s) < _SLOWED_EVERY_S:
             return
         self._look_s = snapshot.time_s
@@ -140,7 +136,6 @@ class StreamKeeper:
                 self._requesting.begin(self._keep_requesting)
 
     def stop(self) -> None:
-        """Request nothing more."""
         self._requesting.stop()
 
     async def _keep_requesting(self) -> None:
@@ -166,7 +161,6 @@ class TerrainServer:
         vehicle.listeners.append(self._received)
 
     def stop(self) -> None:
-        """Answer no more."""
         self._vehicle.listeners.remove(self._received)
         self._answering.stop()
 

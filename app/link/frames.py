@@ -18,7 +18,6 @@ FRAME_MIN_BYTES = 8  # MAVLink 1, without a payload
 
 
 def message_ids(names: str) -> frozenset[int]:
-    """Return the numbers of messages by their names, which are separated by spaces."""
     return frozenset(getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in names.split())
 
 

@@ -29,7 +29,6 @@ class Framer:
         self._buffer = b""
 
     def clear(self) -> None:
-        """Drop an incomplete frame."""
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[bytes]:

@@ -186,11 +186,9 @@ class MavsdkLink:
         return link
 
     def reports(self) -> tuple[LinkReport, ...]:
-        """Return how each link has been since the beginning."""
         return self._links.reports()
 
     def recent(self) -> tuple[LinkReport, ...]:
-        """Return how each link is now."""
         return self._links.recent()
 
     async def _hear_others(self) -> None:
@@ -359,7 +357,6 @@ def _has_station(raw: RawLinks) -> bool:
 
 
 def _kinds(heartbeat: Frame) -> tuple[int, int]:
-    """Return MAV_TYPE and MAV_AUTOPILOT of a heartbeat."""
     mav_type, mav_autopilot = heartbeat.payload.ljust(9, b"\0")[4:6]
     return mav_type, mav_autopilot
 

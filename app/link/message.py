@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 
 def plain(text: str) -> str:
-    """Return the text on one line, with ``?`` for what cannot be shown, such as the escape of a sequence."""
     return _printable(text).strip()
 
 

@@ -104,7 +104,6 @@ class ParameterWatch:
         self._bytewise, self._note, self._changed = bytewise, note, changed
 
     def take(self, message: Message) -> None:
-        """Look at a message of the vehicle."""
         if message.name != "PARAM_VALUE" or message.component_id != AUTOPILOT_COMPONENT:
             return
         name, value = message.fields["param_id"], _value(message.fields, self._bytewise)

@@ -65,8 +65,6 @@ class LinkReport:
 
 @dataclass(slots=True)
 class _Counts:
-    """What came and went since a time."""
-
     begin_s: float
     received: int = 0
     missed: int = 0
@@ -106,12 +104,10 @@ class LinkQuality:
             counts.sent_bytes += size
 
     def asked(self, now_s: float) -> None:
-        """Note that a question was sent, as is done each second."""
         if self._answered_s is None:
             self._answered_s = now_s
 
     def answered(self, round_trip_s: float, now_s: float) -> None:
-        """Take the time that a question and its answer took."""
         self._round_trips_s.append(round_trip_s)
         self._answered_s = now_s
 
@@ -124,7 +120,6 @@ class LinkQuality:
         return self._measured(self._seconds, now_s)
 
     def total(self, now_s: float) -> Measured:
-        """Return the same over all the time."""
         return self._measured([self.whole], now_s)
 
     def _measured(self, several: Sequence[_Counts], now_s: float) -> Measured:
@@ -151,8 +146,6 @@ class LinkQuality:
 
 
 class RoundTripWatch:
-    """Detects changes of a link's round trip."""
-
     def __init__(self) -> None:
         self._announced_s: float | None = None
 

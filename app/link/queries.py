@@ -32,7 +32,6 @@ def failsafe_of(vehicle: VehicleMessages) -> str:
 
 
 def mode_of(vehicle: Vehicle) -> str:
-    """Return the name of the flight mode in the vehicle's last HEARTBEAT or CURRENT_MODE."""
     heartbeat, current = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
     newer = current if current is not None and current.received_s > heartbeat.received_s else heartbeat
     fields = heartbeat.fields
@@ -56,7 +55,6 @@ async def home_of(vehicle: Vehicle) -> Home | None:
 
 
 async def release_of(vehicle: Vehicle) -> Release | None:
-    """Return the vehicle's firmware release, None if it does not report it."""
     message = await _requested(vehicle, "AUTOPILOT_VERSION", _AUTOPILOT_VERSION_ID)
     return None if message is None else release_in(message.fields)
 

@@ -82,7 +82,6 @@ class _Newest:
     far_count: int = 0
 
     def take(self, stamp_s: float, link: int, now_s: float) -> None:
-        """Go on from here."""
         self.stamp_s, self.link, self.received_s, self.far_count = stamp_s, link, now_s, 0
 
     def is_far(self, stamp_s: float, now_s: float) -> bool:
@@ -112,7 +111,6 @@ class LinkMerger:
         self._passed: dict[tuple[tuple[int, int], int, bytes], list[tuple[float, set[int]]]] = {}
 
     def passes(self, link: int, frame: Frame, now_s: float) -> bool:
-        """Return whether to pass on a frame received on ``link``."""
         if self._links == 1:
             return True
         if frame.component_id == AUTOPILOT_COMPONENT:
@@ -296,7 +294,6 @@ class RawLinks:
         self._heartbeat = dialect.MAVLink_heartbeat_message(mav_type, none, 0, 0, active, 3)
 
     def close(self) -> None:
-        """End all links; safe to call more than once."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -307,16 +304,13 @@ class RawLinks:
 
     @property
     def received_since_s(self) -> float | None:
-        """When the first frame came, on the monotonic clock."""
         received_s = (link.quality.received_since_s for link in self._links)
         return min((one for one in received_s if one is not None), default=None)
 
     def reports(self) -> tuple[LinkReport, ...]:
-        """Return how the links have been since the beginning."""
         return self._reports(LinkQuality.total)
 
     def recent(self) -> tuple[LinkReport, ...]:
-        """Return how the links are now."""
         return self._reports(LinkQuality.measured)
 
     def _reports(self, measure: Callable[[LinkQuality, float], Measured]) -> tuple[LinkReport, ...]:
@@ -417,7 +411,6 @@ class RawLinks:
         return time.monotonic() >= self._waiting_since_s + _WAIT_S
 
     def flush(self) -> None:
-        """Deliver the frames that wait."""
         with self._delivering:
             if self._waiting:
                 data = b"".join(self._waiting)

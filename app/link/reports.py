@@ -42,8 +42,6 @@ _UNASKED = {"MISSION_CURRENT", "POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_ST
 
 
 class VehicleReports:
-    """Decodes one vehicle's reports."""
-
     def __init__(self, vehicle: VehicleMessages) -> None:
         self._vehicle = vehicle
         self._mode = ""

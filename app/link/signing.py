@@ -29,7 +29,6 @@ Stream = tuple[int, int, int]
 
 
 def signing_time(unix_s: float) -> int:
-    """Return the time in signatures' units."""
     return max(0, int((unix_s - EPOCH_UNIX_S) * UNITS_PER_S))
 
 

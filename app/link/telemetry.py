@@ -127,7 +127,6 @@ class Telemetry:
 
     @property
     def wanted(self) -> frozenset[str]:
-        """Names of the messages that can become events."""
         return frozenset(self._decoders)
 
     def event(self, message: Message) -> Event | None:

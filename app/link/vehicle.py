@@ -40,7 +40,6 @@ class StatusText:
 
     @property
     def is_warning(self) -> bool:
-        """Whether it is a warning or worse."""
         return self.severity <= _WARNING
 
 
@@ -181,7 +180,6 @@ class VehicleMessages:
 
     @property
     def is_companion(self) -> bool:
-        """Whether this end is a companion of the vehicle, and no ground station."""
         return self.own_id[0] == self.system_id
 
     def is_for_us(self, message: Message) -> bool:

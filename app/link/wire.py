@@ -37,8 +37,6 @@ class Packer:
 
 
 class Decoder:
-    """Decodes what a vehicle sends."""
-
     def __init__(self) -> None:
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True

@@ -23,8 +23,6 @@ _GIVEN_UP_S, _GIVEN_UP_FIRST_S = 0.3, 1.0
 
 
 class Period:
-    """Timer of a periodic request."""
-
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._next_s = float("-inf")
@@ -38,7 +36,6 @@ class Period:
         return True
 
     def restart(self) -> None:
-        """Make it due now."""
         self._next_s = float("-inf")
 
 
@@ -62,7 +59,6 @@ class RoundTrips:
         self._sent_s[kind] = now_s
 
     def awaits(self, kind: Hashable, now_s: float) -> bool:
-        """Return whether a reply is still expected."""
         shortest_s = self.shortest_s
         given_up_s = _GIVEN_UP_FIRST_S if shortest_s is None else max(_GIVEN_UP_S, 3.0 * shortest_s)
         return now_s - self._sent_s.get(kind, float("-inf")) < given_up_s

@@ -34,8 +34,6 @@ _RANGE_MAX_M = 30_000.0
 
 
 class GremsyDriver(FramedDriver):
-    """State of one connection to a Gremsy payload."""
-
     def __init__(self, settings: DriverSettings) -> None:
         super().__init__(settings, FrameSplitter(), _PERIODS_S)
         self._encoder = mavlink.MAVLink(None, 1, _OWN_COMPONENT)

@@ -59,7 +59,6 @@ class Consistency:
         self._ratios: deque[float] = deque(maxlen=_RATIOS_KEPT)
 
     def add(self, measured: RangeMeasured, angles: AnglesMeasured | None, pose: AircraftPose | None) -> None:
-        """Take a range with the latest angles and the latest pose of the aircraft."""
         if angles is None or pose is None or pose.height_m < _HEIGHT_MIN_M:
             return
         if abs(measured.time_s - angles.time_s) > _APART_MAX_S:
@@ -155,7 +154,6 @@ class PayloadSession:
         return measured
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> list[bytes]:
-        """Take the aircraft's pose and return what the gimbal is sent of it."""
         self._pose = pose
         return list(self._driver.aircraft(pose, now_s))
 

@@ -48,8 +48,6 @@ _STREAMING_S = 0.5  # without a measurement for this long, they are polled
 
 
 class SiyiDriver(FramedDriver):
-    """State of one connection to a SIYI gimbal camera."""
-
     def __init__(self, settings: DriverSettings) -> None:
         framer = Framer((_HEADER,), _length, _is_intact)
         super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, yaw_sign=-1.0)
@@ -91,7 +89,6 @@ class SiyiDriver(FramedDriver):
         return (self._frame_of(_AIRCRAFT, angles),)
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
-        """Return the command that turns the gimbal, within the model's limits."""
         least_rad, most_rad = self.identity.pan_limits_rad or (-math.pi, math.pi)
         yaw_rad = min(max(wrap_rad(yaw_rad), least_rad), most_rad)
         pitch_rad = min(max(pitch_rad, _PITCH_MIN_RAD), _PITCH_MAX_RAD)

@@ -36,8 +36,6 @@ _PUSHED_S = 0.5  # without a range for this long, it is polled
 
 
 class TopotekDriver(FramedDriver):
-    """State of one connection to a Topotek gimbal camera."""
-
     def __init__(self, settings: DriverSettings) -> None:
         super().__init__(settings, Framer(_HEADERS, _length, _is_intact), _PERIODS_S, pitch_sign=-1.0)
         self._pushed_s = self._range_s = -math.inf

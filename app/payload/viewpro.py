@@ -43,8 +43,6 @@ _ATTITUDE_AND_POSITION = 0x07
 
 
 class ViewproDriver(FramedDriver):
-    """State of one connection to a Viewpro gimbal camera."""
-
     def __init__(self, settings: DriverSettings) -> None:
         framer = Framer((_HEADER,), _length, _is_intact)
         super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, pitch_sign=-1.0)

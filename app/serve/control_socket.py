@@ -33,7 +33,6 @@ Answer = Callable[[str], dict[str, Any]]
 
 
 def own_path() -> Path:
-    """Return where a service of this user has its socket."""
     given, runtime = os.environ.get("SIDELONG_SOCKET"), os.environ.get("RUNTIME_DIRECTORY")
     if given:
         return Path(given)
@@ -115,7 +114,6 @@ def _answered(line: bytes, answer: Answer) -> dict[str, Any]:
 
 
 def _peer(connection: socket.socket) -> tuple[int, int]:
-    """Return user and group of the process at the other end."""
     _, account, group = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
     return account, group
 

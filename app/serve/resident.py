@@ -84,7 +84,6 @@ class ServiceDisplay:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the watch now, in words; '' if nothing is."""
         present = self.snapshot
         alarms = () if present is None or present.vehicle is None else present.vehicle.alarms
         return "; ".join(alarm.text for alarm in alarms) or ("" if present is None else present.unknown)
@@ -115,13 +114,10 @@ Decorate = Callable[[ServiceDisplay], contextlib.AbstractAsyncContextManager[Fli
 
 @contextlib.asynccontextmanager
 async def undecorated(display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
-    """Show a watch nowhere else."""
     yield display
 
 
 class State(StrEnum):
-    """What the service does now."""
-
     WAITING = "waiting"  # for a vehicle, its payload or what the checks miss
     READY = "ready"
     WATCHING = "watching"
@@ -152,7 +148,6 @@ class Status:
     records: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -200,7 +195,6 @@ class Resident:
 
     @property
     def status(self) -> Status:
-        """Where it stands."""
         trouble = "" if self._display is None or self._state is not State.WATCHING else self._display.trouble
         return Status(
             self._state,
@@ -272,13 +266,11 @@ class Resident:
 
     @property
     def _is_beginning(self) -> bool:
-        """Whether a watch is requested, and its takeover has not begun."""
         display = self._display
         return self._wanted or (display is not None and display.snapshot is None and not self._is_ending)
 
     @property
     def _is_ending(self) -> bool:
-        """Whether the present watch was released."""
         snapshot = None if self._display is None else self._display.snapshot
         ended = snapshot is not None and snapshot.phase is Phase.ENDED
         return self._released or ended or (self._life is not None and self._life.stopped.is_set())
@@ -328,7 +320,6 @@ class Resident:
                 await asyncio.sleep(_AGAIN_S)
 
     async def _prepare(self) -> None:
-        """Compile and compute what a watch needs, before the first one."""
         loop = asyncio.get_running_loop()
 
         def announce(text: str) -> None:
@@ -381,7 +372,6 @@ class Resident:
             recording.frame(data)
 
     async def _stand_by(self, session: Session, standby: Standby) -> None:
-        """Judge the vehicle until a watch is wanted and it is ready."""
         async with payload_input(self._config, session.vehicle, self._log):
             judging = asyncio.create_task(standby.run())
             try:
@@ -509,7 +499,6 @@ class Resident:
         self._inform_station(text)
 
     def _follow(self) -> None:
-        """Take the state from the flight."""
         snapshot = None if self._display is None else self._display.snapshot
         if snapshot is None:
             return

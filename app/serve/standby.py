@@ -141,14 +141,12 @@ class _Switch:
         self.up = self.moved = None
 
     def take_health(self, fields: Mapping[str, Any]) -> None:
-        """Take a SYS_STATUS."""
         healthy = int(fields["onboard_control_sensors_present"]) & int(fields["onboard_control_sensors_health"])
         self.healthy_ms = self.now_ms if healthy & _RC_RECEIVER else None
         if self.healthy_ms is None:
             self.forget()
 
     def take(self, fields: Mapping[str, Any], channel: int) -> Request | None:
-        """Take an RC_CHANNELS; return what the switch requests."""
         before_ms, self.now_ms = self.now_ms, int(fields["time_boot_ms"])
         others_us, self.others_us = (
             self.others_us,
@@ -212,7 +210,6 @@ class Triggers:
         self._commanded: tuple[float, Request] | None = None
 
     def take(self, message: Message) -> Request | None:
-        """Return what a message requests, None if nothing."""
         config = self._config
         if message.name in _COMMANDS and config.aux_function is not None:
             return self._aux(message, config.aux_function)
