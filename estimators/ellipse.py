@@ -21,11 +21,7 @@ class Ellipse:
     orientation_rad: float
 
     def outline(self, corners: int) -> list[tuple[float, float]]:
-        """Return points (east, north) of the ellipse from its centre in one closed round, m.
-
-        Args:
-            corners: Number of points; the first one is repeated at the end.
-        """
+        """Return points (east, north) of the ellipse from its centre, m; the first one is repeated at the end."""
         sin, cos = math.sin(self.orientation_rad), math.cos(self.orientation_rad)
         points = []
         for corner in range(corners):
@@ -36,13 +32,9 @@ class Ellipse:
 
 
 def confidence_ellipse(covariance: npt.NDArray[np.float64], probability: float = 0.95) -> Ellipse:
-    """Return the confidence ellipse of a position.
+    """Return the confidence ellipse of a position with a covariance (2, 2) of (east, north), m^2.
 
     Two Gaussian coordinates lie within k sigma with probability 1 - exp(-k^2 / 2).
-
-    Args:
-        covariance: Covariance of (east, north), m^2, (2, 2).
-        probability: Probability that the position is inside, 0 to 1.
     """
     k = math.sqrt(-2.0 * math.log(1.0 - probability))
     variance_e, variance_n, cross = float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1])

@@ -53,11 +53,7 @@ class TargetEstimate:
         return math.hypot(self.velocity_east_m_s, self.velocity_north_m_s)
 
     def position_m(self, time_s: float) -> tuple[float, float]:
-        """Return the position (east, north) predicted at the estimated velocity, m.
-
-        Args:
-            time_s: Time on the vehicle's clock, s; an earlier time than the estimate's gives the estimate's position.
-        """
+        """Return the position (east, north) predicted at the estimated velocity; at ``time_s`` for earlier times."""
         ahead_s = max(time_s - self.time_s, 0.0)
         return self.east_m + ahead_s * self.velocity_east_m_s, self.north_m + ahead_s * self.velocity_north_m_s
 

@@ -14,11 +14,7 @@ _Vector = tuple[float, float, float]
 
 
 def wrap_rad(angle_rad: float) -> float:
-    """Return the same angle in [-pi, pi).
-
-    Args:
-        angle_rad: Any finite angle, rad.
-    """
+    """Return the same angle in [-pi, pi)."""
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
@@ -51,11 +47,7 @@ class LocalPlane:
         return unfolded_m * math.sin(azimuth_rad), unfolded_m * math.cos(azimuth_rad)
 
     def latitude_longitude_deg(self, east_m: float, north_m: float) -> tuple[float, float]:
-        """Return the geodetic position of a point of the plane.
-
-        Returns:
-            (latitude, longitude) (WGS 84), degrees; for a point beyond the horizon, that of the horizon.
-        """
+        """Return (latitude, longitude) of a point of the plane; beyond the horizon, those of the horizon."""
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
         x = origin[0] + east_m * east[0] + north_m * north[0]
         y = origin[1] + east_m * east[1] + north_m * north[1]

@@ -47,14 +47,7 @@ def convert_to_floats(instance: object, *names: str) -> None:
 
 
 def require_type(instance: object, name: str, *kinds: type) -> None:
-    """Check that a dataclass field holds one of ``kinds``.
-
-    Args:
-        kinds: Accepted types.
-
-    Raises:
-        TypeError: It does not; the message names the field.
-    """
+    """Check that a dataclass field holds one of some types; the TypeError names the field."""
     value = getattr(instance, name)
     if not isinstance(value, kinds):
         wanted = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)

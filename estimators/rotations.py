@@ -40,11 +40,7 @@ def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Qu
 
 
 def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
-    """Return a vector in frame a.
-
-    Args:
-        a_from_b: Rotation from frame b to frame a, of unit length.
-    """
+    """Return a vector in frame a."""
     w, x, y, z = a_from_b
     vx, vy, vz = vector_b
     tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
@@ -56,14 +52,7 @@ def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
 
 
 def normalized(quaternion: Quaternion) -> Quaternion:
-    """Return the quaternion at unit length.
-
-    Args:
-        quaternion: Any quaternion but zero.
-
-    Raises:
-        ValueError: The quaternion is zero, which is not a rotation.
-    """
+    """Return the quaternion at unit length; ValueError: it is zero."""
     w, x, y, z = quaternion
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if length < 1e-6:
@@ -75,11 +64,6 @@ def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quat
     """Return a rotation between two, by normalised linear interpolation the short way round.
 
     Compared with the great arc the error is below 0.01 degree for steps up to 10 degrees.
-
-    Args:
-        first: Rotation at fraction 0.
-        second: Rotation at fraction 1.
-        fraction: Share of the way, 0 to 1.
     """
     (aw, ax, ay, az), (bw, bx, by, bz) = first, second
     far = fraction if aw * bw + ax * bx + ay * by + az * bz >= 0.0 else -fraction

@@ -32,19 +32,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Delays:
-    """How much earlier than their stamps the readings were made, s, with standard deviations.
-
-    Attributes:
-        gimbal_s: of the gimbal.
-        range_s: of the laser.
-        gimbal_sigma_s: of the first.
-        range_sigma_s: of the second.
-        yaw_bias_rad: yaw bias of the gimbal that was found with them.
-        yaw_sigma_rad: its standard deviation.
-        range_bias_m: bias of the laser that was found with them, after the factor.
-        range_bias_sigma_m: its standard deviation.
-        range_factor: by what the ranges have to be multiplied.
-    """
+    """How much earlier than their stamps the readings were made, s, and the errors that were found with that."""
 
     gimbal_s: float
     range_s: float
@@ -52,9 +40,9 @@ class Delays:
     range_sigma_s: float
     yaw_bias_rad: float
     yaw_sigma_rad: float
-    range_bias_m: float
+    range_bias_m: float  # after the factor
     range_bias_sigma_m: float
-    range_factor: float = 1.0
+    range_factor: float = 1.0  # by what the ranges have to be multiplied
 
     def __str__(self) -> str:
         return (
@@ -85,9 +73,5 @@ class Biases:
 
 
 def prior_sigmas(settings: TrackerSettings) -> tuple[float, float, float]:
-    """Return the standard deviations of the payload's errors before the first measurement.
-
-    Returns:
-        Yaw error, rad; pitch error, rad; range error, m (1 sigma).
-    """
+    """Return the standard deviations of yaw error, pitch error and range error before the first measurement."""
     return settings.yaw_bias_sigma_rad, settings.pitch_bias_sigma_rad, settings.range_bias_sigma_m

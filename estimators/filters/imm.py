@@ -69,26 +69,14 @@ _STEPS_MAX = 60
 
 
 class TargetImm:
-    """A filter that has been started at a sighting. Sightings come in the order of time.
-
-    Attributes:
-        time_s: time of the state.
-        state: see :mod:`sidelong.estimators.filters.imm_kernel`; never changed in place, so that copies can share it.
-    """
+    """A filter that has been started at a sighting. Sightings come in the order of time."""
 
     models: ClassVar[int] = len(kernel.MODELS)
 
     def __init__(
         self, settings: TrackerSettings, sighting: AnySighting, biases: Biases, ground: Ground | None = None
     ) -> None:
-        """Start at the first sighting of a target.
-
-        Args:
-            settings: of the track.
-            sighting: the first one.
-            biases: what is known of the errors of the payload, or of all payloads as :func:`prior_of` has them.
-            ground: the ground that the target stands on, None if it is not known.
-        """
+        """Start at the first sighting of a target; ``biases`` of all payloads are as :func:`prior_of` has them."""
         mean, covariance = starting_moments(settings, sighting, biases)
         if ground is not None:
             begin_standing(mean, covariance, ground.grid, ground.sigma_m)
@@ -101,14 +89,7 @@ class TargetImm:
     def resumed(
         cls, settings: TrackerSettings, time_s: float, state: FloatArray, ground: Ground | None = None
     ) -> Self:
-        """Return a filter in a known state.
-
-        Args:
-            settings: Settings of the tracker.
-            time_s: Time of the state, vehicle's clock, s.
-            state: Probability, mean and covariance of each model, (models, 1 + n + n * n).
-            ground: The ground on which the target stands; None if unknown.
-        """
+        """Return a filter in a known state, see :mod:`sidelong.estimators.filters.imm_kernel`."""
         filtered = cls.__new__(cls)
         filtered._set_up(settings, time_s, state, ground)
         return filtered
@@ -144,10 +125,9 @@ class TargetImm:
         self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """Update the state with a sighting made at the filter's time, unless the gate rejects it.
+        """Update the state with a sighting made at the filter's time, unless the gate rejects it; return the NIS.
 
-        Returns:
-            The normalised innovation squared: chi-square with three degrees of freedom for laser and gimbal.
+        For laser and gimbal that is chi-square with three degrees of freedom.
         """
         state = self.state.copy()
         nis = kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
@@ -219,11 +199,7 @@ def _errors_in(biases: Biases, sighting: AnySighting) -> slice:
 def starting_moments(
     settings: TrackerSettings, sighting: AnySighting, biases: Biases
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance of a target at its first sighting, with unknown velocity.
-
-    Returns:
-        Mean (n,) and covariance (n, n) of (east, north, velocity east, velocity north, height, turn rate, errors).
-    """
+    """Return mean (n,) and covariance (n, n) of a target at its first sighting, with unknown velocity."""
     size = TARGET + biases.mean.size
     mean, covariance = np.zeros(size), np.zeros((size, size))
     own, position, velocity = _errors_in(biases, sighting), [EAST, NORTH, HEIGHT], [VELOCITY_E, VELOCITY_N]

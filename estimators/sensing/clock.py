@@ -55,28 +55,19 @@ class _Line:
 
 
 class VehicleClock:
-    """The vehicle's clock: ``now_s`` is its latest accepted stamp, -inf before the first.
-
-    Attributes:
-        in_question: Whether another line speaks while the clock's own is silent.
-        shift_s: How far the latest change of sequences moved the clock.
-        restarted: Whether that change was an autopilot reboot.
-        returned: Whether that change was back to the previous sequence.
-        two_lines_s: Distance of two alternating sequences; None while there is one.
-        slow_lines_s: The same, if the second one is seldom received.
-    """
+    """The vehicle's clock: ``now_s`` is its latest accepted stamp, -inf before the first."""
 
     def __init__(self) -> None:
         self._own: _Line | None = None
         self._other: _Line | None = None
         self.now_s = -math.inf
-        self.in_question = False
+        self.in_question = False  # another line speaks while the clock's own is silent
         self._misses = 0  # stamps in a row that fit neither line
         self._ticks_s: deque[float] = deque(maxlen=_TICKS)
-        self.shift_s = 0.0
-        self.restarted = self.returned = False
-        self.two_lines_s: float | None = None
-        self.slow_lines_s: float | None = None
+        self.shift_s = 0.0  # how far the latest change of sequences moved the clock
+        self.restarted = self.returned = False  # that change was by a reboot; to an earlier sequence
+        self.two_lines_s: float | None = None  # distance of two alternating sequences
+        self.slow_lines_s: float | None = None  # the same, if the second one is seldom received
 
     @property
     def tick_s(self) -> float:
@@ -96,12 +87,9 @@ class VehicleClock:
         return self._other.last_s - self._other.first_s if self.in_question and self._other is not None else 0.0
 
     def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
-        """Process a stamp of the vehicle.
+        """Process a stamp of the vehicle, time since boot.
 
-        Args:
-            stamp_s: Time since boot in the message, s.
-            confirmed_after_s: How long another sequence of stamps has to last before it is followed, s; None: depends
-                on its distance.
+        confirmed_after_s: how long another sequence has to last before it is followed; None: depends on its distance.
         """
         if self.goes_on(stamp_s):
             return Stamp.GOOD
@@ -176,29 +164,17 @@ class VehicleClock:
 
 
 class SourceClock:
-    """One payload source's clock against the vehicle's.
-
-    ahead_s: by how much its stamps are ahead of the vehicle's clock (behind: negative); 0 while they agree with it
-    up to what a link may delay.
-    """
+    """One payload source's clock against the vehicle's."""
 
     def __init__(self) -> None:
-        self.ahead_s = 0.0
+        self.ahead_s = 0.0  # of the vehicle's clock; 0 while the stamps agree with it up to what a link may delay
         self._samples: deque[float] = deque(maxlen=_SAMPLES)
         self._sampled_s = -math.inf
         self._usual = 0  # samples in a row that agree with the vehicle's clock
         self._row, self._row_s, self._row_since_s = 0, math.nan, -math.inf
 
     def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
-        """Return a stamp of the source on the vehicle's clock.
-
-        Args:
-            stamp_s: Time in the message, s.
-            clock: The vehicle's clock.
-
-        Returns:
-            Time on the vehicle's clock, s; None if the stamp fits neither that clock nor the source's own.
-        """
+        """Return a stamp on the vehicle's clock; None if it fits neither that clock nor the source's own."""
         ahead_s = stamp_s - clock.now_s
         if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement
             self._sampled_s = clock.now_s

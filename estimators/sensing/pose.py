@@ -23,9 +23,6 @@ class ReadingHistory(Generic[T]):
     """Readings of one kind in the order of their times (vehicle's clock), of the last ``span_s`` seconds at least.
 
     A second reading of the same time is a duplicate and is dropped.
-
-    Attributes:
-        newest_s: Time of the newest reading, minus infinity while there is none.
     """
 
     def __init__(self, span_s: float) -> None:
@@ -52,11 +49,7 @@ class ReadingHistory(Generic[T]):
         return True
 
     def around(self, time_s: float) -> tuple[T, T] | None:
-        """Return the readings before (or at) and after a time.
-
-        Returns:
-            Both readings, the same one twice if its time is exact; None before the first and after the last reading.
-        """
+        """Return the readings before and after a time, twice one of that time; None outside the readings."""
         at = bisect_right(self._items, time_s, key=_time_s)
         if at == 0:
             return None
@@ -86,13 +79,10 @@ class PoseHistory:
         self.attitudes: ReadingHistory[AttitudeReading] = ReadingHistory(self._SPAN_S)
 
     def position_at(self, time_s: float) -> PositionReading | None:
-        """Return the aircraft's position at a time.
+        """Return the aircraft's position at a time; None outside the readings and in a long gap.
 
         Follows the cubic through two positions and their velocities: at 1 Hz and 0.5 g of turn it stays within 0.1 m
         where a straight line errs by 0.6 m. After the last reading, its velocity is held for 0.3 s.
-
-        Returns:
-            The position; None before the first reading, more than 0.3 s after the last one, and in a long gap.
         """
         pair = self.positions.around(time_s)
         if pair is None:
@@ -135,11 +125,7 @@ class PoseHistory:
         )
 
     def attitude_at(self, time_s: float) -> AttitudeReading | None:
-        """Return the aircraft's attitude at a time, angles interpolated linearly.
-
-        Returns:
-            The attitude; None outside the readings and in a long gap.
-        """
+        """Return the attitude at a time, interpolated linearly; None outside the readings and in a long gap."""
         pair = self.attitudes.around(time_s)
         if pair is None:
             return None
@@ -163,8 +149,7 @@ _GIMBAL_GAP_MAX_S = 1.0  # between two attitudes of a gimbal: across more, it ma
 def gimbal_at(gimbals: ReadingHistory[GimbalReading], time_s: float) -> tuple[GimbalReading, float] | None:
     """Return the gimbal's attitude at a time, and the time between the readings that it lies between.
 
-    Returns:
-        None outside the readings, in a long gap, and between readings of two devices or frames.
+    None outside the readings, in a long gap, and between readings of two devices or frames.
     """
     pair = gimbals.around(time_s)
     if pair is None:

@@ -163,11 +163,7 @@ AnySighting = Sighting | Fix
 
 
 def measurement_by_biases(sighting: AnySighting) -> FloatArray:
-    """Return the derivative of a measurement by the payload's errors.
-
-    Returns:
-        Derivative by the (yaw, pitch, range) errors, (3, 3); read only.
-    """
+    """Return the derivative (3, 3) of a measurement by the (yaw, pitch, range) errors; read only."""
     return _BY_BIASES if isinstance(sighting, Sighting) else _BY_NO_BIASES
 
 
@@ -235,11 +231,9 @@ def parent_of_gimbal(gimbal: GimbalReading, attitude: AttitudeReading | None, mo
 def line_of_sight(
     gimbal: GimbalReading, attitude: AttitudeReading | None, parent_from_mount: Quaternion
 ) -> LineOfSight:
-    """Return the direction in which the gimbal points.
+    """Return the direction in which the gimbal points; the attitude may be None for an earth-frame gimbal only.
 
     Straight down the bearing is 0: a line of sight within a degree of it has no usable bearing.
-
-    The attitude may be None for an earth-frame gimbal only.
     """
     direction = sight_direction(normalized(gimbal.quaternion_wxyz))
     if gimbal.frame != "earth":

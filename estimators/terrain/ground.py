@@ -48,57 +48,34 @@ class Ground:
         return height_and_slope(self.grid, east_m, north_m)[0]
 
     def heights_at_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> FloatArray:
-        """Return the heights at places, arrays of one shape, in that shape, m; NaN where unknown.
-
-        Args:
-            east_m: East in the local plane, m, any shape.
-            north_m: North in the local plane, m, the same shape.
-        """
+        """Return the heights at places, arrays of one shape, in that shape; NaN where unknown."""
         east, north = np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)
         return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
 
     def cut_m(
         self, east_m: float, north_m: float, height_m: float, bearing_rad: float, depression_rad: float, max_m: float
     ) -> float | None:
-        """Return the horizontal distance at which a ray first meets the ground.
-
-        Args:
-            depression_rad: Angle below the horizon, rad.
-
-        Returns:
-            Distance, m; None if the ray does not meet the ground or crosses a void, whose height is unknown.
-        """
+        """Return the horizontal distance at which a ray meets the ground; None if it does not, or crosses a void."""
         step_m = sight_step_m(self.grid)
         found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)
         return None if math.isnan(found_m) else found_m
 
     def sees(self, a_m: tuple[float, float, float], b_m: tuple[float, float, float]) -> bool:
-        """Return whether the line between two points clears the ground. Voids hide nothing.
-
-        Args:
-            a_m: (east, north, height) of one point, m.
-            b_m: (east, north, height) of the other point, m.
-        """
+        """Return whether the line between two points (east, north, height) clears the ground. Voids hide nothing."""
         return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= 0.0
 
     def horizon_m(
         self, east_m: float, north_m: float, height_m: float, azimuths: int, rings: int, ring_m: float
     ) -> npt.NDArray[np.float32]:
-        """Return the heights (azimuths, rings) from which a point is visible, m. Voids hide nothing.
+        """Return the heights (azimuths, rings) from which a point is visible. Voids hide nothing.
 
-        Args:
-            azimuths: Number of azimuths; the first is north, the others follow clockwise.
-            ring_m: Difference of two distances, and the first distance, m.
+        The first azimuth is north, the others follow clockwise; ``ring_m`` is the first distance and the step.
         """
         return horizon(self.grid, east_m, north_m, height_m, azimuths, rings, ring_m)
 
 
 def flat_ground(sigma_m: float) -> Ground:
-    """Return flat ground at the height of home, for 40 km around the origin: for flights without elevation data.
-
-    Args:
-        sigma_m: standard deviation of the target's height against home's, m.
-    """
+    """Return flat ground at the height of home, for 40 km around the origin: for flights without elevation data."""
     reach_m, step_m = 40_000.0, 400.0
     posts = round(2.0 * reach_m / step_m) + 1
     return Ground(np.zeros((posts, posts), np.float32), -reach_m, -reach_m, step_m, step_m, sigma_m)

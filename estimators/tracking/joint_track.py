@@ -33,18 +33,13 @@ Name = TypeVar("Name", int, str)
 
 
 def agreeing(tracks: Mapping[Name, TargetEstimate], trust: Callable[[Name], int] = lambda _name: 0) -> list[Name]:
-    """Return the largest group of tracks that agree with one of them.
+    """Return the largest group of tracks that agree with one of them, by increasing covariance.
 
     Tracks of one target share its motion noise, how much is not known. Treated as independent, a few too many agree.
+    Of equal groups the one with the most trusted track is chosen, then that around the track with the least
+    covariance.
+
     Source: Singer and Kanyuck, "Computer control of multiple site track correlation", Automatica 7(4), 1971.
-
-    Args:
-        tracks: Tracks by name.
-        trust: How far a track is trusted: of equal groups the one with the most trusted track is chosen, then that
-            around the track with the least covariance.
-
-    Returns:
-        Names of the group, by increasing covariance; without tracks none.
     """
     if not tracks:
         return []
@@ -98,9 +93,6 @@ class JointTrack:
 
     ``settings`` describe each payload; those of the first apply to the track: gates, losses, kind of target. Raises
     ValueError if there are none.
-
-    Attributes:
-        is_led: Whether any payload is used; if not, the estimate covers the places where they see the target.
     """
 
     def __init__(self, settings: Mapping[str, TrackerSettings]) -> None:
@@ -120,7 +112,7 @@ class JointTrack:
         self._since_s: dict[int, float] = {}  # when a payload in use began to contradict, or one left out to agree
         self._refused: dict[int, str] = {}
         self._alive: tuple[int, ...] = ()  # at the last comparison with any
-        self.is_led = True
+        self.is_led = True  # else the estimate covers the places where the payloads see the target
         self._fed: set[int] = set()
         self._latest: dict[int, AnySighting] = {}
         self._compared_s = -float("inf")
@@ -163,12 +155,11 @@ class JointTrack:
         """Take what an aircraft knows of its payload.
 
         Args:
-            name: Name of the payload's aircraft.
             fault: Why its sightings are not to be trusted, in words; empty while they are.
             jumped: Whether the position at which it sees the target has jumped lately.
             confirmed: Whether the payload's errors are known.
-            corrected: Standard deviations of the yaw error, rad, and of the range error, m, from now on, if the
-                sightings until now show another place; else None.
+            corrected: Standard deviations of the errors of yaw, rad, and range, m, from now on, if the sightings
+                until now show another place.
         """
         payload = self._names.index(name)
         self._faults[payload] = fault
@@ -185,11 +176,7 @@ class JointTrack:
                 self._begin([one for one in self._alive if one != payload and one not in self._refused])
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the estimate at a time; None before the first sighting.
-
-        Args:
-            time_s: Time to predict to, s.
-        """
+        """Return the estimate at a time; None before the first sighting."""
         if time_s - self._compared_s >= _COMPARED_EVERY_S:
             self._compared_s = time_s
             self._compare(time_s)

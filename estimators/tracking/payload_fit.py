@@ -172,17 +172,11 @@ GroundHeight = Callable[[float, float], float]
 
 
 class Verdict(NamedTuple):
-    """What the motion of some seconds shows to be wrong.
+    """What the motion of some seconds shows to be wrong."""
 
-    Attributes:
-        frame: the gimbal's true frame where its flags are wrong, else None.
-        factor: what the range has to be multiplied with, 1 where its unit is right.
-        is_turned: whether the gimbal's yaw has a large constant error.
-    """
-
-    frame: str | None = None
-    factor: float = 1.0
-    is_turned: bool = False
+    frame: str | None = None  # the gimbal's true one where its flags are wrong
+    factor: float = 1.0  # what the range has to be multiplied with
+    is_turned: bool = False  # the gimbal's yaw has a large constant error
 
 
 SOUND = Verdict()
@@ -252,10 +246,7 @@ class _Repeats:
     def note(self, values: tuple[float, ...], time_s: float, travelled: tuple[float, ...]) -> bool:
         """Take a value; return whether the finding has changed.
 
-        Args:
-            values: the value, a tuple of numbers.
-            time_s: of the reading.
-            travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
+        travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
         """
         before, same = self.found, self._same
         for then, now in zip(self._anchor, values, strict=False):
@@ -276,29 +267,7 @@ class _Repeats:
 
 
 class PayloadFit:
-    """Takes the readings of laser and gimbal as they are used, and finds what is wrong with them.
-
-    Args:
-        settings: noise, priors and configured latencies.
-        parent_from_mount: how the gimbal's base is turned against the airframe.
-
-    Attributes:
-        laser_fault: what is wrong with the laser and what to do, in one sentence; empty while nothing is.
-        gimbal_fault: the same of the gimbal.
-        terrain_fault: how the elevation data contradicts laser and gimbal, while these agree with each other.
-        is_news: whether a fault may have come or gone; whoever reads the faults resets it.
-        is_changed: the same for whoever uses the readings, or there is a new result.
-        wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
-        yaw_error_rad: a large constant error of the gimbal's yaw that is to be corrected; 0: none is known.
-        found: the delays and constant errors by the latest fit; None before, and while they are unknown.
-        is_late: whether the delays of ``found`` are credible, and are to replace those in use.
-        used_s: delays of gimbal and laser that are in use.
-        is_confirmed: whether the fit has a certain result for the payload as it is now.
-        jumped_s: when the apparent target jumped farther than a target can drive, last; -inf: never.
-        jumps_s: when it did so, the last times.
-        ground: the elevation data; None: the ground is flat at the height of home.
-        evidence: by how much the present verdict is better than that nothing is wrong, difference of -ln likelihood.
-    """
+    """Takes the readings of laser and gimbal as they are used, and finds what is wrong with them."""
 
     def __init__(
         self, settings: TrackerSettings | None = None, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -309,13 +278,13 @@ class PayloadFit:
         self._fits_errors, self._may_err = delay_s > 0.0, yaw_rad > 0.0  # or the biases are not estimated
         constants = max(yaw_rad, 1e-6), _RANGE_BIAS_SIGMA_M
         self._sigmas = np.array([delay_s, delay_s, *constants, _PINNED_YAW, _PINNED_RANGE])
-        self.laser_fault = self.gimbal_fault = self.terrain_fault = ""
-        self.is_news = self.is_changed = False
-        self.wrong_since_s = math.inf
-        self.ground: GroundHeight | None = None
+        self.laser_fault = self.gimbal_fault = self.terrain_fault = ""  # what is wrong, and what to do
+        self.is_news = self.is_changed = False  # a fault may have come or gone; there is anything new
+        self.wrong_since_s = math.inf  # of the readings, while there is a fault of laser or gimbal
+        self.ground: GroundHeight | None = None  # None: flat at the height of home
         self._on_ground = self._on_hills = False  # whether the ranges are those to the ground, and that is hilly
         self._ground_sigma_m = 0.0
-        self.jumped_s = self._changed_s = self._level_s = -math.inf
+        self.jumped_s = self._changed_s = self._level_s = -math.inf  # of the apparent target, last
         self.jumps_s: deque[float] = deque(maxlen=OFTEN)
         self._position: PositionReading | None = None
         self._attitude: AttitudeReading | None = None
@@ -336,7 +305,7 @@ class PayloadFit:
         self._jumped: _Sample | None = None
         self._before: tuple[float, FloatArray, FloatArray] | None = None  # time, place, velocity before the change
         self._frame = self._flagged = ""
-        self.used_s = settings.latencies_s
+        self.used_s = settings.latencies_s  # delays of gimbal and laser that are in use
         self._begin_device()
 
     def _begin_device(self) -> None:
@@ -348,12 +317,13 @@ class PayloadFit:
         self._frame_fault = self._unit_fault = self._drift_fault = ""
         self._drift = self._drift_seen = ""
         self._drifting = 0
+        # A large yaw error that is to be corrected; how much better the verdict is, difference of -ln likelihood.
         self.yaw_error_rad = self._turn_rad = self.evidence = 0.0
         self._sound: Fit | None = None
         self._erring: Fit | None = None  # while that explains the readings far better
         self._factor = 1.0  # of the ranges, in that
-        self.found: Delays | None = None
-        self.is_late = self.is_confirmed = False
+        self.found: Delays | None = None  # by the latest fit; None while unknown
+        self.is_late = self.is_confirmed = False  # ``found`` is to replace the delays in use; it is certain
         self.is_changed = True
         self._fit_s = self._drift_s = self._wander_s = -math.inf
         self._wander = 0.0, 0.0  # suspected error of the estimate m, and its growth m/s
@@ -365,11 +335,9 @@ class PayloadFit:
         self._sight_repeats, self._yaw_repeats = _Repeats(_SAME_SIGHT), _Repeats(_SAME_SIGHT)
 
     def stand_on(self, hills: bool, sigma_m: float) -> None:
-        """Let lines of sight end on a ground.
+        """Let lines of sight end on a ground, which is hilly or flat, with a standard deviation of its height.
 
-        Args:
-            hills: whether it is not flat. A flat one is too high or too low as a whole: that is the ranges' bias.
-            sigma_m: standard deviation of its height.
+        A flat one is too high or too low as a whole: that is the ranges' bias.
         """
         self._on_hills, self._ground_sigma_m = hills, sigma_m if hills else 0.0
 
@@ -439,12 +407,7 @@ class PayloadFit:
             self._settle()
 
     def gimbal(self, reading: GimbalReading, ends_on_ground: bool = False) -> None:
-        """Process a line of sight in use.
-
-        Args:
-            reading: The line of sight.
-            ends_on_ground: whether it counts without a range, as it ends on known ground.
-        """
+        """Process a line of sight in use; one that ends on known ground counts without a range."""
         if reading.source != self._gimbal_source:
             if self._gimbal_source is not None:
                 self._expect_another_gimbal()
@@ -468,7 +431,6 @@ class PayloadFit:
             self._sample(reading, ends_on_ground)
 
     def _row(self, now_s: float) -> None:
-        """Take the latest readings of all devices into the history."""
         if now_s < self._row_s:  # the clock was set back
             self._history.clear()
             self._sampled_s = self._judged_s = self._since_s = self._fit_s = self._drift_s = -math.inf
@@ -616,8 +578,7 @@ class PayloadFit:
     def _verdict_of_motion(self, established: Verdict) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
 
-        Args:
-            established: what was found to be wrong before; it holds until what is reported fits clearly better.
+        What was established before holds until what is reported fits clearly better.
         """
         samples = self._samples
         if established.frame == self._flagged:  # the flags are corrected; until then a wrong target moved
@@ -861,11 +822,7 @@ class PayloadFit:
         return Readings(positions, attitudes, sights, ranges, frame, noise, delays_s)
 
     def fit(self, now_s: float) -> None:
-        """Fit delays and constant errors to the readings of the last minutes.
-
-        Args:
-            now_s: Time of the latest reading, vehicle's clock, s.
-        """
+        """Fit delays and constant errors to the readings of the last minutes."""
         self.found, self.is_late, latencies_s = None, False, self._settings.latencies_s
         readings = self._readings(now_s, _WINDOW_S, latencies_s)
         if readings is None:
@@ -1087,9 +1044,9 @@ class PayloadFit:
         return bound_m if bound_m > _WANDER_MIN_M else 0.0
 
     def _pitch_drift(self, readings: Readings, bearing_rad: FloatArray, down_rad: FloatArray) -> tuple[float, ...]:
-        """Return the pitch error at the end by the height of the target over the ground, and its change, rad.
+        """Return the pitch error at the end, its change, and what one metre of a range error looks like, rad/m.
 
-        The third value is the pitch error that one metre of a range error looks like, rad/m.
+        The height of the target over the ground shows them.
         """
         time_s, slant_m, _ = readings.ranges.T
         rows = self._history.since(time_s[0] - _GAP_MAX_S)
@@ -1121,7 +1078,6 @@ class PayloadFit:
         return self._sight_repeats.found or self._yaw_repeats.found
 
     def _settle(self) -> None:
-        """State the faults of laser and gimbal."""
         before, by_laser = (self.laser_fault, self.gimbal_fault), self._drift in ("range", "sector")
         self.laser_fault = _STUCK if self._is_stuck else self._unit_fault or (self._drift_fault if by_laser else "")
         frozen = _FROZEN if self._sight_repeats.found else _YAW_FROZEN if self._yaw_repeats.found else ""
@@ -1167,13 +1123,7 @@ def _scaled(readings: Readings, factor: float) -> Readings:
 
 
 def _gain_of_freeing(found: Fit, sigmas: FloatArray, rate: int) -> float:
-    """Return about how much less the cost is without the priors of a rate and of its constant, to second order.
-
-    Args:
-        found: the best fit with the priors.
-        sigmas: of the priors.
-        rate: index of the rate among the shared numbers.
-    """
+    """Return about how much less the cost is without the priors of a rate and of its constant, to second order."""
     prior = 1.0 / np.square(sigmas)
     freed = np.isin(np.arange(SHARED), (rate - 2, rate))
     pull = np.where(freed, prior * found.shared, 0.0)  # of the readings, against the prior
@@ -1187,9 +1137,8 @@ def _sectors(
     """Yield at which bearings alone the ranges may be off: from what, which ranges (n,), the middle of these rad.
 
     Args:
-        readings: of the fit.
-        bearing_rad: of each range, without jumps by a turn.
-        off_m: what the path explains of each range, less what was measured.
+        bearing_rad: Of each range, without jumps by a turn.
+        off_m: What the path explains of each range, less what was measured.
     """
     time_s, slant_m, _ = readings.ranges.T
     own_s, _, _, east_m_s, north_m_s = readings.positions.T

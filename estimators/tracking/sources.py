@@ -44,11 +44,7 @@ def range_rank(source: Source) -> int | None:
 
 
 def sight_rank(source: Source) -> int | None:
-    """Return the preference for a source of lines of sight: a target in the image comes before the camera's axis.
-
-    Returns:
-        Lower is better.
-    """
+    """Return the rank of a source of lines of sight: a target in the image comes before the camera's axis."""
     if source.message == IMAGE_TRACKER:
         return -1
     return 2 * (source.message == "DISTANCE_SENSOR") + (source.component_id == _AUTOPILOT_COMPONENT)
@@ -79,12 +75,7 @@ class SourceSelector:
         return self._rank_of(source) is not None
 
     def why_never(self, source: Source, key: str) -> str:
-        """Return why a source is never used, and what would use it; '' for one that may be used.
-
-        Args:
-            source: who sent it.
-            key: the configuration key that selects the sources of this kind by their component.
-        """
+        """Return why a source is never used, and which value of a configuration key would use it; '' if it may be."""
         if self._rank_of(source) is not None:
             return ""
         if self.choice is not None:
@@ -93,13 +84,7 @@ class SourceSelector:
         return f"{why}; {key} = {source.component_id} would use it"
 
     def accepts(self, source: Source, time_s: float, agrees: Callable[[], bool] = lambda: True) -> bool:
-        """Return whether to use a reading of this source.
-
-        Args:
-            source: who sent it.
-            time_s: when, on the vehicle's clock.
-            agrees: whether the reading agrees with the track; asked before another source is replaced.
-        """
+        """Return whether to use a reading; ``agrees`` with the track is asked before another source is replaced."""
         if source is not self.chosen and source != self.chosen:
             rank = self._rank_of(source)
             if rank is None:

@@ -101,13 +101,7 @@ class Track:
         self._ground = ground
 
     def resume(self, last: TargetImm, last_sighting_s: float, gated_out: list[AnySighting]) -> None:
-        """Go on from a filter as of the last sighting. Earlier filters are no longer available.
-
-        Args:
-            last: The filter after the last accepted sighting.
-            last_sighting_s: Time of that sighting, vehicle's clock, s.
-            gated_out: Sightings since then that the gate rejected.
-        """
+        """Go on from a filter as of the last sighting; earlier ones are not available."""
         self._filter, self._coasted = last, None
         self._steps.clear()
         self._last_sighting_s, self._gated_out = last_sighting_s, gated_out
@@ -221,10 +215,7 @@ class Track:
         )
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the predicted target.
-
-        It is that at ``now_s``, or at the last sighting if that is later; None before the first one.
-        """
+        """Return the target as predicted, or as of the last sighting if that is later; None before the first one."""
         if self._filter is None:
             return None
         ahead = self._filter if now_s <= self._filter.time_s else self._coasted_to(self._filter, now_s)

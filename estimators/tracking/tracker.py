@@ -137,10 +137,7 @@ class Pairing:
         return made
 
     def set_delays(self, delays: Delays | None) -> None:
-        """Use other delays from now on, rounded to whole milliseconds so that a replay computes the same values.
-
-        None: the configured ones.
-        """
+        """Use other delays, or the configured ones; whole milliseconds, so that a replay computes the same."""
         used_s, self.range_factor = self._settings.latencies_s, 1.0
         if delays is not None:
             used_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
@@ -236,14 +233,6 @@ class Tracker:
 
     A reading may come late or out of order by a few seconds. Readings of a laser or gimbal that the payload fit finds
     faulty are not used, and the sightings made with them are undone.
-
-    Attributes:
-        ranges: Which laser is in use, and which were refused as they contradict the track.
-        gimbals: The same of the line of sight.
-        payload: What is wrong with laser and gimbal.
-        delays: How late laser and gimbal stamp their readings; None while nothing else is known than the setting.
-        corrections: How often the payload turned out to err: its sightings until then show another place.
-        turns: How often the lines of sight were turned back by a large yaw error.
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -258,10 +247,10 @@ class Tracker:
         self._track = Track(settings)
         self.payload = PayloadFit(settings, self._pairing.parent_from_mount)
         self._yaw_errors_rad: dict[Source, float] = {}  # large ones, which every line of sight is corrected by first
-        self.turns = 0
+        self.turns = 0  # how often the lines of sight were turned back by a large yaw error
         self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
-        self.delays: Delays | None = None
-        self.corrections = 0
+        self.delays: Delays | None = None  # None while nothing else is known than the setting
+        self.corrections = 0  # how often the sightings until then turned out to show another place
         self._found_errors = Biases.prior(settings)  # with which the track was last restarted
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
         self._devices: tuple[Source | None, Source | None] = None, None

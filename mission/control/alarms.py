@@ -31,27 +31,17 @@ class Charge:
 
     A report that falls faster is followed at that pace, or at once when the voltage has fallen by a tenth as well. It
     stays in doubt while a voltage contradicts it and it does not go on falling as a battery in use does.
-
-    Attributes:
-        percent: The plausible charge, 0 to 100.
-        doubt: Why the reported charge is not acted on, in words; '' if it is.
     """
 
     def __init__(self) -> None:
-        self.percent: float | None = None
-        self.doubt = ""
+        self.percent: float | None = None  # plausible, 0 to 100
+        self.doubt = ""  # why the reported charge is not acted on, in words; '' if it is
         self._least = math.inf  # the charge if it was used up at the fastest pace
         self._time_s = self._most_v = 0.0
         self._good = self._doubted = (0.0, 0.0)  # time and charge of the last accepted report, and of the lowest one
 
     def take(self, time_s: float, percent: float, volts: float | None = None) -> None:
-        """Process the reported charge.
-
-        Args:
-            time_s: Vehicle's clock, s; not earlier than the previous one.
-            percent: Remaining charge, 0 to 100.
-            volts: The battery's voltage, V; None if it is not reported.
-        """
+        """Process the reported charge, 0 to 100, at a time on the vehicle's clock no earlier than the last one."""
         self._most_v = max(self._most_v, volts or 0.0)
         confirmed = self.percent is None or (volts is not None and volts <= _CONFIRMED_SHARE * self._most_v)
         fallen = _FASTEST_PERCENT_PER_S * (time_s - self._time_s)
@@ -76,12 +66,6 @@ class Endurance:
     The moments at which the charge falls by a percent are exact where the charge itself is not: a line through those
     of the last 15 minutes is the consumption. A charge that has not fallen for longer than the line predicts is a
     point of it, too.
-
-    Args:
-        reserve_percent: Charge that is to be left.
-
-    Attributes:
-        charge: The charge as far as it is plausible.
     """
 
     def __init__(self, reserve_percent: float) -> None:
@@ -124,14 +108,7 @@ class Endurance:
         return falling if falling > 0.0 else None
 
     def left_s(self, time_s: float) -> float | None:
-        """Return the flight time left until the reserve.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-
-        Returns:
-            Time, s; None while the consumption is unknown.
-        """
+        """Return the flight time left until the reserve; None while the consumption is unknown."""
         rate = self.percent_per_s(time_s)
         if rate is None:
             return None
@@ -141,16 +118,7 @@ class Endurance:
 
 
 def time_to_s(aircraft: AircraftState, place_m: tuple[float, float], airspeed_m_s: float, wind: Wind) -> float:
-    """Return the time of a straight flight to a position.
-
-    Args:
-        aircraft: State of the aircraft.
-        place_m: The position (east, north), m.
-        wind: Estimate of the wind.
-
-    Returns:
-        Time, s; infinite if the wind prevents the flight.
-    """
+    """Return the time of a straight flight to a position (east, north); infinite if the wind prevents the flight."""
     east_m, north_m = place_m[0] - aircraft.east_m, place_m[1] - aircraft.north_m
     distance_m = math.hypot(east_m, north_m)
     if distance_m == 0.0:
@@ -171,11 +139,7 @@ _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """Definition of one alarm.
-
-    ``text`` returns the present fault, '' if there is none. The alarm is raised after ``after_s``, if it is ``sure``
-    then, and cleared after ``clear_s``.
-    """
+    """An alarm: raised after ``after_s`` of its fault, if it is ``sure`` then, and cleared ``clear_s`` after it."""
 
     key: str
     text: Callable[[Alarms, Present], str]
@@ -187,30 +151,17 @@ class _Rule:
 
 
 class Alarms:
-    """The alarms of one aircraft.
-
-    Attributes:
-        active: Those that are raised, in the order of their rules.
-        was_in_band: Whether the target was in the range band since the beginning.
-        was_on_side: Whether the aircraft was on the required side since the beginning.
-    """
+    """The alarms of one aircraft."""
 
     def __init__(self) -> None:
-        self.active: tuple[Alarm, ...] = ()
+        self.active: tuple[Alarm, ...] = ()  # in the order of their rules
         self._begun_s: float | None = None
         self.was_in_band = self.was_on_side = False
         self._wrong_since_s: dict[str, float] = {}
         self._right_since_s: dict[str, float] = {}
 
     def update(self, now: Present) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
-        """Process a state.
-
-        Args:
-            now: The state, not older than the previous one, with the vehicle's status.
-
-        Returns:
-            The alarms that it raises, and those that it clears.
-        """
+        """Process a state with the vehicle's status; return the alarms that it raises, and those that it clears."""
         self._remember(now)
         before = {alarm.key: alarm for alarm in self.active}
         after = {rule.key: self._judged(rule, before.get(rule.key), now) for rule in _RULES}
@@ -300,8 +251,6 @@ def _well_beyond_side(now: Present) -> bool:
 
 
 def _input(watched: Input) -> Callable[[Alarms, Present], str]:
-    """Return the text of an input's alarm."""
-
     def text(_alarms: Alarms, now: Present) -> str:
         bad = (report.text for report in now.health if report.input is watched and report.state in _BAD)
         return next(bad, "") if now.phase.in_control and not now.turn_payload else ""
@@ -349,12 +298,7 @@ LOW_BATTERY = 1.2
 
 
 def battery_is_low(left_s: float, home_s: float) -> bool:
-    """Return whether the aircraft has to fly home.
-
-    Args:
-        left_s: Flight time left until the battery's reserve, s.
-        home_s: Time to fly home, s.
-    """
+    """Return whether the flight time left until the battery's reserve requires to fly home."""
     return left_s <= LOW_BATTERY * home_s
 
 

@@ -148,11 +148,7 @@ class StandoffSettings:
 
 
 class StandoffController:
-    """The mission's whole state. ``settings`` holds aircraft and requirement as they are now.
-
-    ``sighted``: the sightings that the last step completed. ``admitted``: its event as it passed the plausibility
-    check, None if it was rejected.
-    """
+    """The mission's whole state."""
 
     def __init__(
         self,
@@ -167,8 +163,8 @@ class StandoffController:
         self.time_s = -math.inf
         self.decision: Decision | None = None
         self.estimate: TargetEstimate | None = None
-        self.sighted: tuple[SightingOutcome, ...] = ()
-        self.admitted: Event | None = None
+        self.sighted: tuple[SightingOutcome, ...] = ()  # that the last step completed
+        self.admitted: Event | None = None  # the last step's, as it passed the plausibility check
         self.aircraft: AircraftState | None = None  # as it was last reported
         self.door = Plausibility(_WIND_MAX_SHARE * settings.aircraft.airspeed_m_s)
         self.health = Health(tracker.payload)
@@ -208,14 +204,7 @@ class StandoffController:
         self._unseen = UnseenTarget(tracker)
 
     def step(self, event: Event) -> tuple[StepOutput, ...]:
-        """Process one event.
-
-        Args:
-            event: The event; its time is not earlier than that of the previous one by the same clock.
-
-        Returns:
-            The resulting commands and announcements, in order.
-        """
+        """Process one event, no earlier than the last one of its clock; return commands and announcements."""
         self.sighted = ()
         announced: tuple[StepOutput, ...]
         admitted, announced = self.door.admit(event)
@@ -232,7 +221,6 @@ class StandoffController:
         return announced + commands if announced else commands
 
     def _health_changes(self) -> tuple[StepOutput, ...]:
-        """Return which inputs have changed their state."""
         health, tracker, now_s = self.health, self.tracker, self.door.clock.now_s
         if now_s == -math.inf:
             return ()
@@ -509,7 +497,6 @@ class StandoffController:
     def _planned(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, reach: Reach | None
     ) -> tuple[StepOutput, ...]:
-        """Ask the planner, unless the payload is suspect."""
         if self.health.payload.is_suspect(self.time_s):
             self._hold(_JUMPED)
             return ()
@@ -582,10 +569,7 @@ class StandoffController:
         return self.changes.upload(now_s, plan, self._wind, f"keeping clear{to}: {found}")
 
     def _other_heights(self, found: Encounter, height_m: float) -> list[Heights]:
-        """Return the heights above and below a foreign aircraft, the nearest one first.
-
-        None where layers keep the own fleet apart, and over terrain, whose heights follow the ground.
-        """
+        """Return heights above and below a foreign aircraft; none in layers of a fleet, and over terrain."""
         heights, keep_m = self.surroundings.heights, found.other.clear_m[1] + _HEIGHT_MARGIN_M
         if not isinstance(heights, OneHeight) or self.surroundings.separation.has_fleet:
             return []
@@ -634,14 +618,10 @@ class StandoffController:
         return Reach.seen(target, self.settings.requirement.target_speed_max_m_s)
 
     def _best_way(self, aircraft: AircraftState, present: Plan) -> tuple[Plan | None, float]:
-        """Return the first way out that passes the checks of an ordinary move, and how far it keeps from the target.
+        """Return the way out to take, and how far it keeps from the target; None if none passes the checks.
 
-        Where none keeps the least range, of those that pass the other checks the one that keeps most; None if none
-        passes them.
-
-        Args:
-            aircraft: State of the aircraft.
-            present: The plan that is flown; its circle, as wide as it can be flown, is tried first.
+        That is the first one that passes the checks of an ordinary move, else the one that keeps the most range of
+        those that pass the other checks. The present circle, as wide as it can be flown, is tried first.
         """
         own, requirement, latency_s = self.settings.aircraft, self.settings.requirement, self.latency.expected_s
         start, target = dead_reckoned(aircraft, latency_s), self.estimate

@@ -48,7 +48,6 @@ class _Approach:
     """Whether an error is within a tolerance or decreases.
 
     Args:
-        tolerance: Allowed error.
         step: By how much it has to decrease within ``within_s`` while it is larger.
         leaving_s: How long an error that was within the tolerance may be larger.
     """
@@ -115,11 +114,7 @@ class _Turns:
         self.efficiency += (share - self.efficiency) / _EFFICIENCY_OVER_S
 
     def roll_rate_rad_s(self, goal_rad: float) -> float:
-        """Return the roll rate while it has been the same for some seconds, as by a limit; else infinity.
-
-        Args:
-            goal_rad: Bank that is asked for: a limit is reached only on the way to it, and far from it.
-        """
+        """Return the roll rate while it has been steady far from the bank asked for, as by a limit; else infinity."""
         recent = self._rolls
         if not self._is_filled:
             return math.inf
@@ -132,19 +127,11 @@ class _Turns:
 
 
 class Envelope:
-    """The monitor of one flight.
-
-    Attributes:
-        faults: What is breached, in words, by input; they stand until the breach is over.
-        aircraft: What the aircraft can do, as far as it is known: plans are made for it.
-        floor_m: Height above home below which nothing new is commanded; -inf: there is none.
-        off_m: Distance from the plan.
-        judges: Whether plans are flown; not so in the log of another program's flight.
-    """
+    """The monitor of one flight."""
 
     def __init__(self, bounds: FlightBounds, aircraft: Aircraft, requirement: Requirement) -> None:
-        self.faults: dict[Input, str] = {}
-        self.judges = True
+        self.faults: dict[Input, str] = {}  # what is breached, in words, until it is over
+        self.judges = True  # not so in the log of another program's flight
         self.aircraft, self.floor_m, self.off_m = aircraft, -math.inf, 0.0
         self._bounds, self._configured, self._requirement = bounds, aircraft, requirement
         self._since_s: dict[Input, float] = {}
@@ -189,11 +176,7 @@ class Envelope:
         self._turns.note(reading)
 
     def _judge_roll(self, goal_rad: float) -> None:
-        """Learn a roll rate that is not exceeded although the aircraft is far off its plan and rolls towards it.
-
-        Args:
-            goal_rad: Bank of the plan; one that rolls away from it is on its way back to the plan.
-        """
+        """Learn a roll rate that is not exceeded while the aircraft, far off its plan, rolls towards its bank."""
         own, rate_rad_s = self.aircraft, self._turns.roll_rate_rad_s(goal_rad)
         planned_rad_s = own.airspeed_m_s**3 * sharpness_per_m2(own.airspeed_m_s, craft_of(own)) / GRAVITY_M_S2
         if rate_rad_s < min(_ROLL_SHORT * planned_rad_s, self._rolls_rad_s):

@@ -11,11 +11,7 @@ from sidelong.mission.viewpoint.side_policy import watching_from
 
 
 def requirement_after(change: MissionChange, requirement: Requirement) -> Requirement:
-    """Return the requirement after a change.
-
-    Raises:
-        ValueError: The words for the side are invalid.
-    """
+    """Return the requirement after a change; ValueError: the words for the side are invalid."""
     min_m = requirement.range_min_m if change.range_min_m is None else change.range_min_m
     max_m = requirement.range_max_m if change.range_max_m is None else change.range_max_m
     banded = replace(requirement, range_min_m=min_m, range_max_m=max_m)

@@ -41,11 +41,7 @@ _APPROACH_S = 10.0
 
 
 class Planning:
-    """Holds the planner and rebuilds it when the aircraft or the requirement changes.
-
-    ``make_planner`` builds it within one control step, from data in memory. ``prepared_winds_m_s`` are the wind
-    speeds prepared in flight.
-    """
+    """Holds the planner and rebuilds it, within a step, when the aircraft or the requirement changes."""
 
     def __init__(self, make_planner: PlannerFactory, aircraft: Aircraft, requirement: Requirement) -> None:
         self.make_planner = make_planner
@@ -149,11 +145,7 @@ class Planning:
         return -math.inf if self._advice is None else self._advice.height_m
 
     def too_near(self, time_s: float) -> str:
-        """Return which other aircraft is too near.
-
-        Returns:
-            In words; '' if none is, and without fresh advice.
-        """
+        """Return in words which other aircraft is too near; '' if none is, and without fresh advice."""
         advice = self._advice
         return "" if advice is None or time_s - advice.time_s > _ADVICE_S else advice.separation
 
@@ -165,11 +157,7 @@ class Planning:
             self.renew(self._aircraft, requirement)
 
     def joint_estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the fleet's estimate of the target.
-
-        Returns:
-            The estimate; None if it is old or lost.
-        """
+        """Return the fleet's estimate of the target; None if it is old or lost."""
         advice = self._advice
         if advice is None or advice.estimate is None or time_s - advice.time_s > _ADVICE_S:
             return None
@@ -202,25 +190,17 @@ _UPLOAD_ROUND_TRIPS, _COMMAND_ROUND_TRIPS = 2.0, 1.0
 
 
 class UploadLatency:
-    """expected_s: of the next plan, on the vehicle's clock; as it is given until one was measured.
-
-    command_s: from a command that is sent until it is obeyed, as a rule; 0 before one was measured.
-    """
+    """How long plans take until they can be flown."""
 
     def __init__(self, expected_s: float) -> None:
-        self.expected_s = self._given_s = expected_s
-        self.command_s = 0.0
+        self.expected_s = self._given_s = expected_s  # of the next plan, by the vehicle's clock
+        self.command_s = 0.0  # from a command until it is obeyed, as a rule
         self._by_command = False
         self._round_trip_s: float | None = None  # of the link, now
         self._took_s: deque[tuple[float, float | None]] = deque([(expected_s, None)], _PLANS)
 
     def note(self, took_s: float, *, by_command: bool = False) -> None:
-        """Process the duration of an upload, also of one that was abandoned and would have taken longer.
-
-        Args:
-            took_s: Duration until the plan could be flown, s.
-            by_command: The plan was not uploaded, but flown as soon as one command was obeyed.
-        """
+        """Process the duration of an upload, also of one that was abandoned, or of a plan flown at one command."""
         self._by_command = by_command
         self._took_s.append((took_s, self._round_trip_s))
         self._expect()
@@ -265,12 +245,7 @@ class FlownRadius:
         self._last_rad: float | None = None
 
     def observe(self, aircraft: AircraftState, commanded: Circle) -> None:
-        """Process one position of the aircraft.
-
-        Args:
-            aircraft: State of the aircraft.
-            commanded: The circle as it was sent to the autopilot.
-        """
+        """Process one position of the aircraft, on a circle as it was sent to the autopilot."""
         if commanded != self._circle:
             self._restart(commanded)
         east_m, north_m = aircraft.east_m - commanded.east_m, aircraft.north_m - commanded.north_m
@@ -323,17 +298,13 @@ class PlanChange:
 
 
 class PlanChanges:
-    """One flight's. present: the plan that is flown, None before the aircraft was taken over.
-
-    under_way: the change that is; flown_since_s: when the change was decided that led to the present plan. home_m:
-    height of the home, above that of the takeover, against which the present plan was sent.
-    """
+    """The plan that is flown, and the one on its way to the autopilot."""
 
     def __init__(self, door: Plausibility, latency: UploadLatency) -> None:
-        self.present: Plan | None = None
+        self.present: Plan | None = None  # the plan that is flown
         self.under_way: PlanChange | None = None
-        self.flown_since_s = -math.inf
-        self.home_m = 0.0
+        self.flown_since_s = -math.inf  # when the change to it was decided
+        self.home_m = 0.0  # of home above that of the takeover, against which it was sent
         self._in_vain, self._in_vain_since_s, self._why = 0, math.inf, ""  # plans in a row that failed
         self.moves = self.uploads = self.failures = 0
         self._door, self._latency = door, latency
@@ -343,12 +314,7 @@ class PlanChanges:
         self._on_line_s = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
-        """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``.
-
-        Args:
-            flown: The circle that is flown.
-            commanded: The circle as it was sent to the autopilot.
-        """
+        """Begin with a circle that is flown already and was sent to the autopilot as ``commanded``."""
         self.present, self._commanded, self._not_taken, self._in_vain = plan, commanded, None, 0
         self.home_m = self._door.home_m
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
@@ -367,15 +333,7 @@ class PlanChanges:
         text: str = "",
         kind: Literal["decision", "plan"] = "decision",
     ) -> tuple[Announce, UploadPlan]:
-        """Announce a plan, and begin to upload it.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            wind: Estimate of the wind.
-            reason: Reason of the decision, in words.
-            text: What is announced; empty: the reason.
-            kind: Kind of the announcement.
-        """
+        """Announce a plan by a text, else by its reason, and begin to upload it."""
         assert self.present is not None
         self.uploads += 1
         commanded = self._flown_radius.commanded(plan.circle)
@@ -395,12 +353,7 @@ class PlanChanges:
         return f"{self._in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"
 
     def activate_due(self, now_s: float, *, watching: bool) -> tuple[StepOutput, ...]:
-        """Activate the plan that is ready, at its time of departure.
-
-        Args:
-            now_s: Present time, vehicle's clock, s.
-            watching: Whether control of the aircraft is confirmed.
-        """
+        """Activate the plan that is ready, at its time of departure, while control of the aircraft is confirmed."""
         change = self.under_way
         if change is None or change.stage != "ready":
             return ()
@@ -423,14 +376,7 @@ class PlanChanges:
     def report(
         self, event: PlanStatus, now_s: float, aircraft: AircraftState | None, *, watching: bool
     ) -> tuple[StepOutput, ...]:
-        """Process the status of a plan.
-
-        Args:
-            event: The status.
-            now_s: Present time, vehicle's clock, s.
-            aircraft: State of the aircraft; None if unknown.
-            watching: Whether control of the aircraft is confirmed.
-        """
+        """Process the status of a plan. watching: control of the aircraft is confirmed."""
         late = self._not_taken
         if event.stage == "departed" and late is not None and late.command.number == event.number:
             self.failures -= 1

@@ -68,25 +68,16 @@ class PositionCheck:
     replaced by dead reckoning, by the reported velocity if that continues the last one, else by the last velocity
     turned by the bank angle. If the last accepted reading was the outlier, readings that follow from the one before
     it are accepted. A new position that persists for ``_PROOF_S`` while GPS and EKF report no fault is accepted.
-    Positions that alternate between two places come from two vehicles. The way between positions has to be that of
-    the reported velocities, which the estimation interpolates with.
-
-    Attributes:
-        accepted: The latest accepted or dead-reckoned position; None before the first one.
-        rejected_since_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
-        jump_m: How far the first rejected reading was from dead reckoning.
-        jump: What the first rejected reading contradicts, in words.
-        two_places_m: Distance of two alternating positions; None while there is one position.
-        slow_places_m: The same, if the second position is received seldom.
+    Positions that alternate between two places come from two vehicles.
     """
 
     def __init__(self) -> None:
-        self.accepted: PositionReading | None = None
+        self.accepted: PositionReading | None = None  # or dead-reckoned
         self._before: PositionReading | None = None  # the accepted reading before the latest one
-        self.rejected_since_s: float | None = None
-        self.jump_m, self.jump = 0.0, ""
-        self.two_places_m: float | None = None
-        self.slow_places_m: float | None = None
+        self.rejected_since_s: float | None = None  # by the vehicle's clock
+        self.jump_m, self.jump = 0.0, ""  # how far, and in words what, the first rejected reading jumped
+        self.two_places_m: float | None = None  # distance of two alternating positions
+        self.slow_places_m: float | None = None  # the same, if the second is received seldom
         self._slow_turns = 0
         self._readings = 0
         self._elsewhere: PositionReading | None = None
@@ -110,10 +101,7 @@ class PositionCheck:
     def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
         """Return whether the aircraft has moved no farther than ``passed_s`` allows, whatever its time stamps say.
 
-        Args:
-            place: The reported position.
-            passed_s: Elapsed time.
-            jumped: Whether rejected readings are jumps. They may continue or return; neither is flown motion.
+        jumped: whether rejected readings are jumps. They may continue or return; neither is flown motion.
         """
         places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
         return any(earlier is not None and _stayed(earlier, place, passed_s) for earlier in places)
@@ -124,8 +112,6 @@ class PositionCheck:
         """Return the reading, or dead reckoning in its place; None for a late reading that is not plausible.
 
         Args:
-            reading: The reported position.
-            bank_rad: The aircraft's present bank angle.
             possible: Whether the reading is within the absolute limits.
             sound: Whether GPS and EKF report no fault.
         """
@@ -193,12 +179,11 @@ class PositionCheck:
 class VelocityCheck:
     """Compares the way between reported positions with the reported velocities, over ``_COMPARED_S`` at a time.
 
-    Attributes:
-        fault: How they contradict each other; empty while they agree.
+    The estimation interpolates with these velocities.
     """
 
     def __init__(self) -> None:
-        self.fault = ""
+        self.fault = ""  # how they contradict each other; '' while they agree
         self._since: PositionReading | None = None
         self._last: PositionReading | None = None
         self._flown_m = 0.0, 0.0  # by the velocities
@@ -235,10 +220,7 @@ def _stayed(last: PositionReading, place: PositionReading, passed_s: float) -> b
 
 
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:
-    """Return whether ``reading`` is kinematically reachable from ``last``.
-
-    ``reckoned_for_s`` is how long ``last`` has been dead reckoned.
-    """
+    """Return whether a position can be flown to from another, that was dead reckoned for ``reckoned_for_s``."""
     step_s = reading.time_s - last.time_s
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
     off_m = math.hypot(
@@ -277,10 +259,7 @@ def length(metres: float) -> str:
 
 
 def _still_circles(last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
-    """Return whether a position received after a telemetry gap is on the circle that was flown.
-
-    If the aircraft was not turning, return True. The autopilot flies such a circle without commands.
-    """
+    """Return whether a position after a telemetry gap is on the circle that was flown; True if none was flown."""
     if abs(bank_rad) < _CIRCLING_RAD:
         return True
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
@@ -346,25 +325,18 @@ Admitted = tuple[Event | None, tuple[Announce, ...]]
 
 
 class Plausibility:
-    """Input checks of one flight. Reported winds of ``wind_max_m_s`` and more are rejected.
-
-    Attributes:
-        doubt: Why nothing may be decided now, in words; None if decisions are allowed.
-        dead_reckoned: Whether the latest position (``position.accepted``) is dead reckoned.
-        no_heartbeat: Whether the flight mode is too old for commands; set by the health model.
-        vehicle_silent: Whether the vehicle's clock stands still; set by the health model.
-        home_m: Height of the autopilot's present home above that of the takeover. Heights that pass count from the
-            latter, so that neither fences nor the layers of a fleet move with home.
-        home_is_fixed: Whether the aircraft was taken over; before that any home is the one to count from.
-    """
+    """Input checks of one flight. Reported winds of ``wind_max_m_s`` and more are rejected."""
 
     def __init__(self, wind_max_m_s: float = math.inf) -> None:
-        self.doubt: str | None = None
-        self.dead_reckoned = False
-        self.no_heartbeat = False
-        self.vehicle_silent = False
+        self.doubt: str | None = None  # why nothing may be decided now
+        self.dead_reckoned = False  # the latest position is
+        self.no_heartbeat = False  # the flight mode is too old for commands: set by the control step
+        self.vehicle_silent = False  # the vehicle's clock stands still: likewise
         self.two_vehicles: str | None = None
-        self.home_m, self.home_is_fixed = 0.0, False
+        self.home_m, self.home_is_fixed = (
+            0.0,
+            False,
+        )  # of home above that of the takeover, from which heights that pass count
         self._home_altitude_m: float | None = None  # at the takeover
         self._home_next_m = math.nan  # as ``home_m``, until a second position confirms it
         self.clock = VehicleClock()

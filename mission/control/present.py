@@ -38,55 +38,34 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One active alarm.
+    """One active alarm."""
 
-    Attributes:
-        key: Its name, such as ``target``.
-        text: The present fault.
-        advice: Recommended action.
-        countdown_s: Time until the aircraft acts automatically; None: it does not.
-    """
-
-    key: str
-    text: str
-    advice: str
+    key: str  # such as ``target``
+    text: str  # the present fault
+    advice: str  # recommended action
     since_s: float
-    countdown_s: float | None = None
+    countdown_s: float | None = None  # until the aircraft acts automatically; None: it does not
     acknowledged: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """What no decision reads, as the autopilot and the link report it; None: not reported.
-
-    Attributes:
-        gps: The fix in words.
-        link_percent: Share of the frames sent to this station that arrived over the link in use.
-        round_trip_s: Its round-trip time.
-        endurance_s: Flight time left until the battery's reserve.
-        home_s: Flight time to home.
-        home_m: Home in the local plane, east and north.
-        silent_s: For how long the aircraft has not been received, by this computer's clock.
-        alarms: Those that are raised.
-        battery_a: Current drawn from the battery, A.
-        reserve_percent: Charge that is to be left in it.
-        battery_doubt: Why its reported charge is not acted on, in words; '' if it is.
-    """
+    """What no decision reads, as the autopilot and the link report it; None: not reported."""
 
     battery_percent: int | None = None
     battery_v: float | None = None
-    gps: str | None = None
+    gps: str | None = None  # the fix in words
     gps_good: bool | None = None
-    link_percent: int | None = None
+    link_percent: int | None = None  # of the frames sent to this station that arrived over the link in use
     round_trip_s: float | None = None
-    endurance_s: float | None = None
-    home_s: float | None = None
-    home_m: tuple[float, float] | None = None
-    silent_s: float = 0.0
+    endurance_s: float | None = None  # until the battery's reserve
+    home_s: float | None = None  # flight time to home
+    home_m: tuple[float, float] | None = None  # east and north
+    silent_s: float = 0.0  # without a message of the aircraft, by this computer's clock
     alarms: tuple[Alarm, ...] = ()
     battery_a: float | None = None
     reserve_percent: float | None = None
-    battery_doubt: str = ""
+    battery_doubt: str = ""  # why its reported charge is not acted on, in words; '' if it is
 
 
 def breach_in(health: tuple[InputReport, ...]) -> str:
@@ -100,31 +79,6 @@ class Present:
     """The state of the mission at one moment. Times are of the vehicle's clock, positions of the local plane.
 
     Band, side and angles are by the estimate, with the definitions of :mod:`sidelong.app.analysis.score`.
-
-    Attributes:
-        plan: The plan that is flown.
-        coming: The plan on its way to the autopilot.
-        course_rad: The target's course made good; None until it has moved far enough.
-        present_course_rad: Its present course; None until it has moved.
-        height_m: The aircraft's, above home; NaN: unknown.
-        heading_rad: Where the nose points; NaN: unknown.
-        height_asked_m: As an operator has changed it; None: as configured.
-        range_s, gimbal_s: Time of the latest reading of the laser and the gimbal in use, -inf before the first.
-        nis: Normalised innovation squared of the latest sighting that was compared, NaN before the first.
-        delays: Of the payload's stamps, as far as they are estimated.
-        target: Which of a fleet's targets is to be watched.
-        turn_payload: Whether the payload looks at another target.
-        over: Why the mission was yielded or has ended.
-        separation: Which other aircraft is too near, in words.
-        unknown: Why it is not known how well the target is watched; '' while it is known.
-        position_age_s: Time since the latest position; by this computer's clock while the vehicle's stands still.
-        route: The target's progress along its route; None without a route.
-        orders: Why plans do not get through to the autopilot; '' while they do.
-        home_m: The autopilot's home, east and north; None: not reported.
-        home_moved_m: How far the autopilot's home is from that at the takeover, and how far above it.
-        other_object: Why the payload may follow another object; '' if it follows the target.
-        vehicle: None where there is no vehicle, as in a replay.
-        traffic: The foreign aircraft near the own one.
     """
 
     time_s: float
@@ -132,10 +86,10 @@ class Present:
     requirement: Requirement
     aircraft: AircraftState | None
     estimate: TargetEstimate | None
-    course_rad: float | None
-    present_course_rad: float | None
-    plan: Plan | None
-    coming: Plan | None
+    course_rad: float | None  # the target's course made good; None until it has moved far enough
+    present_course_rad: float | None  # None until it has moved
+    plan: Plan | None  # that is flown
+    coming: Plan | None  # on its way to the autopilot
     decision: Decision | None
     wind: Wind
     moves: int
@@ -143,35 +97,35 @@ class Present:
     upload_failures: int
     latency_s: float
     mode: str
-    height_m: float
+    height_m: float  # the aircraft's, above home; NaN: unknown
     bank_rad: float
-    heading_rad: float
+    heading_rad: float  # where the nose points; NaN: unknown
     radius_m: float
     pan_limit_rad: float
-    height_asked_m: float | None
-    range_s: float
-    gimbal_s: float
-    nis: float
+    height_asked_m: float | None  # as an operator has changed it; None: as configured
+    range_s: float  # time of the latest reading of the laser in use, -inf before the first
+    gimbal_s: float  # the same of the gimbal
+    nis: float  # normalised innovation squared of the latest sighting that was compared, NaN before the first
     sightings: int
     rejected: int
     delays: Delays | None
     give_up_after_s: float
     give_up_action: str
     connected: bool = True
-    target: str = ""
-    turn_payload: bool = False
-    over: str = ""
-    separation: str = ""
+    target: str = ""  # which of a fleet's targets is to be watched
+    turn_payload: bool = False  # the payload looks at another target
+    over: str = ""  # why the mission was yielded or has ended
+    separation: str = ""  # which other aircraft is too near, in words
     health: tuple[InputReport, ...] = ()
-    unknown: str = ""
-    position_age_s: float = 0.0
+    unknown: str = ""  # why it is not known how well the target is watched; '' while it is known
+    position_age_s: float = 0.0  # of the latest position, by this computer's clock while the vehicle's stands still
     route: RouteProgress | None = None
-    orders: str = ""
-    home_m: tuple[float, float] | None = None
-    home_moved_m: tuple[float, float] = (0.0, 0.0)
-    other_object: str = ""
-    vehicle: VehicleStatus | None = None
-    traffic: tuple[Neighbour, ...] = ()
+    orders: str = ""  # why plans do not get through to the autopilot; '' while they do
+    home_m: tuple[float, float] | None = None  # the autopilot's, east and north; None: not reported
+    home_moved_m: tuple[float, float] = (0.0, 0.0)  # how far it is from that at the takeover, and how far above it
+    other_object: str = ""  # why the payload may follow another object; '' if it follows the target
+    vehicle: VehicleStatus | None = None  # None where there is no vehicle, as in a replay
+    traffic: tuple[Neighbour, ...] = ()  # foreign aircraft near the own one
 
     @property
     def side(self) -> Side:

@@ -35,23 +35,13 @@ NOTHING_FLOWN = Flown()
 
 @dataclass(frozen=True, slots=True)
 class FlightBounds:
-    """What the flown position and height are to stay within. Heights are above home.
+    """What the flown position and height are to stay within. Heights are above home."""
 
-    Attributes:
-        height_m: Height of plans without heights of their own; NaN: not known.
-        floor_m: Least height.
-        ceiling_m: Greatest height.
-        margin_m: Kept by plans from every fence.
-        clearance_m: Least height over the ground.
-        inside_m: Returns how far a position (east, north) is inside the fences; negative: outside.
-        clear_m: Returns how far position and height are above the least height over the ground; inf: not known.
-    """
-
-    height_m: float = math.nan
+    height_m: float = math.nan  # of plans without heights of their own; NaN: not known
     floor_m: float = -math.inf
     ceiling_m: float = math.inf
-    margin_m: float = 0.0
-    clearance_m: float = 0.0
+    margin_m: float = 0.0  # kept by plans from every fence
+    clearance_m: float = 0.0  # least height over the ground
     inside_m: Callable[[float, float], float] = lambda _east_m, _north_m: math.inf
     clear_m: Callable[[float, float, float], float] = lambda _east_m, _north_m, _height_m: math.inf
 
@@ -63,10 +53,7 @@ class Surroundings:
     Attributes:
         fences: Returns the name of the fence that a plan would break, or None.
         heights: Assigns heights to plans; None: the configured height for all.
-        ground: None without elevation data.
-        hidden: Returns what the ground hides, by the heights and the height flown, of a target of given position and
-            velocity (east, north); None: nothing.
-        bounds: What the flown position and height are to stay within.
+        hidden: Returns what the ground hides of a target of given position and velocity.
         flown: What plans begin from. The control step updates it.
     """
 
@@ -91,8 +78,7 @@ class Surroundings:
     def cleared(self, plan: Plan) -> Plan | str:
         """Check a plan that is to follow what is flown against fences, ground and other aircraft.
 
-        Returns:
-            The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
+        Returns the plan with its heights, or in words the fence that it breaks or the obstacle in its path.
         """
         if plan is self._cleared:
             return plan
@@ -119,15 +105,11 @@ class Surroundings:
         target_m: tuple[float, float] | None = None,
         heights: Heights | None = None,
     ) -> Plan | str:
-        """Check a plan against fences and ground alone.
+        """Check a plan against fences and ground alone; see :meth:`cleared`.
 
         Args:
-            flown_m: Present height above home, m; None if it does not matter, as for the first circle.
-            target_m: Target's position (east, north), m; None if unknown.
+            flown_m: Present height above home; None if it does not matter, as for the first circle.
             heights: Rules for the heights instead of the present ones.
-
-        Returns:
-            The plan with its heights, or in words the fence that it breaks or the ground in its path.
         """
         heights = heights or self.heights
         levelled = plan if heights is None else heights.levelled(plan, flown_m, target_m)

@@ -54,11 +54,7 @@ class PayloadNews:
         self._yaw_rad, self._yaw_since_s, self._turns = 0.0, math.inf, 0
 
     def announce(self, time_s: float) -> tuple[Announce, ...]:
-        """Return announcements of the errors that differ clearly from those announced last.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-        """
+        """Return announcements of the errors that differ clearly from those announced last."""
         texts = [*self._of_delays(self._tracker.delays), *self._of_yaw(time_s), *self._of_range()]
         return tuple(Announce(time_s, "sensor", text) for text in texts)
 
@@ -146,15 +142,11 @@ class AnotherObject:
     Two signs: five sightings lie farther from the five before than a target drives in that time, or the sighted
     position moves as the aircraft does (its own shadow). Both positions then have to be kept clear until the
     sightings agree for a minute, or an operator confirms the object.
-
-    Attributes:
-        reason: Why it may be another object, in words; '' if it is the target.
-        is_shadow: Whether it moves with the aircraft, so that it can neither be watched nor be kept clear of.
     """
 
     def __init__(self) -> None:
-        self.reason = ""
-        self.is_shadow = False
+        self.reason = ""  # in words; '' if it is the target
+        self.is_shadow = False  # so that it can neither be watched nor be kept clear of
         self._since_s = self._judged_s = -math.inf  # of the last sign, and of the last look at the aircraft's motion
         self._left: tuple[float, Reach] | None = None  # what the payload turned away from, with the time of that
         self._lately: deque[_Seen] = deque(maxlen=2 * _GROUP)
@@ -170,14 +162,7 @@ class AnotherObject:
         calibration: Callable[[], Calibration],
         requirement: Requirement,
     ) -> None:
-        """Process the outcomes of sightings.
-
-        Args:
-            outcomes: In the order of their times.
-            aircraft: Its latest state.
-            calibration: Returns the payload's errors as they are estimated now.
-            requirement: Gives the target's highest speed.
-        """
+        """Process the outcomes of sightings in the order of their times."""
         speed_m_s = requirement.target_speed_max_m_s
         for outcome in outcomes:
             sighting = outcome.sighting
@@ -220,11 +205,7 @@ class AnotherObject:
         return None if self._left is None else self._left[1].after(time_s - self._left[0])
 
     def announce(self, time_s: float) -> tuple[Announce, ...]:
-        """Return what is new.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-        """
+        """Return what is new."""
         news, self._news = self._news, []
         return tuple(Announce(time_s, "track", text) for text in news)
 
@@ -293,15 +274,7 @@ class TargetNews:
         self._announced: _Sight | None = None
 
     def announce(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
-        """Announce changes of the target.
-
-        Args:
-            time_s: Time on the vehicle's clock, s.
-            estimate: Estimate of the target.
-
-        Returns:
-            New announcements; empty if nothing has changed.
-        """
+        """Return whether the target has come in sight or out of it since the last announcement."""
         unseen_s = time_s - estimate.last_sighting_s
         sight = _Sight.SEEN
         if estimate.quality is TrackQuality.LOST:
@@ -338,13 +311,8 @@ class UnseenTarget:
     def reach(self, now_s: float, estimate: TargetEstimate, fault: bool, speed_max_m_s: float) -> Reach | None:
         """Return where the target can be, None while it is seen and the payload's errors are known.
 
-        A track that begins again may be a wrong one: it counts only some seconds later.
-
-        Args:
-            now_s: The vehicle's clock.
-            estimate: Of the target.
-            fault: Whether laser or gimbal have a fault: their silence then is no mere gap.
-            speed_max_m_s: The target's highest speed.
+        A track that begins again may be a wrong one: it counts only some seconds later. With a fault of laser or
+        gimbal their silence is no mere gap.
         """
         unseen_s = now_s - estimate.last_sighting_s
         if estimate.quality is TrackQuality.LOST:

@@ -31,38 +31,27 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class CircleOrder:
-    """A circle on the globe: centre in 1e-7 degrees, a negative radius is flown counter-clockwise, 0: not reported.
-
-    height_m is above home, altitude_m above the sea.
-    """
+    """A circle on the globe: centre in 1e-7 degrees; radius negative: counter-clockwise, 0: not reported."""
 
     x: int
     y: int
-    height_m: float
-    altitude_m: float
+    height_m: float  # above home
+    altitude_m: float  # above the sea
     signed_radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class ExchangeSettings:
-    """What is exchanged with the autopilot, and how the first circle is to be flown.
-
-    Attributes:
-        height_m: above home, of plans without heights of their own.
-        tolerance_m: how far the flown line may leave the plan.
-        clockwise: sense of the first circle.
-        by_command: whether plans are flown by commands, else by mission items.
-        cleared: gives a plan its heights, or names what is in its way.
-    """
+    """What is exchanged with the autopilot, and how the first circle is to be flown."""
 
     plane: LocalPlane
     home: Home
     aircraft: Aircraft
-    height_m: float
-    tolerance_m: float
-    clockwise: bool
-    by_command: bool
-    cleared: Callable[[Plan], Plan | str]
+    height_m: float  # above home, of plans without heights of their own
+    tolerance_m: float  # how far the flown line may leave the plan
+    clockwise: bool  # sense of the first circle
+    by_command: bool  # plans are flown by commands, else by mission items
+    cleared: Callable[[Plan], Plan | str]  # gives a plan its heights, or names what is in its way
 
     def order(self, circle: Circle, plan: Plan, home_m: float = 0.0) -> CircleOrder:
         """Return a circle of the plane on the globe, at the height of a plan. home_m: see ``UploadPlan``."""

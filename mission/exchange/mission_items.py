@@ -107,11 +107,7 @@ class Activation:
         return self._due_s if self.answer is Answer.OPEN else math.inf
 
     def expire(self, first_ahead: int) -> None:
-        """Repeat the request.
-
-        Args:
-            first_ahead: Number of the first item that the aircraft cannot have passed when the request arrives.
-        """
+        """Repeat the request, with the first item that the aircraft cannot have passed when it arrives."""
         now_s = self._outbox.link_s
         if self.answer is not Answer.OPEN or now_s < self._due_s:
             return
@@ -201,12 +197,7 @@ def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: f
 def flown_after(
     layout: MissionLayout, seq: int | None, aircraft: AircraftState | None, plane: LocalPlane, duration_s: float
 ) -> int:
-    """Return the item that will be flown after ``duration_s``: a waypoint may be passed until then.
-
-    Args:
-        seq: Number of the item flown now; None if unknown.
-        aircraft: State of the aircraft; None if unknown: no waypoint is passed.
-    """
+    """Return the item that will be flown after ``duration_s``: the next waypoint may be passed until then."""
     index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
     if aircraft is None or index == layout.end - 1:
         return index
@@ -248,10 +239,7 @@ _LOSES_UPLOADS = 5  # number of uploads for which a link that lost items is trea
 
 
 class MissionUpload:
-    """Writes only the items that differ, where the autopilot stores them one by one.
-
-    took_s: what an upload takes, of the vehicle's clock; round_trip_s is of the link's.
-    """
+    """Writes only the items that differ, where the autopilot stores them one by one."""
 
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, home: Home, ownership: MissionOwnership) -> None:
         self._outbox, self._quirks, self._ownership = outbox, dialect.quirks, ownership
@@ -280,11 +268,9 @@ class MissionUpload:
         self._onboard = items
 
     def begin(self, items: Sequence[MissionItem], bound_s: float, marked: Callable[[], int]) -> None:
-        """Begin the upload of a mission.
+        """Begin the upload of a mission; ``marked`` returns the number of the item to fly once it is accepted.
 
-        Args:
-            items: The items to upload. Items that are never reached are added at the end (PX4 wants a landing).
-            marked: Returns the number of the item to fly once the mission is accepted.
+        Items that are never reached are added at the end (PX4 wants a landing).
         """
         items, self._result = (*items, *self._tail), None
         changed = range(len(items))
@@ -435,14 +421,7 @@ class MissionItemBackend:
     # -- the first mission ---------------------------------------------------------------------------------
 
     def load(self, plan: Plan, lead_in: tuple[MissionItem, ...] = ()) -> None:
-        """Upload the first mission.
-
-        Args:
-            lead_in: Items before the plan, such as a take-off.
-
-        Raises:
-            UnflyableError: No waypoints lead along the plan.
-        """
+        """Upload the first mission, with items such as a take-off before the plan; UnflyableError: see ``line``."""
         head = self._dialect.head(self._settings.home)
         first = len(head) + len(lead_in)
         items = (*head, *lead_in, *self.line(plan))
@@ -461,10 +440,7 @@ class MissionItemBackend:
         return self._read is not None and not self._read.done
 
     def adopted(self) -> Circle | None:
-        """Take over the line that is flown and was read, and return the circle it ends in.
-
-        None when the mission could not be read, or what is flown does not end in a circle that needs no one.
-        """
+        """Take over the line that was read and is flown; return the lasting circle that it ends in, or None."""
         read, self._read = self._read, None
         if read is None or read.items is None or self._current is None:
             return None
@@ -494,11 +470,7 @@ class MissionItemBackend:
         return self._current.seq if self._current is not None else None
 
     def line(self, plan: Plan, wind: Wind = STILL_AIR, home_m: float = 0.0) -> tuple[MissionItem, ...]:
-        """Return the items of a plan as the autopilot stores them. home_m: see ``UploadPlan``.
-
-        Raises:
-            UnflyableError: No waypoints lead along the plan.
-        """
+        """Return the items of a plan as the autopilot stores them; UnflyableError: no waypoints lead along it."""
         settings = self._settings
         tracking = self._dialect.tracking(settings.aircraft.airspeed_m_s, wind)
         items = plan_items(plan, settings.plane, settings.height_m, settings.tolerance_m, tracking)

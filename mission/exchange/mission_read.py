@@ -29,10 +29,7 @@ _UNANSWERED_MAX = 4  # requests; then the vehicle may have ended the download, a
 
 
 class MissionRead:
-    """``done`` when all is read or the deadline (of the link's clock) has passed; then ``items``, None: not read.
-
-    round_trip_s: as far as it is known.
-    """
+    """Reads until all is read or the deadline, of the link's clock, has passed."""
 
     def __init__(self, outbox: Outbox, quirks: ProtocolQuirks, deadline_s: float, round_trip_s: float = 0.0) -> None:
         self._outbox, self._in_order = outbox, not quirks.stores_items_one_by_one
@@ -44,7 +41,7 @@ class MissionRead:
         self._due_s = math.inf
         self._asked_s, self._repeats = outbox.link_s, 0
         self.done = False
-        self.items: tuple[MissionItem, ...] | None = None
+        self.items: tuple[MissionItem, ...] | None = None  # None: not read
         self.mission_id = 0
         self._ask()
 

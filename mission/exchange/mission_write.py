@@ -51,15 +51,12 @@ class _Phase(StrEnum):
 class MissionWrite:
     """Writes ``items``; those outside ``changed`` are already on board.
 
-    Attributes:
-        items: The mission. If ``changed`` has the same length, it replaces the whole list on board.
-        marked: The item to fly when the list is activated.
-        deadline_s: Timeout, on the link's clock.
+    Args:
+        changed: If it has the length of the items, they replace the whole list on board.
+        marked: Returns the item to fly when the list is activated.
         mission_ids_before: Ids of earlier uploads whose acknowledgements may still arrive.
         doubt_before: Whether the acknowledgement of an upload of unknown id may still arrive.
         loses: Whether an earlier upload lost items. Then, or after the first loss, items are sent twice if allowed.
-        differs: Which item was read back otherwise than sent, in words; '' if none was.
-        result: None while the upload runs. ACCEPTED: verified. TIMEOUT, DENIED: the items at ``changed`` are unknown.
     """
 
     def __init__(
@@ -93,8 +90,8 @@ class MissionWrite:
         self._requested_s = -math.inf
         self._repeats = 0
         self.round_trip_s: float | None = None
-        self.result: WriteResult | None = None
-        self.differs = ""
+        self.result: WriteResult | None = None  # after TIMEOUT and DENIED the items at ``changed`` are unknown
+        self.differs = ""  # which item was read back otherwise than sent, in words
         self.mission_id = 0
         self._announce()
 

@@ -68,11 +68,7 @@ _REMEMBERED, _REMEMBERED_S = 4, 10.0  # at least this many commands, and all wit
 
 
 class OrbitCommandBackend:
-    """Flies plans by one command a circle. ``take_over`` comes first.
-
-    While a transition is flown, the circle that leads along it is commanded every second, then the plan's own one,
-    once.
-    """
+    """Flies plans by one command a circle. ``take_over`` comes first."""
 
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: ExchangeSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings

@@ -58,24 +58,15 @@ class Suspicion:
 
 @dataclass(slots=True)
 class MissionIdentity:
-    """The missions of ours, each as (total, mission_id).
-
-    ``expected``: a mission of this many items was written, and its id is learnt from the first report of it.
-    ``doubtful``: missions of this many items may have been written since; an id of one proves nothing, as others
-    write as many.
-    """
+    """The missions of ours, each as (total, mission_id); a mission_id of 0 is unknown."""
 
     ours: set[tuple[int, int]] = field(default_factory=set)
-    expected: int | None = None
+    expected: int | None = None  # of a mission that was written; its id is learnt from the first report of it
     doubtful: set[int] = field(default_factory=set)
     writing: int | None = None  # number of items being written; the mission may be on board already
 
     def written(self, total: int, mission_id: int, accepted: bool = True) -> None:
-        """Register a mission that is on board, or may be.
-
-        Args:
-            mission_id: Its id; 0 while unknown.
-        """
+        """Register a mission that is on board, or may be."""
         self.writing = self.expected = None
         if not accepted:
             self.doubtful.add(total)
@@ -87,20 +78,12 @@ class MissionIdentity:
             self.expected = total
 
     def is_open(self, total: int, mission_id: int) -> bool:
-        """Return whether only the items themselves show who wrote the reported mission.
-
-        Args:
-            mission_id: Reported id; 0 if the autopilot reports none.
-        """
+        """Return whether only the items themselves show who wrote the reported mission."""
         unknown = mission_id != 0 and (total, mission_id) not in self.ours
         return unknown and self.writing is None and total in self.doubtful
 
     def is_ours(self, total: int, mission_id: int) -> bool:
-        """Return whether a report is about a mission of sidelong; learn its id if one is expected.
-
-        Args:
-            mission_id: Reported id; 0 if the autopilot reports none.
-        """
+        """Return whether a report is about a mission of sidelong; learn its id if one is expected."""
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True
         if total != self.expected and total not in self.doubtful:
@@ -188,11 +171,7 @@ class MissionOwnership:
         self._identity.writing = items - self._quirks.home_at_zero
 
     def written(self, items: tuple[MissionItem, ...], mission_id: int, accepted: bool) -> None:
-        """Register a mission that was written, or may have been.
-
-        Args:
-            mission_id: Id that the autopilot reported; 0 if unknown.
-        """
+        """Register a mission that was written, or may have been."""
         self._call_off()
         self._flown = -1  # a list that is taken whole begins at the item that was marked
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
@@ -286,11 +265,7 @@ class MissionOwnership:
             self._outbox.report(ExternalControl(self._outbox.time_s, _CHANGED))
 
     def item(self, report: MissionItemReported, layout: MissionLayout) -> None:
-        """Process an item that was read from the vehicle.
-
-        Args:
-            layout: The mission that should be on board.
-        """
+        """Compare an item that was read from the vehicle with the mission that should be on board."""
         if not self._begun or report.seq not in layout:
             return
         if same_item(layout.items[report.seq], report.item):
@@ -300,11 +275,7 @@ class MissionOwnership:
             self._suspect(self._contents, _CHANGED)
 
     def audit(self, seq: int | None) -> None:
-        """Request the item that is flown: another station may have written it without changing the number of items.
-
-        Args:
-            seq: Number of the item; None if unknown.
-        """
+        """Request the item that is flown: another station may have written it, in a mission of the same length."""
         if self._outbox.link_s < self._audit_s:
             return
         self._audit_s = self._outbox.link_s + (_AUDIT_AGAIN_S if self._contents.active else _AUDIT_S)

@@ -89,11 +89,7 @@ class Takeover:
         self.step()
 
     def observe(self, aircraft: AircraftState, height_m: float) -> None:
-        """Process the aircraft's position.
-
-        Args:
-            height_m: Height above home, m.
-        """
+        """Process the aircraft's position."""
         self._aircraft, self._height_m = aircraft, height_m
 
     def mode_reported(self, mode: str) -> None:

@@ -43,17 +43,13 @@ def describe_result(result: int | None) -> str:
 
 
 class CommandExchange:
-    """One command until it is answered.
-
-    Attributes:
-        result: MAV_RESULT once ``done``; None: no answer; 5: in progress for longer than is waited for.
-    """
+    """One command until it is answered."""
 
     def __init__(self, outbox: Outbox, command: VehicleCommand) -> None:
         self._outbox, self._command = outbox, command
         self._sends = 0
         self.done = False
-        self.result: int | None = None
+        self.result: int | None = None  # MAV_RESULT once ``done``; None: no answer; 5: still in progress
         self.next_timer_s = math.inf
         self._in_progress_until_s = math.inf
         self._send()

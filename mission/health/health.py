@@ -67,13 +67,10 @@ class SightingsCheck:
     ``_FIXES_SHARE`` of the fixes is enough.
 
     Source: docs/health.md#contradictions-of-the-payload.
-
-    Attributes:
-        fault: what is wrong with laser and line of sight together, against the track; empty while nothing is.
     """
 
     def __init__(self) -> None:
-        self.fault = ""
+        self.fault = ""  # of laser and line of sight together, against the track, in words
         self._rejected: deque[list[int]] = deque()  # second, sightings of each kind, rejected of each kind
         self._pitch_off_s = math.inf  # since when the pitch error is unexpected
 
@@ -87,8 +84,6 @@ class SightingsCheck:
         """Process the outcomes of sightings.
 
         Args:
-            time_s: Time on the vehicle's clock, s.
-            outcomes: What the tracker returned.
             jumps_s: When the apparent target jumped, the last times.
             pitch_error_rad: Returns the gimbal's pitch error, if it is beyond what the settings expect; else 0.
         """
@@ -200,21 +195,14 @@ class _Received:
 
 
 class Health:
-    """The states of all inputs. Every change is returned once by ``changes``.
-
-    Attributes:
-        payload: what is wrong with laser and gimbal, by the tracker's fit.
-        sightings: the check of the sightings against the track.
-        reports: the state of every input that was ever received.
-        unknown: why it is not known how well the target is watched; empty while it is.
-    """
+    """The states of all inputs. Every change is returned once by ``changes``."""
 
     def __init__(self, payload: PayloadFit) -> None:
         self.payload, self.sightings = payload, SightingsCheck()
         self._inputs = {one: _Received() for one in _WORDS}
         self._by_kind = {kind: self._inputs[one] for kind, one in _KINDS.items()}
-        self.reports: tuple[InputReport, ...] = ()
-        self.unknown = ""
+        self.reports: tuple[InputReport, ...] = ()  # of every input that was ever received
+        self.unknown = ""  # why it is not known how well the target is watched; '' while it is
         self._now_s = -math.inf
         self._evaluate_s = -math.inf
         self._ticks, self._moved_tick = 0, 0  # and when the vehicle's clock last went on
@@ -225,10 +213,7 @@ class Health:
     def received(self, event: Event, now_s: float, lasers: SourceSelector | None = None) -> bool:
         """Note that an event came, whatever its content; return whether the states are due to be judged.
 
-        Args:
-            event: as it was received.
-            now_s: the vehicle's clock.
-            lasers: which laser is in use; a range of a source that is never used is no input.
+        A range of a laser that is never used is no input.
         """
         goes_on = self._ticks > self._moved_tick + _TICKS_MARGIN and now_s != self._now_s
         if goes_on:
@@ -250,12 +235,7 @@ class Health:
         return goes_on or now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
 
     def link_changed(self, event: LinkReported, now_s: float) -> HealthChanged:
-        """Note that the link is lost or back; return its change of state.
-
-        Args:
-            event: the report.
-            now_s: the vehicle's clock.
-        """
+        """Note that the link is lost or back; return its change of state."""
         self._connected = event.connected
         if event.connected:
             change = self._good_again(Input.LINK, now_s, "the link is back")
@@ -299,11 +279,7 @@ class Health:
     ) -> tuple[HealthChanged, ...]:
         """Judge all inputs and return what has changed since the last call.
 
-        Args:
-            now_s: the vehicle's clock.
-            lasers: which laser is in use, and which were refused in place of a silent one.
-            gimbals: the same of the line of sight.
-            faults: why the vehicle's own inputs are not trusted, by input; empty text while one is.
+        faults: why the vehicle's own inputs are not trusted; '' while one is.
         """
         self._evaluate_s = now_s + _EVALUATE_EVERY_S
         if not self._connected:
