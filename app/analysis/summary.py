@@ -228,9 +228,9 @@ class SummaryCollector:
         self._estimated.append(Moment.by_estimate(*place_m, estimate, snapshot.target, not snapshot.unknown))
         if self.ground is not None:
             self._look(self.ground, snapshot)
-        if snapshot.pan_limit_rad < math.pi and math.isfinite(snapshot.heading_rad):
+        if snapshot.pan_limit_rad < math.pi and snapshot.attitude is not None:
             places = np.array([[aircraft.east_m, aircraft.north_m]]), np.array([[estimate.east_m, estimate.north_m]])
-            heading_rad = np.array([snapshot.heading_rad])
+            heading_rad = np.array([snapshot.attitude.yaw_rad])
             (within,) = within_pan_limits(*places, heading_rad, snapshot.pan_limit_rad)
             self._within_pan.append((estimate.time_s, bool(within)))
 

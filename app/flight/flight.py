@@ -489,7 +489,7 @@ class Flight:
         always = self._config.payload.point_gimbal
         if self._payload is not None and always:
             tracker = self.controller.tracker
-            return [PayloadPointer(self._payload.point, self._heading_rad, tracker, self._target_height_m)]
+            return [PayloadPointer(self._payload.point, tracker, self._target_height_m)]
         if not (always or self._turn_payload):
             return []
         pointer = GimbalPointer(self._vehicle, plane, altitude_m, self._display.note, always)
@@ -513,10 +513,6 @@ class Flight:
             clicks=self._camera.simulated is not None,
             record=self._camera.record,
         )
-
-    def _heading_rad(self) -> float | None:
-        attitude = self._vehicle.latest.get("ATTITUDE")
-        return None if attitude is None else float(attitude.fields["yaw"])
 
     def _status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())

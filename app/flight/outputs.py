@@ -192,7 +192,6 @@ class PayloadPointer:
 
     Args:
         point: takes pitch and yaw of the gimbal in its mount, level and relative to the aircraft's heading, rad.
-        heading_rad: returns the aircraft's heading, None while it is not known.
         tracker: knows the mount and the gimbal's yaw error.
         target_height_m: returns the target's height above home at a place (east, north), m.
     """
@@ -200,17 +199,15 @@ class PayloadPointer:
     def __init__(
         self,
         point: Callable[[float, float], object],
-        heading_rad: Callable[[], float | None],
         tracker: Tracker,
         target_height_m: Callable[[float, float], float],
     ) -> None:
-        self._point, self._heading_rad = point, heading_rad
-        self._tracker, self._target_height_m = tracker, target_height_m
+        self._point, self._tracker, self._target_height_m = point, tracker, target_height_m
         self._next_s = -math.inf
 
     def show(self, snapshot: Present) -> None:
-        estimate, aircraft, heading_rad = snapshot.estimate, snapshot.aircraft, self._heading_rad()
-        if not snapshot.phase.in_control or estimate is None or aircraft is None or heading_rad is None:
+        estimate, aircraft, attitude = snapshot.estimate, snapshot.aircraft, snapshot.attitude
+        if not snapshot.phase.in_control or estimate is None or aircraft is None or attitude is None:
             return
         if estimate.quality is TrackQuality.LOST or snapshot.time_s < self._next_s:
             return
@@ -221,7 +218,7 @@ class PayloadPointer:
         if not math.isfinite(down_m):
             return
         # The gimbal reports its yaw with the error, and so turns too far by it.
-        yaw_rad = math.atan2(east_m, north_m) - heading_rad + self._tracker.calibration.yaw_bias_rad
+        yaw_rad = math.atan2(east_m, north_m) - attitude.yaw_rad + self._tracker.calibration.yaw_bias_rad
         level_m = math.hypot(east_m, north_m)
         w, x, y, z = self._tracker.parent_from_mount
         forward_m, right_m, down_m = rotate(

@@ -230,7 +230,8 @@ class AircraftDisplay:
             words = f"{name} {age_s:.1f} s ago" if math.isfinite(age_s) else f"no {name}"
             sensors.append(words + "   ", "" if age_s <= _OLD_S else "yellow")
         sensors.append("link ok" if shown.connected else "link lost", "" if shown.connected else "bold red")
-        sensors.append(f"   bank {math.degrees(shown.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
+        bank = "" if shown.attitude is None else f"   bank {math.degrees(shown.attitude.roll_rad):.0f}°"
+        sensors.append(f"{bank}   wind {shown.wind.speed_m_s:.1f} m/s")
         yield "sensors", sensors
         if shown.impaired_inputs:
             yield "inputs", Text(", ".join(shown.impaired_inputs), style="yellow")

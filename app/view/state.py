@@ -216,7 +216,7 @@ class StateEncoder:
         }
 
     def _aircraft(self, snapshot: Present) -> Json | None:
-        aircraft = snapshot.aircraft
+        aircraft, attitude = snapshot.aircraft, snapshot.attitude
         if aircraft is None:
             return None
         return {
@@ -224,7 +224,8 @@ class StateEncoder:
             "at_deg": self._degrees(aircraft.east_m, aircraft.north_m),
             "course_rad": round(aircraft.course_rad, 4),
             "ground_speed_m_s": round(aircraft.ground_speed_m_s, 2),
-            "bank_rad": _number(snapshot.bank_rad, 4),
+            "bank_rad": None if attitude is None else round(attitude.roll_rad, 4),
+            "pitch_rad": None if attitude is None else round(attitude.pitch_rad, 4),
             "height_m": _number(snapshot.height_m, 1),
         }
 

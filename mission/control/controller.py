@@ -289,7 +289,7 @@ class StandoffController:
 
     def snapshot(self) -> Present:
         """Return what an operator sees now."""
-        settings, changes, tracker, attitude = self.settings, self.changes, self.tracker, self._attitude
+        settings, changes, tracker = self.settings, self.changes, self.tracker
         return Present(
             self.time_s,
             self.phase,
@@ -308,8 +308,7 @@ class StandoffController:
             self.latency.expected_s,
             self._mode,
             math.nan if self._height_m is None else self._height_m,
-            0.0 if attitude is None else attitude.roll_rad,
-            math.nan if attitude is None else attitude.yaw_rad,
+            self._attitude,
             settings.aircraft.radius_m,
             settings.aircraft.pan_limit_rad,
             self._height_asked_m,

@@ -12,6 +12,7 @@ from enum import StrEnum
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.sensing.readings import AttitudeReading
 from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.inputs import UNFULFILLED, Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
@@ -98,8 +99,7 @@ class Present:
     latency_s: float
     mode: str
     height_m: float  # the aircraft's, above home; NaN: unknown
-    bank_rad: float
-    heading_rad: float  # where the nose points; NaN: unknown
+    attitude: AttitudeReading | None  # the latest one of the aircraft; None before the first
     radius_m: float
     pan_limit_rad: float
     height_asked_m: float | None  # as an operator has changed it; None: as configured

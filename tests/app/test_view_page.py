@@ -21,6 +21,7 @@ from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import Panel, clock
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import AttitudeReading
 from sidelong.mission.control.present import Alarm, Phase, VehicleStatus
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
@@ -282,6 +283,18 @@ def test_resume_is_offered_while_holding_only(page, display, snapshots):
     display.pump()
     page.locator("#phase", has_text="holding").wait_for()
     assert (resume.is_enabled(), hold.is_enabled()) == (True, False)
+
+
+def test_the_horizon_turns_against_the_bank_and_sinks_as_the_nose_rises(page, display, snapshots):
+    last = snapshots[-1][0]
+    attitude = AttitudeReading(last.time_s, math.radians(20.0), math.radians(5.0), 0.0)
+    display.show(replace(last, attitude=attitude))
+    display.pump()
+    page.locator('#horizon[aria-label="Attitude: bank 20° right, nose 5°"]').wait_for()
+    assert page.locator("#ground").get_attribute("transform") == "rotate(-20.0) translate(0 5.0)"
+    display.show(replace(last, attitude=None))
+    display.pump()
+    page.locator("#horizon").wait_for(state="hidden")
 
 
 def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):

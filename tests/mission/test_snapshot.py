@@ -44,7 +44,7 @@ def test_gauges_begin_empty():
 def test_gauges_follow_the_devices_in_use():
     now = shown(controller(), *second(1.0, 308.0), *second(2.0, 308.0), RangeReading(5.0, 120.0, DOWNWARD))
     assert (now.range_s, now.gimbal_s) == (2.0, 2.0)
-    assert (now.bank_rad, now.height_m) == (0.3, 120.0)
+    assert (now.attitude.roll_rad, now.height_m) == (0.3, 120.0)
 
 
 def test_an_absurd_range_shows_as_a_rejected_sighting_of_large_innovation():

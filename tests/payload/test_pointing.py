@@ -15,7 +15,7 @@ from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.present import Phase
 from tests.faults.flight import FaultedFlight, Scenario
 
-_HEIGHT_M, _HEADING_RAD = 100.0, 0.7
+_HEIGHT_M, _ATTITUDE = 100.0, AttitudeReading(0.0, 0.0, 0.0, 0.7)
 
 
 @pytest.fixture(scope="module")
@@ -31,17 +31,16 @@ def snapshot(flight):
 
 
 def pointed(
-    *snapshots, heading_rad: float | None = _HEADING_RAD, tracker: Tracker | None = None, ground_m: float = 0.0
+    *snapshots, attitude: AttitudeReading | None = _ATTITUDE, tracker: Tracker | None = None, ground_m: float = 0.0
 ) -> list[tuple[float, float]]:
     commands: list[tuple[float, float]] = []
     pointer = PayloadPointer(
         lambda pitch_rad, yaw_rad: commands.append((pitch_rad, yaw_rad)),
-        lambda: heading_rad,
         tracker or Tracker(TrackerSettings()),
         lambda *_place_m: ground_m,
     )
     for one in snapshots:
-        pointer.show(one)
+        pointer.show(replace(one, attitude=attitude))
     return commands
 
 
@@ -49,8 +48,7 @@ def missed_m(snapshot, pitch_rad: float, yaw_rad: float, tracker: Tracker, groun
     """Return how far from the estimate a gimbal in the tracker's mount points, on the ground."""
     source = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     gimbal = GimbalReading(0.0, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "vehicle", source)
-    attitude = AttitudeReading(0.0, 0.0, 0.0, _HEADING_RAD)
-    sight = line_of_sight(gimbal, attitude, tracker.parent_from_mount)
+    sight = line_of_sight(gimbal, _ATTITUDE, tracker.parent_from_mount)
     level_m = (_HEIGHT_M - ground_m) / math.tan(sight.depression_rad)
     bearing_rad = sight.bearing_rad - tracker.calibration.yaw_bias_rad
     aircraft = snapshot.aircraft
@@ -92,4 +90,4 @@ def test_nothing_is_commanded_without_control_target_or_heading(snapshot):
     for unfit in (replace(snapshot, phase=phase) for phase in (Phase.WAITING, Phase.YIELDED, Phase.ENDED)):
         assert pointed(unfit) == []
     assert pointed(replace(snapshot, estimate=None), replace(snapshot, estimate=lost)) == []
-    assert pointed(snapshot, heading_rad=None) == []
+    assert pointed(snapshot, attitude=None) == []

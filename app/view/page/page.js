@@ -251,6 +251,17 @@ function flightRow() {
   ];
 }
 
+// An artificial horizon: the ground turns with the bank and moves with the pitch; the aircraft stands.
+function horizon() {
+  const { bank_rad: bank, pitch_rad: pitch } = state.aircraft ?? {};
+  const known = typeof bank === "number" && !isOld();
+  byId("horizon").toggleAttribute("hidden", !known);
+  if (!known) return;
+  const [roll, nose] = [bank, pitch].map((v) => (v * 180) / Math.PI);
+  byId("ground").setAttribute("transform", `rotate(${(-roll).toFixed(1)}) translate(0 ${Math.max(-20, Math.min(20, nose)).toFixed(1)})`);
+  byId("horizon").setAttribute("aria-label", `Attitude: bank ${Math.abs(Math.round(roll))}° ${roll < 0 ? "left" : "right"}, nose ${Math.round(nose)}°`);
+}
+
 // Further readings for engineers.
 function innerTiles() {
   return [
@@ -389,6 +400,7 @@ function draw() {
   explainPhase();
   showWatch(byId("band"), byId("side"), state, map.setting, old);
   lay(byId("now"), flightRow());
+  horizon();
   byId("reason").textContent = state.reason ? `Last decision: ${state.reason}` : "";
   lay(byId("key-tiles"), keyTiles());
   lay(byId("tiles"), tiles());
