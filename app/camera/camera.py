@@ -27,6 +27,9 @@ _GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, which stands for a picture th
 _ESTIMATE_AGE_MAX_S = 3.0  # of the estimate's last sighting: its velocity still describes the target
 _FRESH_S, _GEO_S, _GEO_SIGMA_MAX_M = 2.0, 9.0, 15.0  # hidden for these times, the gimbal looks at the estimate
 
+Edges = tuple[float, float, float, float]
+"""Left, top, right and bottom edge in shares of a picture's width and height."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pictured:
@@ -35,22 +38,32 @@ class Pictured:
     Attributes:
         time_s: When it was taken.
         tracked: The object.
-        size_px: Of the picture.
+        view: From where it was taken.
+        position: Of the aircraft then.
+        attitude: Of the aircraft then.
+        estimate: Of the target then, None while it is lost.
     """
 
     time_s: float
     tracked: Tracked
-    size_px: tuple[int, int]
+    view: View
+    position: PositionReading
+    attitude: AttitudeReading
+    estimate: TargetEstimate | None
 
-
-@dataclass(frozen=True, slots=True)
-class _Wish:
-    """A place in the picture to follow, in shares of its width and height; a rectangle has a size."""
-
-    x: float
-    y: float
-    width: float = 0.0
-    height: float = 0.0
+    @property
+    def edges(self) -> Edges | None:
+        """Where the object is seen, or expected while it is hidden."""
+        box, (width, height) = self.tracked.box, self.view.size_px
+        if box is None:
+            return None
+        across, down = 0.5 * box.width_px, 0.5 * box.height_px
+        return (
+            (box.x_px - across) / width,
+            (box.y_px - down) / height,
+            (box.x_px + across) / width,
+            (box.y_px + down) / height,
+        )
 
 
 class TargetCamera:
@@ -66,7 +79,6 @@ class TargetCamera:
 
     Attributes:
         latest: What the latest picture gave.
-        view: From where that picture was taken.
     """
 
     def __init__(
@@ -80,13 +92,12 @@ class TargetCamera:
     ) -> None:
         self.view_rad = view_rad
         self.latest: Pictured | None = None
-        self.view: View | None = None
         self._mount, self._lead_s = mount, lead_s
         self._ground_m, self._estimate = ground_m, estimate
         self._tracker = ObjectTracker(kind)
         self._poses = PoseHistory()
         self._gimbals: ReadingHistory[GimbalReading] = ReadingHistory(_GIMBAL_SPAN_S)
-        self._wish: _Wish | None = None
+        self._wish: tuple[float, float, float, float] | None = None
 
     # -- what happens --------------------------------------------------------------------------------------
 
@@ -101,7 +112,7 @@ class TargetCamera:
 
     def follow(self, x: float, y: float, width: float = 0.0, height: float = 0.0) -> None:
         """Follow what the next picture shows there; middle and size in shares of the picture, size 0: a point."""
-        self._wish = _Wish(x, y, width, height)
+        self._wish = x, y, width, height
 
     def stop(self) -> None:
         """Follow nothing; the gimbal stays where it is."""
@@ -112,21 +123,27 @@ class TargetCamera:
 
     def picture(self, picture: Picture, time_s: float) -> Pictured | None:
         """Take a picture (BGR); return what it gave, None while the camera's position or attitude is unknown."""
-        view = self._view_at(time_s, (picture.shape[1], picture.shape[0]))
-        if view is None:
+        position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s)
+        gimbal = self._gimbals.newest() if found is None else found[0]
+        attitude = self._poses.attitude_at(time_s) or self._poses.attitudes.newest()
+        if position is None or gimbal is None or attitude is None:
             return None
+        if gimbal.time_s and abs(time_s - gimbal.time_s) > _GIMBAL_AGE_MAX_S:
+            return None
+        height, width = picture.shape[:2]
+        sight = multiply(parent_of_gimbal(gimbal, attitude, self._mount), normalized(gimbal.quaternion_wxyz))
+        focal_px = 0.5 * width / math.tan(0.5 * self.view_rad)
+        here_m = position.east_m, position.north_m, position.height_m
+        view = View(here_m, sight, focal_px, (width, height), self._ground_m)
         if self._wish is not None:
-            self._begin(picture, time_s, view, self._wish)
-            self._wish = None
-        estimate, velocity_m_s = self._estimate(time_s), None
-        if (
-            estimate is not None
-            and estimate.quality is not TrackQuality.LOST
-            and time_s - estimate.last_sighting_s < _ESTIMATE_AGE_MAX_S
-        ):
+            (x, y, across, down), self._wish = self._wish, None
+            box = Box(x * width, y * height, across * width, down * height) if across and down else None
+            self._tracker.start(picture, time_s, view, x * width, y * height, box)
+        estimate, velocity_m_s = self._known(time_s), None
+        if estimate is not None and time_s - estimate.last_sighting_s < _ESTIMATE_AGE_MAX_S:
             velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         tracked = self._tracker.update(picture, time_s, view, velocity_m_s)
-        self.view, self.latest = view, Pictured(time_s, tracked, view.size_px)
+        self.latest = Pictured(time_s, tracked, view, position, attitude, estimate)
         return self.latest
 
     # -- what follows from it ------------------------------------------------------------------------------
@@ -147,55 +164,15 @@ class TargetCamera:
         down_m = position.height_m + ahead_s * position.velocity_up_m_s - self._ground_m(*aim_m)
         return -math.atan2(down_m, math.hypot(east_m, north_m)), math.atan2(east_m, north_m)
 
-    def status(self) -> dict[str, float | int]:
-        """Return the fields of CAMERA_TRACKING_IMAGE_STATUS for the latest picture."""
-        latest = self.latest
-        state = "idle" if latest is None else latest.tracked.state
-        fields: dict[str, float | int] = dict.fromkeys(
-            ("point_x", "point_y", "radius", "rec_top_x", "rec_top_y", "rec_bottom_x", "rec_bottom_y"), math.nan
-        )
-        fields |= {"tracking_status": 0, "tracking_mode": 0, "target_data": 0}
-        if latest is None or state == "idle":
-            return fields
-        fields |= {"tracking_status": 1 if state == "object" else 2, "tracking_mode": 2, "target_data": 4}
-        box, (width, height) = latest.tracked.box, latest.size_px
-        if state == "object" and box is not None:
-            fields |= {
-                "point_x": box.x_px / width,
-                "point_y": box.y_px / height,
-                "rec_top_x": (box.x_px - 0.5 * box.width_px) / width,
-                "rec_top_y": (box.y_px - 0.5 * box.height_px) / height,
-                "rec_bottom_x": (box.x_px + 0.5 * box.width_px) / width,
-                "rec_bottom_y": (box.y_px + 0.5 * box.height_px) / height,
-            }
-        return fields
-
-    # -- geometry ------------------------------------------------------------------------------------------
-
-    def _begin(self, picture: Picture, time_s: float, view: View, wish: _Wish) -> None:
-        width, height = view.size_px
-        x_px, y_px = wish.x * width, wish.y * height
-        box = Box(x_px, y_px, wish.width * width, wish.height * height) if wish.width and wish.height else None
-        self._tracker.start(picture, time_s, view, x_px, y_px, box)
-
-    def _view_at(self, time_s: float, size_px: tuple[int, int]) -> View | None:
-        position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s)
-        gimbal = self._gimbals.newest() if found is None else found[0]
-        attitude = self._poses.attitude_at(time_s) or self._poses.attitudes.newest()
-        if position is None or gimbal is None or attitude is None:
-            return None
-        if gimbal.time_s and abs(time_s - gimbal.time_s) > _GIMBAL_AGE_MAX_S:
-            return None
-        sight = multiply(parent_of_gimbal(gimbal, attitude, self._mount), normalized(gimbal.quaternion_wxyz))
-        focal_px = 0.5 * size_px[0] / math.tan(0.5 * self.view_rad)
-        here_m = position.east_m, position.north_m, position.height_m
-        return View(here_m, sight, focal_px, size_px, self._ground_m)
+    def _known(self, time_s: float) -> TargetEstimate | None:
+        estimate = self._estimate(time_s)
+        return None if estimate is None or estimate.quality is TrackQuality.LOST else estimate
 
     def _aim_m(self, time_s: float) -> tuple[float, float] | None:
         if self._tracker.state == "idle":
             return None
-        hidden_s, estimate = self._tracker.hidden_s(time_s), self._estimate(time_s)
-        if estimate is not None and estimate.quality is not TrackQuality.LOST and _FRESH_S < hidden_s < _GEO_S:
-            is_known = float(max(estimate.covariance.diagonal()[:2])) < _GEO_SIGMA_MAX_M**2
-            return estimate.position_m(time_s) if is_known else self._tracker.expected_m(time_s)
-        return self._tracker.expected_m(time_s)
+        estimate = self._known(time_s)
+        if estimate is None or not _FRESH_S < self._tracker.hidden_s(time_s) < _GEO_S:
+            return self._tracker.expected_m(time_s)
+        is_known = float(max(estimate.covariance.diagonal()[:2])) < _GEO_SIGMA_MAX_M**2
+        return estimate.position_m(time_s) if is_known else self._tracker.expected_m(time_s)

@@ -1,33 +1,70 @@
-"""The camera of a flight: its video, its place on the link, and the gimbal that it leads."""
+"""The camera of a flight: its video, its place on the link, the gimbal that it leads, and the page's picture."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.camera.camera import TargetCamera
-from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent, Sent
-from sidelong.app.camera.video import Picture, VideoFile, VideoSource
+from sidelong.app.camera.camera import Pictured, TargetCamera
+from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent, Sent, status_of
+from sidelong.app.camera.video import Picture, VideoOutput, VideoSource, encoded
 from sidelong.app.config import CameraSection
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import Vehicle, VehicleTimeline
 from sidelong.app.link.wire import Packer
+from sidelong.app.network import NetworkAddress
+from sidelong.app.records.klv import Marked, Sensor, UasMetadata
+from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.tracker import Tracker
 
 _WAIT_S = 0.1
 _POINT_EVERY_S, _REPORT_EVERY_S = 0.1, 0.4  # a tracker's error lasts for seconds: more reports would say no more
 _CLICK_ABOVE_M = 40.0
 _MEGABYTE = 1e6
+_ELLIPSE_CORNERS = 32
 
 Point = Callable[[float, float], object]
 """Points the gimbal of a payload with a driver: pitch, and yaw relative to the aircraft's heading, rad."""
+
+
+Show = Callable[[Callable[[], bytes]], object]
+"""Receives a function that returns a picture for the page, as :func:`encoded` returns it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Here:
+    """What video metadata needs of a flight: its name, the local plane, and home's altitude above sea level."""
+
+    name: str
+    plane: LocalPlane
+    home_altitude_m: float
+
+
+def overlay(pictured: Pictured) -> dict[str, Any]:
+    """Return what the page draws on a picture; places in shares of its width and height, None: not in view."""
+    view, estimate = pictured.view, pictured.estimate
+    marks: dict[str, Any] = {"time_s": round(pictured.time_s, 3), "state": pictured.tracked.state}
+    marks["box"] = pictured.edges and [round(edge, 4) for edge in pictured.edges]
+    marks["confidence"] = round(pictured.tracked.confidence, 2)
+    if estimate is not None:
+        middle_m = estimate.position_m(pictured.time_s)
+        outline_m = estimate.ellipse_95.outline(_ELLIPSE_CORNERS)
+        pixels = [
+            view.pixel(middle_m[0] + east_m, middle_m[1] + north_m) for east_m, north_m in ((0.0, 0.0), *outline_m)
+        ]
+        places = [p and [round(share / side, 4) for share, side in zip(p, view.size_px, strict=True)] for p in pixels]
+        marks["estimate"], marks["ellipse"] = places[0], [] if None in places else places[1:]
+    return marks
 
 
 class CameraRunner:
@@ -39,10 +76,12 @@ class CameraRunner:
         tracker: Estimates the target, and knows the gimbal's mount.
         ground_m: Returns the height of the ground above home at (east, north).
         note: Receives what happens, in words.
+        here: For the metadata of the video.
         source: The video, instead of the configured one.
         point: Points the gimbal by the payload's own protocol; None: by the gimbal manager.
         clicks: Whether to follow what is in the middle once the aircraft has climbed: for a simulated operator.
-        record: Where the video is recorded; None: nowhere.
+        record: Where the video is recorded, with what was drawn on it next to it as JSON lines; None: nowhere.
+        show: Shows the pictures on the page.
     """
 
     def __init__(
@@ -52,11 +91,13 @@ class CameraRunner:
         tracker: Tracker,
         ground_m: Callable[[float, float], float],
         note: Callable[[str], object],
+        here: Here,
         *,
         source: str | None = None,
         point: Point | None = None,
         clicks: bool = False,
         record: Path | None = None,
+        show: Show | None = None,
     ) -> None:
         self._settings, self._vehicle, self._note = settings, vehicle, note
         self._source, self._point, self._clicks = source or settings.source or "", point, clicks
@@ -69,9 +110,17 @@ class CameraRunner:
         self._packer = Packer((vehicle.system_id, CAMERA_COMPONENT))
         self._transmit: Callable[[bytes], None] = lambda _frame: None
         self._timeline = VehicleTimeline()
-        self._outputs = [VideoFile(settings.stream, settings.rate_hz)] if settings.stream else []
-        if record is not None and settings.record_mb:
-            self._outputs.append(VideoFile(str(record), settings.rate_hz, settings.record_mb * _MEGABYTE))
+        self._here, self._show = here, show
+        self._metadata: UasMetadata | None = None
+        self._record = record if settings.record_mb else None
+        address = None
+        if settings.stream:
+            address = NetworkAddress.read(settings.stream, ("udp",)).resolved("camera.stream")
+        self._output: VideoOutput | None = None
+        if self._record is not None or address is not None:
+            budget_bytes = settings.record_mb * _MEGABYTE
+            self._output = VideoOutput(settings.rate_hz, self._record, budget_bytes, address)
+        self._marks = None if self._record is None else self._record.with_suffix(".jsonl").open("wb")
         self._height_m, self._heading_rad = 0.0, math.nan
         self._point_s = self._report_s = -math.inf
         self._state = "idle"
@@ -102,8 +151,9 @@ class CameraRunner:
         finally:
             vehicle.listeners.remove(self._note_message)
             vehicle.bystanders.remove(self._commanded)
-            for output in self._outputs:
-                output.close()
+            for output in (self._output, self._marks):
+                if output is not None:
+                    output.close()
             await asyncio.to_thread(source.close)
 
     # -- in ------------------------------------------------------------------------------------------------
@@ -121,7 +171,7 @@ class CameraRunner:
             self._send(sent)
 
     def _take(self, picture: Picture, arrived_s: float) -> None:
-        self._component.picture_size(picture.shape[1], picture.shape[0])
+        self._component.size_px = picture.shape[1], picture.shape[0]
         taken_s = self._timeline.vehicle_s(arrived_s - self._settings.delay_s)
         if taken_s is None:
             return
@@ -130,9 +180,13 @@ class CameraRunner:
             self.camera.follow(0.5, 0.5)
             self._note("the simulated operator clicks the target in the middle of the picture")
         pictured = self.camera.picture(picture, taken_s)
-        for output in self._outputs:
-            with contextlib.suppress(OSError):
-                output.put(picture, taken_s)
+        marks = {"time_s": round(taken_s, 3), "state": "idle"} if pictured is None else overlay(pictured)
+        line = json.dumps(marks, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        if self._show is not None:
+            self._show(lambda: encoded(line, picture))
+        if self._output is not None:
+            with contextlib.suppress(OSError):  # a full disk: the flight goes on
+                self._write(self._output, picture, pictured, taken_s, line)
         if pictured is None:
             return
         state = pictured.tracked.state
@@ -142,8 +196,33 @@ class CameraRunner:
             self._note(f"the camera {words[state]}")
         if state != "idle" and taken_s >= self._report_s:
             self._report_s = taken_s + _REPORT_EVERY_S
-            fields = self.camera.status() | {"capture_s": taken_s, "camera_device_id": 0}
-            self._pass("CAMERA_TRACKING_IMAGE_STATUS", fields)
+            self._pass("CAMERA_TRACKING_IMAGE_STATUS", status_of(pictured) | {"capture_s": taken_s})
+
+    def _write(
+        self, output: VideoOutput, picture: Picture, pictured: Pictured | None, taken_s: float, line: bytes
+    ) -> None:
+        """Write a picture to the stream and the record."""
+        klv = b""
+        metadata = self._metadata = self._metadata or self._new_metadata(picture)
+        if pictured is not None:
+            view, (width, height) = pictured.view, self._component.size_px
+            middle_m = view.ground(0.5 * width, 0.5 * height)
+            sensor = Sensor(view.ned_from_sight, 0.0 if middle_m is None else view.ground_m(*middle_m))
+            marked = None
+            if pictured.edges is not None:
+                edges_px = tuple(edge * side for edge, side in zip(pictured.edges, 2 * (width, height), strict=True))
+                marked = Marked((width, height), edges_px, pictured.tracked.confidence)  # type: ignore[arg-type]
+            own = pictured.position, pictured.attitude, sensor, pictured.estimate, marked
+            klv = metadata.packet(taken_s, *own)
+        output.put(picture, taken_s, metadata.stamp_us(taken_s), klv)
+        if self._marks is not None and not output.is_full:
+            self._marks.write(line)
+
+    def _new_metadata(self, picture: Picture) -> UasMetadata:
+        now_s = self._timeline.vehicle_s(time.monotonic())
+        booted = datetime.now(UTC) - timedelta(seconds=now_s or 0.0)
+        here, aspect = self._here, picture.shape[0] / picture.shape[1]
+        return UasMetadata(here.name, here.plane, booted, here.home_altitude_m, self._settings.view_rad(aspect))
 
     def _pass(self, name: str, fields: dict[str, Any]) -> None:
         """Hand the flight a message of the camera's."""

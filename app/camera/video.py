@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import re
+import socket
 import threading
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +18,9 @@ import av
 import cv2
 import numpy as np
 import numpy.typing as npt
+import stanag4609
+from stanag4609.transport import encode_pes_packet, synchronous_klv_stream
+from stanag4609.transport.psi import ElementaryStreamInfo
 
 from sidelong.app.errors import InputError
 
@@ -23,6 +29,9 @@ Picture = npt.NDArray[np.uint8]
 _FORMS = "rtsp://HOST/PATH, udp://HOST:PORT, /dev/videoN or a video file"
 _OPEN_S, _READ_S, _RETRY_S = 5.0, 1.5, 0.5
 _WIDTH_MAX_PX = 1280
+_H264, _VIDEO, _METADATA, _CLOCK_HZ, _DECODED_LATER, _IN_DATAGRAM = 0x1B, 0x100, 0x101, 90_000, 27_000, 7
+_SLICE = re.compile(rb"\x00?\x00\x00\x01[\x01\x05\x21\x25\x41\x45\x61\x65]")  # the first unit of a picture's pixels
+_AHEAD_S, _SAME_S, _JPEG_QUALITY = 3.0, 2e-3, 60
 _STREAMS = re.compile(r"(rtsps?|udp|tcp|srt|https?)://\S+")
 
 
@@ -125,59 +134,125 @@ class VideoSource:
                     yield np.asarray(frame.to_ndarray(format="bgr24", width=width, height=height), np.uint8)
 
 
-class VideoFile:
-    """Writes pictures as MPEG-TS with H.264, within a budget of bytes: to a file, or to udp://HOST:PORT."""
+class VideoReplay:
+    """Reads a recording again, by the times of its pictures. Raises OSError when there is none that can be read.
 
-    def __init__(self, target: str, rate_hz: float, budget_bytes: float = float("inf")) -> None:
-        self._target, self._rate_hz, self._budget_bytes = target, rate_hz, budget_bytes
-        self._container: av.container.OutputContainer | None = None
-        self._stream: av.VideoStream | None = None
-        self._size_px = (0, 0)
-        self._written = 0
-        self._first_s, self._pts = 0.0, -1
+    Args:
+        path: The recording; what was drawn on it is next to it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        lines = path.with_suffix(".jsonl").read_bytes().splitlines(keepends=True)
+        self._marks = [line for line in lines if line.endswith(b"\n")]
+        self._times_s = [float(json.loads(line)["time_s"]) for line in self._marks]
+        self._container = av.open(str(path))
+        self._frames: Iterator[av.VideoFrame] = iter(())
+        self._at_s = math.inf
+
+    def shown(self, time_s: float) -> bytes | None:
+        """Return the picture of a time as the page takes it; None before the first one, and what is damaged."""
+        index = bisect_right(self._times_s, time_s) - 1
+        if index < 0:
+            return None
+        wanted_s = self._times_s[index]
+        if not self._at_s < wanted_s < self._at_s + _AHEAD_S:
+            before_s = max(wanted_s - _AHEAD_S, self._times_s[0])  # decoding begins at the next key picture
+            self._container.seek(round(before_s * av.time_base))
+            self._frames = self._container.decode(video=0)
+        with contextlib.suppress(av.FFmpegError):
+            for frame in self._frames:
+                self._at_s = float(frame.time or 0.0)
+                if self._at_s >= wanted_s - _SAME_S:
+                    return encoded(self._marks[index], np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
+        self._at_s = math.inf
+        return None
+
+
+def encoded(marks: bytes, picture: Picture) -> bytes:
+    """Return a picture for the page: a line of JSON with what is drawn on it, and the picture as JPEG."""
+    return marks + cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+class VideoOutput:
+    """Encodes pictures as H.264 and writes them with their metadata as MPEG-TS, to a file and to a network address.
+
+    The presentation time stamps are the times of the pictures. Source: MISB ST 1402 (synchronous metadata), ST 0604.
+
+    Args:
+        rate_hz: Pictures per second, for the encoder's budget of bits.
+        file: Where to write; None: nowhere.
+        budget_bytes: Largest size of the file.
+        address: Where to send, as UDP: host and port; None: nowhere.
+    """
+
+    def __init__(
+        self,
+        rate_hz: float,
+        file: Path | None,
+        budget_bytes: float = math.inf,
+        address: tuple[str, int] | None = None,
+    ) -> None:
+        self._rate_hz, self._address = rate_hz, address
+        self._file = None if file is None else file.open("wb")
+        self._left_bytes = budget_bytes
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._encoder: av.VideoCodecContext | None = None
+        self._pts = -1
+        video = ElementaryStreamInfo(_H264, _VIDEO, ())
+        metadata = synchronous_klv_stream(_METADATA, metadata_input_leak_rate=500, metadata_buffer_size=8)
+        self._muxer = stanag4609.TransportMuxer(
+            transport_stream_id=1, program_number=1, program_map_pid=0x1000, pcr_pid=_VIDEO, streams=[video, metadata]
+        )
 
     @property
     def is_full(self) -> bool:
-        """Whether the budget is used up."""
-        return self._written >= self._budget_bytes
+        """Whether the file's budget is used up."""
+        return self._left_bytes <= 0.0
 
-    def put(self, picture: Picture, time_s: float) -> None:
-        """Write a picture. Raises OSError."""
+    def put(self, picture: Picture, time_s: float, stamp_us: int | None = None, klv: bytes = b"") -> None:
+        """Write a picture, with its precision time stamp and metadata if there are any. Raises OSError."""
+        encoder = self._encoder = self._encoder or self._new_encoder(picture)
+        size_px = encoder.width, encoder.height
+        if size_px != picture.shape[1::-1]:
+            picture = cv2.resize(picture, size_px)  # type: ignore[assignment]
+        frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+        self._pts = max(round(_CLOCK_HZ * time_s), self._pts + 1)  # the clocks' offset may step back
+        frame.pts, frame.time_base = self._pts, Fraction(1, _CLOCK_HZ)
+        muxer, packets = self._muxer, [*self._muxer.program_tables()]
+        packets.append(muxer.mux_pcr(stanag4609.pcr_from_ticks(300 * max(self._pts - _DECODED_LATER, 0))))
         try:
-            self._put(picture, time_s)
+            encoded = b"".join(map(bytes, encoder.encode(frame)))
         except av.FFmpegError as error:  # some of them are no OSError
             raise OSError(str(error)) from error
-
-    def _put(self, picture: Picture, time_s: float) -> None:
-        height, width = picture.shape[:2]
-        if self._container is None:
-            url = f"{self._target}?pkt_size=1316" if self._target.startswith("udp:") else self._target
-            self._container = av.open(url, "w", format="mpegts")
-            self._stream = self._container.add_stream("libx264", rate=Fraction(self._rate_hz).limit_denominator(100))
-            self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
-            self._stream.options = {"preset": "ultrafast", "tune": "zerolatency", "g": str(round(2 * self._rate_hz))}
-            self._stream.codec_context.time_base = Fraction(1, 1000)
-            self._size_px, self._first_s = (width, height), time_s
-        if self.is_full:
-            return
-        if (width, height) != self._size_px:
-            picture = cv2.resize(picture, self._size_px)  # type: ignore[assignment]
-        frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-        self._pts = max(round(1000.0 * (time_s - self._first_s)), self._pts + 1)  # the clocks' offset may step back
-        frame.pts, frame.time_base = self._pts, Fraction(1, 1000)
-        self._mux(frame)
+        if stamp_us is not None and (slice_unit := _SLICE.search(encoded)) is not None:
+            at = slice_unit.start()
+            encoded = encoded[:at] + stanag4609.encode_avc_timestamp_sei(stamp_us) + encoded[at:]
+        pts = self._pts % 2**33
+        packets += muxer.mux_pes(_VIDEO, encode_pes_packet(encoded, stream_id=0xE0, pts=pts, unbounded=True))
+        if klv:
+            packets += muxer.mux_sync_klv(_METADATA, klv, pts=pts)
+        self._write(packets)
 
     def close(self) -> None:
-        """Write what is left."""
-        if self._container is not None:
-            with contextlib.suppress(av.FFmpegError, OSError):
-                self._mux(None)
-                self._container.close()
-            self._container = None
+        """Close the file and the socket."""
+        if self._file is not None:
+            self._file.close()
+        self._socket.close()
 
-    def _mux(self, frame: av.VideoFrame | None) -> None:
-        assert self._stream is not None
-        assert self._container is not None
-        for packet in self._stream.encode(frame):
-            self._written += packet.size
-            self._container.mux(packet)
+    def _write(self, packets: list[bytes]) -> None:
+        if self._address is not None:
+            with contextlib.suppress(OSError):
+                for at in range(0, len(packets), _IN_DATAGRAM):
+                    self._socket.sendto(b"".join(packets[at : at + _IN_DATAGRAM]), self._address)
+        if self._file is not None and not self.is_full:
+            self._left_bytes -= self._file.write(b"".join(packets))
+
+    def _new_encoder(self, picture: Picture) -> av.VideoCodecContext:
+        encoder = av.CodecContext.create("libx264", "w")
+        assert isinstance(encoder, av.VideoCodecContext)
+        encoder.height, encoder.width = (side // 2 * 2 for side in picture.shape[:2])
+        encoder.pix_fmt, encoder.time_base = "yuv420p", Fraction(1, _CLOCK_HZ)
+        encoder.framerate = Fraction(self._rate_hz).limit_denominator(100)
+        encoder.options = {"preset": "ultrafast", "tune": "zerolatency", "g": str(round(2 * self._rate_hz))}
+        encoder.options["x264-params"] = "aud=1:repeat-headers=1"
+        return encoder

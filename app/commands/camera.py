@@ -89,7 +89,7 @@ def camera(
 
 
 async def _track(settings: Config, duration_s: float | None) -> None:
-    from sidelong.app.camera.runner import CameraRunner  # noqa: PLC0415  # an extra
+    from sidelong.app.camera.runner import CameraRunner, Here  # noqa: PLC0415  # an extra
 
     console.print(f"waiting for a heartbeat on {' and '.join(settings.link.connections)}")
     async with (
@@ -117,6 +117,7 @@ async def _track(settings: Config, duration_s: float | None) -> None:
             tracker,
             ground_m,
             console.print,
+            Here("sidelong camera", plane, home.altitude_m),
             point=None if gimbal is None else gimbal.point,
         )
 

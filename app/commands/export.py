@@ -19,7 +19,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.export import MISSIONS, Format
 from sidelong.app.records.export import export as write
 from sidelong.app.records.journal import JournalReader
-from sidelong.app.records.klv import KlvLog
+from sidelong.app.records.klv import KlvLog, UasMetadata
 from sidelong.app.records.log import open_log
 from sidelong.app.records.log_context import LogContext
 from sidelong.app.records.mcap import LAYOUT, McapLog, McapWriter
@@ -145,8 +145,10 @@ def _write_klv(one: _Aircraft, out: Path) -> None:
     booted, home_altitude_m, flown = one.context.booted, one.context.home_altitude_m, one.flown
     if booted is None or home_altitude_m is None:
         raise InputError(f"{one.source} does not contain the time of day or the altitude of home, which KLV needs.")
-    log = KlvLog(out, flown.name, flown.history.plane, tracker_of(flown.config), booted, home_altitude_m)
-    with contextlib.closing(log):
+    metadata = UasMetadata(
+        flown.name, flown.history.plane, booted, home_altitude_m, flown.config.camera.view_rad(9.0 / 16.0)
+    )
+    with contextlib.closing(KlvLog(out, metadata, tracker_of(flown.config))) as log:
         one.feed(log)
 
 

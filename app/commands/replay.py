@@ -204,7 +204,15 @@ def _show(
         _replay_log(log, None, changed, True, what_if)
     from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
 
-    serve_replay(frames, what_if, flown, address, name, speed, say)
+    film = None
+    if run is not None and run.video.is_file():
+        try:
+            from sidelong.app.camera.video import VideoReplay  # noqa: PLC0415  # an extra
+
+            film = VideoReplay(run.video).shown
+        except (ImportError, OSError, ValueError) as error:
+            say(f"{run.video} cannot be shown: {error}")
+    serve_replay(frames, what_if, flown, address, name, speed, say, film)
 
 
 def _changed(flown: Config, config: Path | None, changes: Overrides) -> Config:

@@ -23,7 +23,7 @@ from sidelong.app.autopilots.autopilot import ParameterTable, RequiredParameter
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.changes import MissionChanges, PanLimitInput, WindTables
-from sidelong.app.flight.loop import ControlLoop, Display, FlightDisplay, Observer, Stepped, Wish
+from sidelong.app.flight.loop import ControlLoop, Display, FlightDisplay, Observer, Stepped, TrackRequest, Wish
 from sidelong.app.flight.outputs import GimbalPointer, PayloadPointer, open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner, check_route, give_route
 from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
@@ -152,6 +152,7 @@ class Flight:
         self._ready: _Ready | None = None
         self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
+        self._runner: CameraRunner | None = None
         self._resumption = OneTask()  # after a yield
         self._fences = VehicleFences()
 
@@ -288,7 +289,7 @@ class Flight:
         observers.append(streams)
         alarms = self._alarm_watch()
         observed = _Observed(self._display, alarms, observers, self._collector)
-        camera = self._camera_runner()
+        camera = self._runner = self._camera_runner(plane, home)
         loop = ControlLoop(
             self._vehicle,
             self._telemetry,
@@ -406,6 +407,13 @@ class Flight:
                 changes.take(wish)
             case AlarmReported():
                 alarms.acknowledge(wish)
+            case TrackRequest():
+                if self._runner is None:
+                    self._display.note("no camera is configured: nothing is tracked")
+                elif wish.where:
+                    self._runner.camera.follow(*wish.where)
+                else:
+                    self._runner.camera.stop()
             case _:
                 loop.put(wish)
                 if wish.action == "resume" and self.controller.phase is Phase.YIELDED:
@@ -496,11 +504,11 @@ class Flight:
         shared.callback(pointer.stop)
         return [pointer]
 
-    def _camera_runner(self) -> CameraRunner | None:
+    def _camera_runner(self, plane: LocalPlane, home: Home) -> CameraRunner | None:
         config = self._config
         if config.camera.source is None:
             return None
-        from sidelong.app.camera.runner import CameraRunner  # noqa: PLC0415  # an extra
+        from sidelong.app.camera.runner import CameraRunner, Here  # noqa: PLC0415  # an extra
 
         return CameraRunner(
             config.camera,
@@ -508,10 +516,14 @@ class Flight:
             self.controller.tracker,
             self._target_height_m,
             self._display.note,
+            Here(
+                "sidelong" if self._camera.record is None else self._camera.record.parent.name, plane, home.altitude_m
+            ),
             source=self._camera.simulated,
             point=None if self._payload is None else self._payload.point,
             clicks=self._camera.simulated is not None,
             record=self._camera.record,
+            show=self._display.film,
         )
 
     def _status(self) -> VehicleStatus:

@@ -10,7 +10,7 @@ import asyncio
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from sidelong.app.config import Config
@@ -254,7 +254,22 @@ class ControlLoop:
         return self.controller.idle or self.link_s - self._ending_s > _FINISH_S
 
 
-Wish = OperatorRequest | MissionChange | AlarmReported
+@dataclass(frozen=True, slots=True)
+class TrackRequest:
+    """A request to follow what the camera's picture shows at a place, or to stop.
+
+    Attributes:
+        time_s: On the vehicle's clock.
+        where: Middle (x, y), and width and height of a rectangle, in shares of the picture; empty: stop.
+        who: Asks for it.
+    """
+
+    time_s: float
+    where: tuple[float, ...] = ()
+    who: str = ""
+
+
+Wish = OperatorRequest | MissionChange | AlarmReported | TrackRequest
 """A request of the operator."""
 
 
@@ -266,6 +281,9 @@ class FlightDisplay(Display, Protocol):
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         """Receive the local plane, the receiver of the operator's requests, and the configuration as it is flown."""
+
+    def film(self, picture: Callable[[], bytes]) -> None:
+        """Receive a picture of the camera: what returns its marks as a line of JSON, and then itself as JPEG."""
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         """Learn that watching has begun, and for how long it is to go on; times are shown since ``start_s``."""

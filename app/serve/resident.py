@@ -94,6 +94,9 @@ class ServiceDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         self.request = request
 
+    def film(self, picture: Callable[[], bytes]) -> None:
+        """Show no picture: the page around it does."""
+
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._changed()
 

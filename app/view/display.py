@@ -13,14 +13,16 @@ import webbrowser
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, Protocol, TypeVar
 
 from sidelong.app.config import Config
-from sidelong.app.flight.loop import FlightDisplay, Wish
+from sidelong.app.flight.loop import FlightDisplay, TrackRequest, Wish
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json
+from sidelong.app.view.picture import PictureFile
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import StateEncoder, setting
@@ -77,6 +79,9 @@ class ShownAircraft:
         self._inner.begin(plane, request, config)
         self.encoder.plane, self._request = plane, request
         self._page.comes_to("taking over")
+
+    def film(self, picture: Callable[[], bytes]) -> None:
+        self._page.isolated("the camera's picture", partial(self._page.put_picture, self), picture)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)
@@ -169,6 +174,8 @@ class ViewDisplay(ShownAircraft):
         self._wanted, self._sides = self._requirement.side, dict(sides)
         self._routes: dict[str, Route] = {}  # by the target's name
         self._shading: Shading | None = None
+        self._pictures: PictureFile | None = None
+        self._filmed: ShownAircraft = self
         self._sent_at_s = -math.inf
         self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
 
@@ -194,6 +201,8 @@ class ViewDisplay(ShownAircraft):
             self._feed = None
         if self._shading is not None:
             self._shading.close()
+        if self._pictures is not None:
+            self._pictures.close()
 
     @property
     def is_served(self) -> bool:
@@ -267,6 +276,16 @@ class ViewDisplay(ShownAircraft):
         if self._stage["name"] in ("preparing", "taking over"):
             self.show_stage(self._stage["name"], text)
 
+    def put_picture(self, aircraft: ShownAircraft, picture: Callable[[], bytes]) -> None:
+        """Let the page show a picture of an aircraft's camera; it takes those of one aircraft."""
+        if not self.is_served:
+            return
+        if self._pictures is None:
+            self._pictures, self._filmed = PictureFile(), aircraft
+            self._setting = self._set()
+        if aircraft is self._filmed:
+            self._pictures.put(picture)
+
     # -- to and from the page ------------------------------------------------------------------------------
 
     def pump_if_due(self) -> None:
@@ -303,7 +322,7 @@ class ViewDisplay(ShownAircraft):
 
     def _set(self) -> Json:
         base = setting(self._config, self.encoder.plane, self._title, self._requirement, self._routes.values())
-        base |= under_flight(self.address, self._shading)
+        base |= under_flight(self.address, self._shading, self._pictures)
         return base | {"fleet": list(self._fleet)} if self._fleet else base
 
     def _renew_setting(self) -> None:
@@ -328,6 +347,8 @@ class ViewDisplay(ShownAircraft):
             update["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
             update["setting"] = self._setting
+            if self._pictures is not None:
+                update["picture"] = str(self._pictures.file)
         if self._restarts:
             update["restart"] = True
         states = [self._state_of(one, one.snapshot) for one in self._shown.values() if one.snapshot is not None]
@@ -362,7 +383,7 @@ class ViewDisplay(ShownAircraft):
             accepted, text = self.service(action, who)
             self._announced.append([None, "operator" if accepted else "refused", f"{action}: {text}"])
             return
-        asked = self._shown.get(press["aircraft"], self) if action == "acknowledge" else self
+        asked = self._filmed if action == "track" else self._shown.get(press.get("aircraft", ""), self)
         if not asked.is_flown and self._is_service and action == "end":  # a watch that is only beginning
             self._pressed(press | {"action": "release"})
             return
@@ -370,7 +391,9 @@ class ViewDisplay(ShownAircraft):
             self._answer(f"{action} refused: nothing is flown yet")
             return
         self._inner.note(f"{action} by {who}")
-        if action == "acknowledge":
+        if action == "track":
+            asked.ask(TrackRequest(0.0, tuple(map(float, press["where"])), who))
+        elif action == "acknowledge":
             asked.ask(AlarmReported(0.0, press["alarm"], "acknowledged", who=who))
         elif action == "change":
             # JSON's whole numbers arrive as int: functions compiled for floats would be compiled again for them.

@@ -182,6 +182,11 @@ class Player:
         return {key: other[key] for key in ("reason", "side", *keys)}
 
     @property
+    def at_s(self) -> float:
+        """The time that is shown."""
+        return self._at_s
+
+    @property
     def setting(self) -> Json:
         """What the page needs to know of the whole."""
         decided_s = [round(time_s, 1) for time_s in self._frames.decided_s]

@@ -139,6 +139,9 @@ class AircraftDisplay:
 
         self._prompt = None if self.name else self._terminal.typed(wish)
 
+    def film(self, picture: Callable[[], bytes]) -> None:
+        """Show no picture: a terminal has none."""
+
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._start_s, self._duration_s = start_s, duration_s
 

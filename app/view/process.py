@@ -16,6 +16,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json
+from sidelong.app.view.picture import PictureFile
 from sidelong.app.view.shading import Shading
 
 _UP_S = 30.0  # a second or two; a machine that is busy takes many times that
@@ -148,11 +149,12 @@ def start_page(
     return (feed, f"{url}?token={token}", f"{url}?token={viewer_token}") if token else (feed, url, url)
 
 
-def under_flight(address: PageAddress, shading: Shading | None) -> Json:
-    """Return the page's settings for map and ground."""
+def under_flight(address: PageAddress, shading: Shading | None, pictures: PictureFile | None) -> Json:
+    """Return the page's settings for map, ground and camera."""
     under = address.map
     layers = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
-    return {"map": layers, "shade_m": None if shading is None else shading.edges_m}
+    shade_m = None if shading is None else shading.edges_m
+    return {"map": layers, "shade_m": shade_m, "camera": pictures is not None}
 
 
 def page_line(values: Json) -> bytes:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from sidelong.app.config import Config
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.frames import Frames, Player
+from sidelong.app.view.picture import PictureFile
 from sidelong.app.view.process import page_line, start_page, under_flight
 from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import setting
@@ -25,13 +26,20 @@ def serve_replay(
     name: str,
     speed: float,
     announce: Callable[[str], object],
+    film: Callable[[float], bytes | None] | None = None,
 ) -> None:
-    """Serve until Ctrl-C, or until the page's process ends. The callback receives the page's address."""
+    """Serve until Ctrl-C, or until the page's process ends.
+
+    Args:
+        announce: Receives the page's address.
+        film: Returns the camera's picture of a time.
+    """
     player = Player(frames, speed, time.monotonic, what_if)
     feed, url, _ = start_page(address, replay=True)
     has_ground = config.terrain.folder is not None
     shading = Shading(config, frames.plane) if has_ground and frames.plane is not None else None
     setting_sent = False
+    pictures = None if film is None else PictureFile()
     announce(f"replay: {url} (Ctrl-C ends it)")
     try:
         with contextlib.suppress(KeyboardInterrupt):
@@ -43,13 +51,21 @@ def serve_replay(
                     new_shade = shading is not None and shading.is_new()
                     if not setting_sent or new_shade:
                         base = setting(config, frames.plane, name, routes=frames.routes.values())
-                        update["setting"] = base | {"replay": player.setting} | under_flight(address, shading)
+                        update["setting"] = (
+                            base | {"replay": player.setting} | under_flight(address, shading, pictures)
+                        )
                         setting_sent = True
+                    if pictures is not None and film is not None:
+                        update["picture"] = str(pictures.file)
+                        picture = film(player.at_s)
+                        if picture is not None:
+                            pictures.put(lambda picture=picture: picture)  # type: ignore[misc]
                     if new_shade and shading is not None:
                         update["shade"] = str(shading.file)
                     feed.send(page_line(update))
                 time.sleep(_EVERY_S)
     finally:
         feed.close()
-        if shading is not None:
-            shading.close()
+        for one in (shading, pictures):
+            if one is not None:
+                one.close()

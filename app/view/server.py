@@ -83,6 +83,7 @@ class Server:
         self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet), service=service)
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
+        self._camera: Path | None = None
         self._history = FrameHistory(aircraft=max(len(fleet), 1))
         self._news = asyncio.Event()  # set when there is some; another one for each message
         self._waiting: Counter[str] = Counter()  # requests for news, by client
@@ -99,6 +100,7 @@ class Server:
             Route("/map/{zoom:int}/{column:int}/{row:int}", self._tile),
             Route("/map", self._picture),
             Route("/shade", self._shading),
+            Route("/picture", self._filmed),
             Route("/{name}", self._file),
         ]
         self.app = timed(self._guarded(Starlette(routes=routes)))
@@ -107,6 +109,8 @@ class Server:
         """Pass a message of the program on to every page."""
         if "shade" in update:
             self._shade = Path(update.pop("shade"))
+        if "picture" in update:
+            self._camera = Path(update.pop("picture"))
         self._history.add(update)
         self._news.set()
         self._news = asyncio.Event()
@@ -134,7 +138,7 @@ class Server:
         return app
 
     def _unwanted(self, request: Request) -> Response | None:
-        often = request.url.path.startswith(("/map", "/shade", "/state"))
+        often = request.url.path.startswith(("/map", "/shade", "/state", "/picture"))
         allowances = self._often if often else self._requests
         if not allowances.used(_client(request), time.monotonic()):
             return PlainTextResponse("too many requests", 429)
@@ -181,6 +185,12 @@ class Server:
 
     async def _shading(self, request: Request) -> Response:
         return _shown(_content(self._shade))
+
+    async def _filmed(self, _request: Request) -> Response:
+        data = _content(self._camera)
+        if data is None:
+            return PlainTextResponse("no camera", 404)
+        return Response(data, media_type="application/octet-stream")
 
     async def _state(self, request: Request) -> Response:
         """Answer with what is newer than the page has, as soon as there is something."""
@@ -255,6 +265,8 @@ def button_of(press: Json, fleet: frozenset[str] = frozenset(), *, service: bool
         if name not in fleet:
             raise ValueError(f"{name!r} is not an aircraft of this flight")
         return {"action": action, "name": name}
+    if action == "track":
+        return {"action": action, "where": _shares(press["where"])}
     if action == "acknowledge":
         alarm, aircraft = press["alarm"], press["aircraft"]
         if not _ALARM.fullmatch(alarm) or aircraft not in {"", *fleet}:
@@ -266,16 +278,22 @@ def button_of(press: Json, fleet: frozenset[str] = frozenset(), *, service: bool
             raise ValueError
         return {"action": action, "side": side}
     values = press["values"]
-    for key, value in values.items():
-        if key == "side":
-            fits = isinstance(value, str) and len(value) <= _WORDS_MAX
-        else:
-            fits = key in _NUMBERS and type(value) in (int, float) and 0.0 < value < _NUMBER_MAX
-        if not fits:
-            raise ValueError
-    if not values:
+    if not values or not all(_fits(key, value) for key, value in values.items()):
         raise ValueError
     return {"action": action, "values": values}
+
+
+def _fits(key: str, value: object) -> bool:
+    if key == "side":
+        return isinstance(value, str) and len(value) <= _WORDS_MAX
+    return key in _NUMBERS and isinstance(value, int | float) and value is not True and 0.0 < value < _NUMBER_MAX
+
+
+def _shares(where: list[float]) -> list[float]:
+    """Return a point or a rectangle of a picture, or nothing. Raises ValueError, TypeError."""
+    if len(where) not in (0, 2, 4) or not all(type(share) in (int, float) and 0 <= share <= 1 for share in where):
+        raise ValueError
+    return where
 
 
 def replay_button_of(press: Json) -> Json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import re
 import time
@@ -10,6 +11,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import TimeoutError as NotYet
@@ -223,6 +226,28 @@ def test_the_vehicle_s_state_is_on_tiles(page):
     ):
         tile = page.locator(".tiles div", has=page.locator("dt", has_text=re.compile(f"^{name}$"))).locator("dd")
         assert (name, tile.inner_text(), tile.get_attribute("class")) == (name, text, look)
+
+
+def test_a_click_in_the_camera_s_picture_comes_back_as_a_request(page, display):
+    jpeg = cv2.imencode(".jpg", np.full((180, 320, 3), 90, np.uint8))[1].tobytes()
+    marks = {"time_s": 1.0, "state": "object", "confidence": 0.9, "box": [0.4, 0.4, 0.6, 0.6]}
+    marks |= {"estimate": [0.5, 0.5], "ellipse": [[0.3, 0.5], [0.5, 0.6], [0.7, 0.5], [0.3, 0.5]]}
+    display.film(lambda: json.dumps(marks).encode() + b"\n" + jpeg)
+    got = []
+    display.begin(PLANE, got.append)
+    words = page.locator("#camera output", has_text="tracked, confidence 90 %")
+    while not words.is_visible():
+        display.pump()
+        with suppress(NotYet):
+            words.wait_for(timeout=1_000.0)
+    canvas = page.locator("#camera canvas").bounding_box()
+    page.locator("#camera canvas").click(position={"x": 0.25 * canvas["width"], "y": 0.5 * canvas["height"]})
+    page.locator("#camera button").click()
+    while len(got) < 2:
+        page.wait_for_timeout(20)
+        display.pump()
+    assert got[0].where == pytest.approx((0.25, 0.5), abs=0.01)
+    assert got[1].where == ()
 
 
 def test_a_button_asks_once_and_then_comes_back_as_a_request(page, display):

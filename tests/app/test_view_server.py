@@ -142,6 +142,21 @@ def test_buttons_come_back_as_requests_at_the_vehicle_s_time(shown):
     assert (side.action, side.side) == ("side", Side.RIGHT)
 
 
+def test_the_picture_is_served_and_what_is_clicked_in_it_comes_back(shown):
+    assert status(f"{shown.url}picture") == 404
+    shown.film(lambda: b"{}\njpeg")
+    shown.film(lambda: pytest.fail("a second picture within the same 0.2 s is encoded"))
+    shown.pump()
+    while not json.loads(urlopen(f"{shown.url}state").read())["setting"]["camera"]:
+        shown.pump()
+    assert urlopen(f"{shown.url}picture").read() == b"{}\njpeg"
+    for where in ([0.25, 0.75], [0.5, 0.5, 0.1, 0.2], []):
+        assert press(shown, {"action": "track", "where": where}) == 202
+    point, rectangle, stop = requests_after(shown)
+    assert (point.where, rectangle.where, stop.where) == ((0.25, 0.75), (0.5, 0.5, 0.1, 0.2), ())
+    assert point.time_s == pytest.approx(159.9)
+
+
 @pytest.mark.parametrize(
     ("pressed", "headers", "answer"),
     [
@@ -153,6 +168,9 @@ def test_buttons_come_back_as_requests_at_the_vehicle_s_time(shown):
         ({"action": "side"}, {}, 400),
         ({"action": "hold", "side": "left"}, {}, 400),
         ({"action": ["hold"]}, {}, 400),
+        ({"action": "track", "where": [0.5, 1.2]}, {}, 400),
+        ({"action": "track", "where": [0.5, True]}, {}, 400),
+        ({"action": "track", "where": [0.5]}, {}, 400),
         ([], {}, 400),
     ],
 )

@@ -13,6 +13,7 @@ import numpy as np
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.camera.camera import TargetCamera
+from sidelong.app.camera.component import status_of
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.loop import ClosedLoop
@@ -121,7 +122,7 @@ class PixelFlight(ClosedLoop[bytes]):
             self._say("CAMERA_FOV_STATUS", {"hfov": hfov, "vfov": vfov})
         if taken_s >= self._report_s:
             self._report_s = taken_s + _REPORT_EVERY_S
-            self._say("CAMERA_TRACKING_IMAGE_STATUS", self.camera.status() | {"capture_s": taken_s})
+            self._say("CAMERA_TRACKING_IMAGE_STATUS", status_of(found) | {"capture_s": taken_s})
         self._judge(taken_s, found)
 
     def _say(self, name: str, fields: dict) -> None:
@@ -131,14 +132,14 @@ class PixelFlight(ClosedLoop[bytes]):
         pixels, simulation = self.pixels, self.simulation
         boot_s = simulation.time_s - simulation.vehicle.now_s
         target = simulation.camera.scenery.target_m(taken_s + boot_s)
-        at = self.camera.view.pixel(*target)
-        width, height = found.size_px
+        at = found.view.pixel(*target)
+        width, height = found.view.size_px
         inside = at is not None and 0 <= at[0] < width and 0 <= at[1] < height
         pixels.in_picture.append(inside)
         pixels.in_middle.append(inside and abs(at[0] / width - 0.5) < 0.25 and abs(at[1] / height - 0.5) < 0.25)
         off_m = math.nan
         if found.tracked.state == "object":
-            ground = self.camera.view.ground(found.tracked.box.x_px, found.tracked.box.y_px)
+            ground = found.view.ground(found.tracked.box.x_px, found.tracked.box.y_px)
             off_m = math.dist(ground, target)
         pixels.off_m.append(off_m)
         pixels.times_s.append(taken_s)

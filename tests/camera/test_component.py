@@ -7,9 +7,13 @@ import math
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
+from sidelong.app.camera.camera import Pictured
 from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent
+from sidelong.app.camera.tracker import Box, Tracked
+from sidelong.app.camera.view import View
 from sidelong.app.link.message import Message
 from sidelong.app.link.wire import Packer
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
 
 STATION, OTHER = (255, 190), (254, 190)
 
@@ -19,6 +23,10 @@ class Tracking:
 
     def __init__(self):
         self.asked: list[tuple] = []
+        view = View((0.0, 0.0, 100.0), (1.0, 0.0, 0.0, 0.0), 500.0, (640, 360), lambda _e, _n: 0.0)
+        tracked = Tracked("object", Box(0.6 * 640, 0.5 * 360, 64.0, 36.0), 0.9)
+        position, attitude = PositionReading(1.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0), AttitudeReading(1.0, 0.0, 0.0, 0.0)
+        self.latest = Pictured(1.0, tracked, view, position, attitude, None)
 
     def follow(self, *where):
         self.asked.append(where)
@@ -26,19 +34,12 @@ class Tracking:
     def stop(self):
         self.asked.append(("stop",))
 
-    def status(self):
-        point = {"point_x": 0.6, "point_y": 0.5, "rec_top_x": 0.55, "rec_top_y": 0.45}
-        return {"tracking_status": 1, "tracking_mode": 2, "target_data": 4, "radius": math.nan, **point} | {
-            "rec_bottom_x": 0.65,
-            "rec_bottom_y": 0.55,
-        }
-
 
 @pytest.fixture
 def camera():
     tracking = Tracking()
     component = CameraComponent(1, tracking, math.radians(60.0), "rtsp://192.0.2.1/main")
-    component.picture_size(640, 360)
+    component.size_px = 640, 360
     return component, tracking
 
 
@@ -101,7 +102,7 @@ def test_a_point_of_a_zoomed_picture_is_where_it_is_seen(camera):
     assert answers[0][1]["hfov"] == pytest.approx(math.degrees(2 * math.atan(math.tan(math.radians(30.0)) / 2)))
     ask(component, mavlink.MAV_CMD_CAMERA_TRACK_POINT, 0.7, 0.5)
     assert tracking.asked == [pytest.approx((0.6, 0.5))]
-    assert component.status()["point_x"] == pytest.approx(0.7)
+    assert ask(component, mavlink.MAV_CMD_REQUEST_MESSAGE, 275)[1][0][1]["point_x"] == pytest.approx(0.7)
 
 
 def test_each_station_sets_its_own_rate_and_the_fastest_counts(camera):

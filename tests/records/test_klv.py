@@ -12,7 +12,7 @@ import pytest
 from sidelong.app.commands.export import write_export
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format
-from sidelong.app.records.klv import KlvLog
+from sidelong.app.records.klv import KlvLog, UasMetadata
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
@@ -29,6 +29,7 @@ def packets(path: Path) -> list[dict[int, str]]:
     """Return the values of each packet by their tags, as klvdata understands them."""
     return [
         {tag: value for tag, (*_, value) in packet.MetadataList().items()}
+        | {48: str(packet.items[b"\x30"].items[b"\x01"].value.value)}
         for packet in klvdata.StreamParser(path.read_bytes())
     ]
 
@@ -36,7 +37,8 @@ def packets(path: Path) -> list[dict[int, str]]:
 @pytest.fixture
 def flown(tmp_path) -> list[dict[int, str]]:
     """Five seconds eastward, banked to the right, next to a target that stands 200 m to the south."""
-    log = KlvLog(tmp_path / "flight.klv", "a flight", PLANE, Tracker(TrackerSettings()), BOOTED, 488.0)
+    metadata = UasMetadata("a flight", PLANE, BOOTED, 488.0, (math.radians(20.0), math.radians(11.3)))
+    log = KlvLog(tmp_path / "flight.klv", metadata, Tracker(TrackerSettings()))
     laser, gimbal = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     down_rad = math.atan2(120.0, 200.0)
     half_yaw, half_pitch = math.pi / 2, -down_rad / 2
@@ -57,7 +59,7 @@ def flown(tmp_path) -> list[dict[int, str]]:
 
 
 def test_the_metadata_reports_where_everything_was(flown):
-    last = {tag: float(value) for tag, value in flown[-1].items() if tag not in {2, 3, 10, 12}}
+    last = {tag: float(value) for tag, value in flown[-1].items() if tag not in {2, 3, 10, 11, 12, 48}}
     assert (last[13], last[14]) == pytest.approx((47.4, 8.5), abs=1e-6)
     assert last[15] == pytest.approx(488.0 + 120.0, abs=0.5)
     assert (last[5], last[91], last[56]) == pytest.approx((90.0, 20.0, 10.0), abs=0.01)
@@ -73,6 +75,14 @@ def test_the_sensor_looks_off_the_right_wing_lower_than_the_wing_does(flown):
     azimuth_deg, elevation_deg = float(flown[-1][18]), float(flown[-1][19])
     assert azimuth_deg == pytest.approx(90.0, abs=0.1)
     assert elevation_deg == pytest.approx(20.0 - math.degrees(math.atan2(120.0, 200.0)), abs=0.1)
+
+
+def test_the_metadata_has_the_minimum_of_st_0902(flown):
+    minimum = {2, 3, 5, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 48, 65, 90, 91}
+    assert minimum - set(flown[-1]) == set()
+    last = flown[-1]
+    assert last[48] == str(b"\x01")  # unclassified
+    assert float(last[22]) == pytest.approx(2.0 * float(last[21]) * math.tan(math.radians(10.0)), abs=0.5)
 
 
 def test_a_recorded_log_gives_a_packet_every_fifth_of_a_second(tmp_path):

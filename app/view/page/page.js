@@ -1,6 +1,7 @@
 // The page: asks for what is new, shows it with its age, and sends the buttons back.
 
 import { AlarmList } from "./alarms.js";
+import { CameraView } from "./camera.js";
 import { Fleet } from "./fleet.js";
 import { FlightMap } from "./map.js";
 import { Plots } from "./plots.js";
@@ -28,6 +29,7 @@ const plots = new Plots(byId("plots"), byId("inner-plots"));
 const alarms = new AlarmList(byId("alarms"), byId("mute"), (body) => press(body));
 const fleet = new Fleet(byId("fleet"), () => { state = fleet.take(fleet.states); draw(); });
 const bar = new ReplayBar(byId("replay"), (body) => press(body));
+const camera = new CameraView(byId("camera"), (body) => press(body));
 let state = null;
 let startS = 0;
 let stage = { name: "connecting", text: "" }; // where the program stands before, between and after flights
@@ -124,6 +126,7 @@ function set(setting) {
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
   for (const button of byId("buttons").querySelectorAll("button")) button.textContent = setting.fleet ? ALL[button.dataset.action] ?? button.textContent : button.textContent;
+  camera.set(setting.camera, !setting.replay);
   if (setting.replay) {
     bar.set(setting.replay, startS);
     document.title = "sidelong: replay";
