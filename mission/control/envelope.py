@@ -41,6 +41,7 @@ _ADAPTED_S = 10.0  # a limit that was learned is reported for this time at least
 _STEADY_S, _STEADY_RAD, _TURNING_RAD = 3.0, math.radians(4.0), math.radians(5.0)
 _SHORT_RAD, _WIDE_M, _WIDE_SHARE = math.radians(5.0), 10.0, 0.25
 _ROLLED_RAD, _EVEN_RAD, _ROLL_SHORT = math.radians(9.0), math.radians(1.0), 0.8
+_FASTER, _FASTEST_S = 1.3, 300.0  # no limit is what the aircraft rolled this much faster than within this time
 _EFFICIENCY_MIN, _EFFICIENCY_MAX, _EFFICIENCY_OVER_S = 0.6, 1.0, 10.0
 
 
@@ -78,6 +79,7 @@ class _Turns:
     def __init__(self) -> None:
         self.efficiency = 1.0
         self._rolls: deque[AttitudeReading] = deque()
+        self._fastest_rad_s, self._fastest_s = 0.0, -math.inf
 
     def note(self, reading: AttitudeReading) -> None:
         """Process an attitude."""
@@ -89,6 +91,10 @@ class _Turns:
         rolls.append(reading)
         while rolls[0].time_s < reading.time_s - _STEADY_S - 0.01:
             rolls.popleft()
+        before = next(one for one in rolls if one.time_s >= reading.time_s - 1.01)
+        rolled_rad = abs(reading.roll_rad - before.roll_rad)  # in a second
+        if rolled_rad >= self._fastest_rad_s or reading.time_s - self._fastest_s > _FASTEST_S:
+            self._fastest_rad_s, self._fastest_s = rolled_rad, reading.time_s
 
     def bank_rad(self) -> float | None:
         """Return the mean bank while it has been steady for some seconds; positive to the right."""
@@ -123,7 +129,8 @@ class _Turns:
         off_rad = max(abs(one.roll_rad - first.roll_rad - rate_rad_s * (one.time_s - first.time_s)) for one in recent)
         is_steady = abs(last.roll_rad - first.roll_rad) > _ROLLED_RAD and off_rad < _EVEN_RAD
         is_far = math.copysign(1.0, rate_rad_s) * (goal_rad - last.roll_rad) > _SHORT_RAD
-        return abs(rate_rad_s) if is_steady and is_far else math.inf
+        is_limit = self._fastest_rad_s < _FASTER * abs(rate_rad_s)
+        return abs(rate_rad_s) if is_steady and is_far and is_limit else math.inf
 
 
 class Envelope:
