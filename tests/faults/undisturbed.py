@@ -40,6 +40,8 @@ from sidelong.sitl.settings import (
 from sidelong.sitl.settings import HomePosition as SitlHome
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import WindVector
+from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.hills import Hills
 from sidelong.sitl.world.motion import MOTIONS
 from sidelong.sitl.world.truth import TruthRow
 from tests.sitl_vehicle import RATES_HZ, SitlVehicle
@@ -154,7 +156,7 @@ def fly(number: int, duration_s: float, hills: Path, hills_home_deg: tuple[float
     if kind == "fleet":
         crafts, keep_up = _fleet(first, flown)
     else:
-        config = Config()
+        config = Config.model_validate({"requirement": {"target_speed_max_m_s": _speed_max_m_s(first)}})
         if kind == "hills":
             first, config = _over_hills(first, rng, hills, hills_home_deg)
         crafts, keep_up = [Craft("aircraft", config, first, None, flown)], (lambda: None)
@@ -207,13 +209,23 @@ def _settings(number: int, rng: np.random.Generator) -> Settings:
     )
 
 
+def _speed_max_m_s(settings: Settings) -> float:
+    """Return how fast the target moves at most: a faster one would be reported, truly."""
+    return 3.0 if settings.targets[0].motion in MOTIONS else 6.0
+
+
 def _over_hills(
     settings: Settings, rng: np.random.Generator, folder: Path, home_deg: tuple[float, float]
 ) -> tuple[Settings, Config]:
     latitude_deg, longitude_deg = (degrees + float(rng.uniform(-0.03, 0.03)) for degrees in home_deg)
-    home = SitlHome(latitude_deg, longitude_deg, 450.0)
+    ground_m = Hills(folder, HomePlane(latitude_deg, longitude_deg)).home_altitude_m
+    home = SitlHome(latitude_deg, longitude_deg, ground_m)
     height_m = float(rng.uniform(100.0, 160.0))
-    config = {"aircraft": {"height_m": height_m, "height_above": "ground"}, "terrain": {"folder": str(folder)}}
+    config = {
+        "aircraft": {"height_m": height_m, "height_above": "ground"},
+        "terrain": {"folder": str(folder)},
+        "requirement": {"target_speed_max_m_s": _speed_max_m_s(settings)},
+    }
     return replace(settings, home=home, terrain=folder), Config.model_validate(config)
 
 
