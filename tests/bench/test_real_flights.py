@@ -34,7 +34,7 @@ from sidelong.app.flight.simulated import free_udp_port
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.simulation.kinematic import STEP_S
 from sidelong.app.study.judging import judged
-from sidelong.app.study.recorded import recorded_targets, route_next_to
+from sidelong.app.study.recorded import RecordedTarget, recorded_targets, route_next_to
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, PlanStatus, UploadPlan
@@ -123,7 +123,13 @@ def beyond_pan_limits(file: Path, run: Path, flavour: str) -> float:
 
 
 def fly(
-    flavour: Program, guidance: str, target: Path, folder: Path, payload: str = "", pan_limit_deg: float = 180.0
+    flavour: Program,
+    guidance: str,
+    target: Path,
+    folder: Path,
+    payload: str = "",
+    pan_limit_deg: float = 180.0,
+    duration_s: float = DURATION_S,
 ) -> Flight:
     """Fly next to a target; payload: the maker's protocol that laser and gimbal speak, "" is MAVLink."""
     played = folder / "target.csv"
@@ -140,28 +146,39 @@ def fly(
         f"pan_limit_deg = {pan_limit_deg}\n[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
     )
     configured(folder / "mission.toml", flavour, requirement + more)
-    (smooth,) = recorded_targets([target], math.inf, route_next_to).flown
-    path_m = np.pad([smooth.east_m, smooth.north_m], ((0, 0), (round(2.0 * WAITS_S[flavour]), 0)), "edge")
-    write_track(played, np.arange(path_m.shape[1]) * 0.5, *path_m)
-    route, known = None, smooth.route
+    route, known = None, write_played(flavour, target, played).route
     if known is not None:
         home, (east_m, north_m) = DEFAULT_HOMES[Flavour(flavour)], STARTS_M[0]
         plane = HomePlane(home.latitude_deg, home.longitude_deg)
         at_m = zip(known.east_m + east_m, known.north_m + north_m, strict=True)
         route = np.array([plane.latitude_longitude_deg(*one) for one in at_m])
         np.savetxt(folder / "route.csv", route, "%.8f", ",", header="lat,lon", comments="")
-    run = flown(RealVehicle(flavour, *options), guidance, folder, known=known is not None)
+    run = flown(RealVehicle(flavour, *options), guidance, folder, duration_s, known=known is not None)
     truth, records = read_truth(folder / "truth.csv"), JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
-    log, changed_s = seen(truth, records)
-    piece = folder / "pieces" / f"{target.stem}.csv"
-    piece.parent.mkdir()
-    write_track(piece, log[::5, 0] - log[0, 0], log[::5, 3], log[::5, 4])
+    log, changed_s = seen(truth, records, duration_s)
+    piece = piece_of(log, target, folder)
     if route is not None:
         own = LocalPlane(*truth.positions_deg[:2, 0])
         at_m = np.array([own.east_north_m(*one) for one in route.tolist()])
         header = {"header": "east_m,north_m", "comments": ""}
         np.savetxt(piece.with_suffix(".route.csv"), at_m, "%.3f", ",", **header)
     return Flight(judged_as_studied(log, changed_s, piece), run)
+
+
+def write_played(flavour: str, target: Path, file: Path) -> RecordedTarget:
+    """Write a track as it is played, smoothed and after a wait; returns it without the wait."""
+    (smooth,) = recorded_targets([target], math.inf, route_next_to).flown
+    path_m = np.pad([smooth.east_m, smooth.north_m], ((0, 0), (round(2.0 * WAITS_S[flavour]), 0)), "edge")
+    write_track(file, np.arange(path_m.shape[1]) * 0.5, *path_m)
+    return smooth
+
+
+def piece_of(log: np.ndarray, target: Path, folder: Path) -> Path:
+    """Write the piece of track that a flight watched, and return its file."""
+    piece = folder / "pieces" / f"{target.stem}.csv"
+    piece.parent.mkdir()
+    write_track(piece, log[::5, 0] - log[0, 0], log[::5, 3], log[::5, 4])
+    return piece
 
 
 def route_of(target: Path) -> Path | None:
@@ -188,7 +205,7 @@ def simulated(flavour: str, target: Path, truth: Path) -> list[object]:
     return [word for option in options.items() for word in option]
 
 
-def flown(vehicle: RealVehicle, guidance: str, folder: Path, *, known: bool) -> Path:
+def flown(vehicle: RealVehicle, guidance: str, folder: Path, duration_s: float, *, known: bool) -> Path:
     """Fly, and return the folder of the run; known: with the route in the folder."""
     with vehicle, (folder / "reported.txt").open("w") as announced:
         command = [
@@ -200,7 +217,7 @@ def flown(vehicle: RealVehicle, guidance: str, folder: Path, *, known: bool) -> 
             "--connect",
             vehicle.urls[0],
         ]
-        command += ["--set", f"planner.guidance={guidance}", "--duration", DURATION_S, "--out", folder / "runs"]
+        command += ["--set", f"planner.guidance={guidance}", "--duration", duration_s, "--out", folder / "runs"]
         command += ["--route", folder / "route.csv"] if known else []
         done = subprocess.run(list(map(str, command)), stdout=announced, stderr=announced, cwd=ROOT, check=False)
     assert done.returncode == 0, (folder / "reported.txt").read_text()[-2000:]
@@ -209,7 +226,7 @@ def flown(vehicle: RealVehicle, guidance: str, folder: Path, *, known: bool) -> 
     return run
 
 
-def seen(truth: Truth, records: JournalReader) -> tuple[np.ndarray, list[float]]:
+def seen(truth: Truth, records: JournalReader, duration_s: float = DURATION_S) -> tuple[np.ndarray, list[float]]:
     """Return a flight's log (n, 6) as a study has it, once it came from home into the band, and when it moved.
 
     The same circle sent with another radius, as it is flown too wide or too tight, is no move.
@@ -222,15 +239,20 @@ def seen(truth: Truth, records: JournalReader) -> tuple[np.ndarray, list[float]]
             moving.add(record.number)
         elif isinstance(record, PlanStatus) and record.stage == "departed" and record.number in moving:
             moved_s.append(record.time_s)
+    log = since(truth, begin_s, duration_s)
+    return log, [time_s for time_s in moved_s if time_s >= log[0, 0]]
+
+
+def since(truth: Truth, begin_s: float, duration_s: float) -> np.ndarray:
+    """Return the log (n, 6) of a flight since it came into the band after begin_s."""
     plane = LocalPlane(*truth.positions_deg[:2, 0])
     rows = [
         (m.time_s, m.aircraft_east_m, m.aircraft_north_m, m.target_east_m, m.target_north_m, 0.0)
-        for m in truth.moments(plane, begin_s, begin_s + DURATION_S, STEP_S)
+        for m in truth.moments(plane, begin_s, begin_s + duration_s, STEP_S)
     ]
     log = np.array(rows)
     range_m = np.hypot(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4])
-    log = log[np.argmax((range_m >= 100.0) & (range_m <= 500.0)) :]
-    return log, [time_s for time_s in moved_s if time_s >= log[0, 0]]
+    return log[np.argmax((range_m >= 100.0) & (range_m <= 500.0)) :]
 
 
 def judged_as_studied(log: np.ndarray, changed_s: list[float], piece: Path) -> Watched:
