@@ -348,7 +348,13 @@ class CameraSection(Section):
     record_mb: float = Field(2000.0, ge=0)
     """Largest size of video.ts in the run folder, MB; 0: it is not recorded."""
 
-    def view_rad(self, aspect: float) -> tuple[float, float]:
+    @property
+    def video_uri(self) -> str:
+        """Where other systems get the video; '' where they cannot."""
+        source = self.source or ""
+        return self.stream or (source if "://" in source and not source.startswith("video:") else "")
+
+    def view_rad(self, aspect: float = 9.0 / 16.0) -> tuple[float, float]:
         """Return the horizontal and vertical field of view. aspect: height of a picture in shares of its width."""
         across_rad = math.radians(self.view_deg)
         return across_rad, 2.0 * math.atan(aspect * math.tan(0.5 * across_rad))

@@ -105,8 +105,7 @@ class CameraRunner:
         self.camera = TargetCamera(
             view_rad, tracker.parent_from_mount, settings.lead_s, ground_m, tracker.estimate, settings.tracker
         )
-        uri = settings.stream if settings.stream else self._source if "://" in self._source else ""
-        self._component = CameraComponent(vehicle.system_id, self.camera, view_rad, uri)
+        self._component = CameraComponent(vehicle.system_id, self.camera, view_rad, settings.video_uri)
         self._packer = Packer((vehicle.system_id, CAMERA_COMPONENT))
         self._transmit: Callable[[bytes], None] = lambda _frame: None
         self._timeline = VehicleTimeline()

@@ -145,9 +145,7 @@ def _write_klv(one: _Aircraft, out: Path) -> None:
     booted, home_altitude_m, flown = one.context.booted, one.context.home_altitude_m, one.flown
     if booted is None or home_altitude_m is None:
         raise InputError(f"{one.source} does not contain the time of day or the altitude of home, which KLV needs.")
-    metadata = UasMetadata(
-        flown.name, flown.history.plane, booted, home_altitude_m, flown.config.camera.view_rad(9.0 / 16.0)
-    )
+    metadata = UasMetadata(flown.name, flown.history.plane, booted, home_altitude_m, flown.config.camera.view_rad())
     with contextlib.closing(KlvLog(out, metadata, tracker_of(flown.config))) as log:
         one.feed(log)
 

@@ -448,7 +448,8 @@ class Flight:
 
         self._watch_traffic(plane, home, shared)
         observers: list[Observer] = []
-        for output in outputs(self._config.sharing, plane, altitude_m, self._vehicle.latest, self._display.note):
+        config, latest = self._config, self._vehicle.latest
+        for output in outputs(config.sharing, config.camera, plane, altitude_m, latest, self._display.note):
             shared.callback(output.stop)
             observers.append(output)
         observers += self._pointers(plane, altitude_m, shared)

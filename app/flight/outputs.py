@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.config import SharingSection
+from sidelong.app.config import CameraSection, SharingSection
 from sidelong.app.flight.streams import OneTask
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError, Vehicle
@@ -52,6 +52,7 @@ def tls_of(sharing: SharingSection) -> ssl.SSLContext | None:
 
 def outputs(
     sharing: SharingSection,
+    camera: CameraSection,
     plane: LocalPlane,
     target_altitude_m: AltitudeAt,
     latest: Mapping[str, Message],
@@ -70,12 +71,15 @@ def outputs(
             sender = DatagramSender(address, _COT)
         else:
             sender = StreamSender(address, tls_of(sharing), sharing.cot_server_name, announce)
+        across_rad, down_rad = camera.view_rad()
         names = CotNames(
             sharing.cot_type,
             sharing.cot_callsign,
             sharing.cot_own_type,
             sharing.cot_own_callsign,
             sharing.cot_team,
+            (math.degrees(across_rad), math.degrees(down_rad)),
+            camera.video_uri,
         )
         yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
     if sharing.follow_target is not None:

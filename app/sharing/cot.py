@@ -1,4 +1,4 @@
-"""Cursor on target (CoT) output: one XML event per second for the target and one for the aircraft.
+"""Cursor on target (CoT) output: XML events once a second for the target, for the aircraft and for where it looks.
 
 The schema defines ``ce`` as a 1-sigma error where it stands for an error. sidelong sends the long axis of the
 estimate's ellipse. It sends no events for a lost track: the last event then becomes stale automatically.
@@ -7,11 +7,12 @@ estimate's ellipse. It sends no events for a lost track: the last event then bec
 from __future__ import annotations
 
 import math
+import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from uuid import uuid4
+from uuid import NAMESPACE_DNS, uuid5
 from xml.etree import ElementTree
 
 from sidelong.app.sharing.senders import Sender
@@ -31,7 +32,7 @@ PLAIN_CALLSIGN = "target"
 _STALE_AFTER, _ROUTE_STALE_AFTER = timedelta(seconds=10.0), timedelta(seconds=180.0)
 _DRAWN_LINE = "u-d-f"
 _ROUTE_EVERY_S, _ROUTE_POINTS = 60.0, 40
-_UID = f"sidelong-{uuid4().hex[:8]}"  # a target is the same for all aircraft of this program
+_SENSOR_POINT = "b-m-p-s-p-i"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,10 @@ class CotNames:
     """How target and aircraft are to be shown: types of the CoT schema, call signs, and the team of the aircraft.
 
     A target of a fleet is called by its name there, unless it has been given another call sign.
+
+    Attributes:
+        view_deg: Horizontal and vertical field of view of the aircraft's sensor; None: not sent.
+        video: Address of its video; '': there is none.
     """
 
     type: str = "a-n-G"
@@ -46,6 +51,13 @@ class CotNames:
     own_type: str = "a-f-A-C-F"
     own_callsign: str = "sidelong"
     team: str = "Cyan"
+    view_deg: tuple[float, float] | None = None
+    video: str = ""
+
+
+def lasting_uid(callsign: str) -> str:
+    """Return the same uid at each start on this computer: the map keeps one symbol for one call sign."""
+    return f"sidelong-{uuid5(NAMESPACE_DNS, f'{socket.gethostname()}/{callsign}').hex[:8]}"
 
 
 def target_event(
@@ -76,12 +88,45 @@ def aircraft_event(
     uid: str,
     height_above_ellipsoid_m: float | None,
     names: CotNames = CotNames(),
+    looks_m: tuple[float, float, float] | None = None,
 ) -> bytes:
+    """Return the event for the aircraft.
+
+    Args:
+        looks_m: How far east, north and below of it the place is at which its sensor looks.
+    """
     event = _event(uid, names.own_type, _MACHINE_GPS, now)
     hae = _UNKNOWN if height_above_ellipsoid_m is None else f"{height_above_ellipsoid_m:.1f}"
     _point(event, plane, (aircraft.east_m, aircraft.north_m), hae=hae)
     detail = _detail(event, names.own_callsign, aircraft.course_rad, aircraft.ground_speed_m_s)
     ElementTree.SubElement(detail, "__group", name=names.team, role="Team Member")
+    if names.video:
+        ElementTree.SubElement(detail, "__video", url=names.video)
+    if looks_m is not None and names.view_deg is not None:
+        east_m, north_m, down_m = looks_m
+        away_m = math.hypot(east_m, north_m)
+        numbers = {
+            "azimuth": math.degrees(math.atan2(east_m, north_m)) % 360.0,
+            "elevation": -math.degrees(math.atan2(down_m, away_m)),
+            "range": math.hypot(away_m, down_m),
+            "fov": names.view_deg[0],
+            "vfov": names.view_deg[1],
+            "roll": 0.0,
+        }
+        texts = {name: f"{number:.1f}" for name, number in numbers.items()}
+        ElementTree.SubElement(detail, "sensor", texts, model="sidelong", type="r", version="0.6")
+    return _encoded(event)
+
+
+def sensor_point_event(
+    place_m: tuple[float, float], plane: LocalPlane, now: datetime, uid: str, names: CotNames = CotNames()
+) -> bytes:
+    """Return the sensor's point of interest, linked to the aircraft with that uid."""
+    event = _event(f"{uid}.SPI", _SENSOR_POINT, _MACHINE_FUSED, now)
+    _point(event, plane, place_m)
+    detail = ElementTree.SubElement(event, "detail")
+    ElementTree.SubElement(detail, "contact", callsign=f"{names.own_callsign}.SPI")
+    ElementTree.SubElement(detail, "link", uid=uid, type=names.own_type, relation="p-p")
     return _encoded(event)
 
 
@@ -143,7 +188,7 @@ class CotOutput:
         height_m: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._sender, self._plane, self._names, self._height_m = sender, plane, names, height_m
-        self._own_uid = f"{_UID}-{names.own_callsign}"
+        self._own_uid = f"{lasting_uid(names.own_callsign)}-{names.own_callsign}"
         self._next_s = self._route_s = -math.inf
 
     def show(self, snapshot: Present) -> None:
@@ -152,14 +197,16 @@ class CotOutput:
         if now_s < self._next_s or snapshot.aircraft is None:
             return
         self._next_s, now = now_s + _SEND_EVERY_S, datetime.now(UTC)
-        self._sender.send(
-            aircraft_event(snapshot.aircraft, self._plane, now, self._own_uid, self._height_m(), self._names)
-        )
-        if estimate is not None and estimate.quality is not TrackQuality.LOST:
-            names = self._names
+        names, own, from_m = self._names, snapshot.aircraft, snapshot.from_target_m
+        is_seen = estimate is not None and from_m is not None and estimate.quality is not TrackQuality.LOST
+        looks_m = (-from_m[0], -from_m[1], snapshot.height_m) if from_m is not None and is_seen else None
+        self._sender.send(aircraft_event(own, self._plane, now, self._own_uid, self._height_m(), names, looks_m))
+        if estimate is not None and is_seen:
+            place_m = estimate.position_m(snapshot.time_s)
+            self._sender.send(sensor_point_event(place_m, self._plane, now, self._own_uid, names))
             if snapshot.target and names.callsign == PLAIN_CALLSIGN:
                 names = replace(names, callsign=snapshot.target)
-            uid = f"{_UID}-target-{snapshot.target}" if snapshot.target else _UID
+            uid = f"{lasting_uid(names.callsign)}-target"
             route = snapshot.route
             self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, uid, names, route))
             if route is not None and now_s >= self._route_s + _ROUTE_EVERY_S:

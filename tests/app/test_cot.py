@@ -19,7 +19,7 @@ import pytest
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.network import NetworkAddress
-from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, target_event
+from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, lasting_uid, target_event
 from sidelong.app.sharing.senders import DatagramSender, StreamSender, tls_context
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
@@ -55,8 +55,10 @@ def test_the_type_is_neutral_and_the_event_goes_stale():
     assert event.staleTime - event.sendTime == 10_000
 
 
-def output_to(receiver: socket.socket) -> CotOutput:
-    return CotOutput(DatagramSender(NetworkAddress("udp", *receiver.getsockname()), "sharing.cot"), PLANE)
+def output_to(receiver: socket.socket, **names) -> CotOutput:
+    return CotOutput(
+        DatagramSender(NetworkAddress("udp", *receiver.getsockname()), "sharing.cot"), PLANE, CotNames(**names)
+    )
 
 
 def waiting(receiver: socket.socket) -> list[bytes]:
@@ -73,13 +75,34 @@ def test_target_and_aircraft_are_sent_once_a_second_at_most(receiver, snapshot):
     output = output_to(receiver)
     for _ in range(20):
         output.show(snapshot)
-    own, event = parsed(receiver.recv(65536)), parsed(receiver.recv(65536))
+    own, _, event = (parsed(receiver.recv(65536)) for _ in range(3))
     assert waiting(receiver) == []
     estimate, aircraft = snapshot.estimate, snapshot.aircraft
     at_m = PLANE.east_north_m(event.lat, event.lon)
     assert math.dist(at_m, (estimate.east_m, estimate.north_m)) < 10.0
     assert PLANE.east_north_m(own.lat, own.lon) == pytest.approx((aircraft.east_m, aircraft.north_m), abs=0.02)
-    assert own.uid == f"{event.uid}-sidelong"
+    assert (own.uid, event.uid) == (f"{lasting_uid('sidelong')}-sidelong", f"{lasting_uid('target')}-target")
+    output.stop()
+
+
+def test_the_sensor_its_point_and_its_video_are_sent_with_the_aircraft(receiver, snapshot):
+    output = output_to(receiver, view_deg=(20.0, 11.3), video="udp://192.0.2.1:5600")
+    output.show(snapshot)
+    own, point, target = (ElementTree.fromstring(event) for event in waiting(receiver))
+    sensor = own.find("detail/sensor")
+    assert (sensor.get("fov"), sensor.get("vfov")) == ("20.0", "11.3")
+    assert own.find("detail/__video").get("url") == "udp://192.0.2.1:5600"
+    azimuth_rad, depression_rad = (math.radians(float(sensor.get(name))) for name in ("azimuth", "elevation"))
+    away_m = float(sensor.get("range")) * math.cos(depression_rad)
+    place_m = snapshot.estimate.position_m(snapshot.time_s)
+    looks_m = (
+        snapshot.aircraft.east_m + away_m * math.sin(azimuth_rad),
+        snapshot.aircraft.north_m + away_m * math.cos(azimuth_rad),
+    )
+    assert math.dist(looks_m, place_m) < 15.0
+    assert (point.get("type"), point.get("uid")) == ("b-m-p-s-p-i", f"{own.get('uid')}.SPI")
+    assert point.find("point").get("lat") == target.find("point").get("lat")
+    assert point.find("detail/link").get("uid") == own.get("uid")
     output.stop()
 
 
@@ -105,7 +128,7 @@ def test_the_route_is_sent_as_a_line_and_the_progress_with_the_target(receiver, 
     progress = RouteProgress(route, True, 120.0, 4.0, 0.9, 145.0)
     output = output_to(receiver)
     output.show(replace(snapshot, route=progress))
-    _, target, line = waiting(receiver)
+    _, _, target, line = waiting(receiver)
     assert "120 of 700 m along the route, 145 s to its end" in parsed(target).detail.xmlDetail
     drawn = ElementTree.fromstring(line)
     corners = [tuple(map(float, one.attrib["point"].split(","))) for one in drawn.iter("link")]
@@ -177,7 +200,7 @@ class Server:
         with contextlib.suppress(OSError):
             while data := await reader.read(65536):
                 self.got += data
-                if self.got.count(b"</event>") >= 2:
+                if self.got.count(b"</event>") >= 3:
                     self.enough.set()
         writer.close()
         self.left.set()
@@ -222,7 +245,7 @@ def test_it_goes_by_tcp(snapshot):
     server = Server()
     assert [text.split(":")[0] for text in asyncio.run(announced_to(server, snapshot))] == ["sending to tcp"]
     events = [b"<?xml" + event for event in server.got.split(b"<?xml")[1:]]
-    assert [parsed(event).type for event in events] == ["a-f-A-C-F", "a-n-G"]
+    assert [parsed(event).type for event in events] == ["a-f-A-C-F", "b-m-p-s-p-i", "a-n-G"]
 
 
 def test_it_goes_by_tls_with_a_certificate_of_its_own(snapshot, certificates):
@@ -234,7 +257,7 @@ def test_it_goes_by_tls_with_a_certificate_of_its_own(snapshot, certificates):
         announced_to(server, snapshot, server_context(certificates), tls=tls, server_name="takserver")
     )
     assert announced[0].startswith("sending to tls://127.0.0.1:")
-    assert server.got.count(b"</event>") == 2
+    assert server.got.count(b"</event>") == 3
 
 
 @pytest.mark.parametrize(("authority", "server_name"), [("stranger", "takserver"), ("authority", "elsewhere")])
