@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -14,7 +14,7 @@ from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTE
 from sidelong.sitl.protocol.parameters import Parameters
 from sidelong.sitl.protocol.radio import Radio, Signing, Station
 from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, Store, Transfer, TransferQuirks
-from sidelong.sitl.settings import Settings
+from sidelong.sitl.settings import Release, Settings
 from sidelong.sitl.world.airframe import (
     GRAVITY_M_S2,
     AirframeParameters,
@@ -27,40 +27,29 @@ from sidelong.sitl.world.geodesy import HomePlane
 
 NAN = math.nan
 
-Builder = Callable[[], Any]  # a message, a list of messages, or None if there is no data
 
-
-class TelemetryBuilder:
-    """Builds messages; ``builders`` maps message ids to functions."""
+class Telemetry:
+    """Builds messages by the method of their name, in lower case: one, several, or None if there is no data."""
 
     gps_fix: ClassVar[int]
     gps_dilution: ClassVar[tuple[int, int]]  # horizontal, vertical, times 100
     gps_accuracy_mm: ClassVar[tuple[int, int, int]]  # horizontal, vertical, speed
     home_quaternion: ClassVar[tuple[float, float, float, float]]
     parameter_capability: ClassVar[int]
+    since_release: ClassVar[Mapping[int, Release]] = {}  # messages that older releases do not send
 
     def __init__(self, vehicle: SimulatedAutopilot) -> None:
         self._vehicle = vehicle
         self._craft = vehicle.craft
 
-    def builders(self) -> dict[int, Builder]:
-        return {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
-            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
-            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
-            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
-            mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._gimbal_manager,
-        }
+    def builder(self, message_id: int) -> Callable[[], Any] | None:
+        """Return what builds a message; None if it is unknown to this release."""
+        kind = mavlink.mavlink_map.get(message_id)
+        if kind is None or self._vehicle.release < self.since_release.get(message_id, (0, 0)):
+            return None
+        return getattr(self, kind.msgname.lower(), None)
 
-    def _gimbal_manager(self) -> Any:
+    def gimbal_manager_information(self) -> Any:
         """Return the limits of a gimbal that the autopilot manages; None if it pans all around."""
         settings = self._vehicle.settings
         if settings.payload is None or settings.device or settings.payload.pan_limit_deg >= 180.0:
@@ -75,49 +64,29 @@ class TelemetryBuilder:
     def battery_percent(self) -> int:
         return max(5, 100 - int(100.0 * self._vehicle.now_s / self._vehicle.settings.endurance_s))
 
-    def _heartbeat(self) -> Any:
+    def heartbeat(self) -> Any:
         vehicle, state = self._vehicle, mavlink.MAV_STATE_STANDBY
         if self._craft.flying:
             state = mavlink.MAV_STATE_CRITICAL if vehicle.failsafe else mavlink.MAV_STATE_ACTIVE
         return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_FIXED_WING,
-            vehicle.autopilot_id,
-            vehicle.base_mode,
-            vehicle.mode,
-            state,
-            3,
+            mavlink.MAV_TYPE_FIXED_WING, vehicle.autopilot_id, vehicle.base_mode, vehicle.mode, state, 3
         )
 
-    def _system_time(self) -> Any:
+    def system_time(self) -> Any:
         vehicle = self._vehicle
         unix_us = int((vehicle.settings.boot_unix_s + vehicle.now_s) * 1e6)
         return mavlink.MAVLink_system_time_message(unix_us, vehicle.boot_ms)
 
-    def _attitude(self) -> Any:
-        craft = self._craft
+    def attitude(self) -> Any:
+        craft, yaw_rad = self._craft, math.remainder(self._craft.heading_rad, math.tau)
         return mavlink.MAVLink_attitude_message(
-            self._vehicle.boot_ms,
-            craft.roll_rad,
-            craft.pitch_rad,
-            math.remainder(craft.heading_rad, math.tau),
-            *self._body_rates_rad_s(),
+            self._vehicle.boot_ms, craft.roll_rad, craft.pitch_rad, yaw_rad, *craft.body_rates_rad_s
         )
 
-    def _attitude_quaternion(self) -> Any:
+    def attitude_quaternion(self) -> Any:
         craft = self._craft
-        return mavlink.MAVLink_attitude_quaternion_message(
-            self._vehicle.boot_ms,
-            *quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad),
-            *self._body_rates_rad_s(),
-        )
-
-    def _body_rates_rad_s(self) -> tuple[float, float, float]:
-        craft = self._craft
-        return (
-            craft.roll_rate_rad_s,
-            craft.yaw_rate_rad_s * math.sin(craft.roll_rad),
-            craft.yaw_rate_rad_s * math.cos(craft.roll_rad),
-        )
+        turned = quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad)
+        return mavlink.MAVLink_attitude_quaternion_message(self._vehicle.boot_ms, *turned, *craft.body_rates_rad_s)
 
     def place_e7(self, east_m: float, north_m: float) -> tuple[int, int]:
         latitude_deg, longitude_deg = self._vehicle.plane.latitude_longitude_deg(east_m, north_m)
@@ -126,32 +95,25 @@ class TelemetryBuilder:
     def altitude_m(self, height_m: float) -> float:
         return self._vehicle.home.altitude_m + height_m
 
-    def _global_position(self) -> Any:
+    def global_position_int(self) -> Any:
         craft = self._craft
+        heights_mm = (round(up_m * 1000.0) for up_m in (self.altitude_m(craft.height_m), craft.height_m))
+        velocity_m_s = craft.velocity_north_m_s, craft.velocity_east_m_s, -craft.climb_m_s
         return mavlink.MAVLink_global_position_int_message(
             self._vehicle.boot_ms,
             *self.place_e7(craft.east_m, craft.north_m),
-            round(self.altitude_m(craft.height_m) * 1000.0),
-            round(craft.height_m * 1000.0),
-            round(craft.velocity_north_m_s * 100.0),
-            round(craft.velocity_east_m_s * 100.0),
-            round(-craft.climb_m_s * 100.0),
+            *heights_mm,
+            *(round(part_m_s * 100.0) for part_m_s in velocity_m_s),
             round(math.degrees(craft.heading_rad) * 100.0) % 36000,
         )
 
-    def _local_position(self) -> Any:
+    def local_position_ned(self) -> Any:
         craft = self._craft
-        return mavlink.MAVLink_local_position_ned_message(
-            self._vehicle.boot_ms,
-            craft.north_m,
-            craft.east_m,
-            -craft.height_m,
-            craft.velocity_north_m_s,
-            craft.velocity_east_m_s,
-            -craft.climb_m_s,
-        )
+        place_m = craft.north_m, craft.east_m, -craft.height_m
+        velocity_m_s = craft.velocity_north_m_s, craft.velocity_east_m_s, -craft.climb_m_s
+        return mavlink.MAVLink_local_position_ned_message(self._vehicle.boot_ms, *place_m, *velocity_m_s)
 
-    def _vfr_hud(self) -> Any:
+    def vfr_hud(self) -> Any:
         vehicle, craft = self._vehicle, self._craft
         return mavlink.MAVLink_vfr_hud_message(
             craft.airspeed_m_s / vehicle.true_airspeed_ratio,
@@ -162,54 +124,35 @@ class TelemetryBuilder:
             craft.climb_m_s,
         )
 
-    def _gps_raw(self) -> Any:
-        craft = self._craft
-        altitude_mm = round(self.altitude_m(craft.height_m) * 1000.0)
+    def gps_raw_int(self) -> Any:
+        craft, altitude_mm = self._craft, round(self.altitude_m(self._craft.height_m) * 1000.0)
+        place = *self.place_e7(craft.east_m, craft.north_m), altitude_mm
+        speed_cm_s = round(craft.ground_speed_m_s * 100.0)
+        course_cdeg = round(math.degrees(craft.course_rad) * 100.0) % 36000
+        moves = *self.gps_dilution, speed_cm_s, course_cdeg, 10
         return mavlink.MAVLink_gps_raw_int_message(
-            self._vehicle.boot_us,
-            self.gps_fix,
-            *self.place_e7(craft.east_m, craft.north_m),
-            altitude_mm,
-            *self.gps_dilution,
-            round(craft.ground_speed_m_s * 100.0),
-            round(math.degrees(craft.course_rad) * 100.0) % 36000,
-            10,
-            altitude_mm,
-            *self.gps_accuracy_mm,
+            self._vehicle.boot_us, self.gps_fix, *place, *moves, altitude_mm, *self.gps_accuracy_mm
         )
 
-    def _home_position(self) -> Any:
-        vehicle = self._vehicle
+    def home_position(self) -> Any:
+        vehicle, zeros = self._vehicle, (0.0,) * 3
         if not vehicle.home_known:
             return None
+        place = *self.place_e7(0.0, 0.0), round(vehicle.home.altitude_m * 1000.0)
         return mavlink.MAVLink_home_position_message(
-            *self.place_e7(0.0, 0.0),
-            round(vehicle.home.altitude_m * 1000.0),
-            *(0.0,) * 3,
-            list(self.home_quaternion),
-            *(0.0,) * 3,
-            vehicle.boot_us,
+            *place, *zeros, list(self.home_quaternion), *zeros, vehicle.boot_us
         )
 
-    def _extended_sys_state(self) -> Any:
-        return mavlink.MAVLink_extended_sys_state_message(
-            mavlink.MAV_VTOL_STATE_UNDEFINED, self._vehicle.landed_state
-        )
+    def extended_sys_state(self) -> Any:
+        undefined = mavlink.MAV_VTOL_STATE_UNDEFINED
+        return mavlink.MAVLink_extended_sys_state_message(undefined, self._vehicle.landed_state)
 
-    def _battery(self) -> Any:
-        return mavlink.MAVLink_battery_status_message(
-            0,
-            mavlink.MAV_BATTERY_FUNCTION_ALL,
-            mavlink.MAV_BATTERY_TYPE_LIPO,
-            32767,
-            [16200] + [65535] * 9,
-            1000,
-            0,
-            -1,
-            self.battery_percent,
-        )
+    def battery_status(self) -> Any:
+        kind = 0, mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_LIPO
+        cells_mv = [16200] + [65535] * 9
+        return mavlink.MAVLink_battery_status_message(*kind, 32767, cells_mv, 1000, 0, -1, self.battery_percent)
 
-    def _version(self) -> Any:
+    def autopilot_version(self) -> Any:
         capabilities = (
             self.parameter_capability
             | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
@@ -220,8 +163,7 @@ class TelemetryBuilder:
             | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
         )
         major, minor = self._vehicle.release
-        version = major << 24 | minor << 16 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL
-        unnamed = [0] * 8
+        version, unnamed = major << 24 | minor << 16 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL, [0] * 8
         return mavlink.MAVLink_autopilot_version_message(
             capabilities, version, 0, 0, 0, unnamed, unnamed, unnamed, 0, 0, self._vehicle.system_id
         )
@@ -238,6 +180,8 @@ class SimulatedAutopilot(ABC):
     autopilot_id: ClassVar[int]
     modes: ClassVar[type[IntEnum]]
     first_mode: ClassVar[int]
+    self_flying: ClassVar[Collection[int]]  # modes
+    mode_flags: ClassVar[tuple[int, int]]  # of MAV_MODE_FLAG, in other modes and in these
     navigation_period_s: ClassVar[float]
     taken_over_mode: ClassVar[int]  # when the pilot moves the sticks
     receives_once_a_loop: ClassVar[bool]  # or as soon as something comes
@@ -252,21 +196,14 @@ class SimulatedAutopilot(ABC):
     roll_limit_parameter: ClassVar[str]  # degrees
     quirks: TransferQuirks
     default_interval_s: ClassVar[Mapping[int, float]]
-    mission_types: ClassVar[tuple[int, ...]] = (
-        mavlink.MAV_MISSION_TYPE_MISSION,
-        mavlink.MAV_MISSION_TYPE_FENCE,
-        mavlink.MAV_MISSION_TYPE_RALLY,
-    )
-
     unsigned_messages: ClassVar[frozenset[int]] = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 
     def __init__(
         self, settings: Settings, build: AirframeParameters, heading_rad: float, parameters: Parameters
     ) -> None:
-        home = settings.home_or_default
         self.settings, self.release = settings, settings.release_or_newest
-        self.home = home
-        self.plane = HomePlane(home.latitude_deg, home.longitude_deg)
+        self.home = settings.home_or_default
+        self.plane = HomePlane(self.home.latitude_deg, self.home.longitude_deg)
         self.craft = SimulatedAirframe(build, settings.wind, heading_rad)
         self.parameters = parameters
         signing = Signing(settings.signing_key, self.unsigned_messages)
@@ -275,22 +212,16 @@ class SimulatedAutopilot(ABC):
         self.now_s = 0.0
         self.mode = int(self.first_mode)
         self.reboot_ordered = False
-        self._home_sent = False
+        self._home_sent = self.armed = self.lifting_off = self.failsafe = False
         self._texts = 0  # that were too long for one message
         self.silenced: set[int] = set()  # messages withheld, as if the sender of them had died
-        self.armed = False
-        self.lifting_off = False
-        self.height_goal_m = 0.0
-        self.roll_goal_rad = 0.0
+        self.height_goal_m = self.roll_goal_rad = 0.0
         self.roi: LocalPosition | None = None  # where the payload has been turned to, until it has been
         self.gcs_received_s: float | None = None
-        self.failsafe = False
         self.transfers: dict[int, Transfer] = {}
-        self._transfers: tuple[Transfer, ...] = ()
         self._navigate_s = 0.0
         self._limited_at, self._roll_limit_rad = -1, 0.0
-        self._builders: dict[int, Builder] = {}
-        self._handlers: dict[int, Handler] = {
+        self.handlers: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
             mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._on_checks,
             mavlink.MAV_CMD_DO_SET_MODE: self._on_set_mode,
@@ -298,28 +229,28 @@ class SimulatedAutopilot(ABC):
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._on_reboot,
         }
 
-    def attach(self, stores: Sequence[Store], builders: dict[int, Builder]) -> None:
-        """Take what the flavour has made: one store for each mission type, and its telemetry."""
-        for mission_type, store in zip(self.mission_types, stores, strict=True):
+    def attach(self, mission: Store, telemetry: Telemetry) -> None:
+        """Take what the flavour has made; fence and rally points are stored as a whole."""
+        self._builder_of = telemetry.builder
+        fence, rally = Store(mission.with_checksum), Store(mission.with_checksum)
+        for mission_type, store in enumerate((mission, fence, rally)):
             self.transfers[mission_type] = Transfer(
                 mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
             )
-        self._transfers = tuple(self.transfers.values())
-        self._builders = builders
 
     # What a flavour adds.
 
     @abstractmethod
     def set_mode(self, mode: int) -> bool:
-        """Change the flight mode; False if that cannot be."""
+        """Change the flight mode; False if there is no such mode."""
 
     @abstractmethod
     def custom_mode(self, main: int, sub: int) -> int:
         """Return the custom mode of main and sub mode in a DO_SET_MODE."""
 
     @abstractmethod
-    def navigate(self, dt_s: float) -> float:
-        """Fly the mode: set height_goal_m, return the required lateral acceleration."""
+    def navigate(self) -> float:
+        """Fly the mode for a navigation period: set height_goal_m, return the required lateral acceleration."""
 
     @abstractmethod
     def watch_links(self) -> None:
@@ -333,16 +264,13 @@ class SimulatedAutopilot(ABC):
 
     @property
     @abstractmethod
-    def base_mode(self) -> int: ...
-
-    @property
-    @abstractmethod
     def airspeed_goal_m_s(self) -> float:
         """Equivalent airspeed."""
 
-    def add_handler(self, command_id: int, handler: Handler) -> None:
-        """Let a part of the vehicle take a command."""
-        self._handlers[command_id] = handler
+    @property
+    def base_mode(self) -> int:
+        flags = self.mode_flags[self.mode in self.self_flying]
+        return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
 
     # Time.
 
@@ -364,7 +292,7 @@ class SimulatedAutopilot(ABC):
 
     def step(self, now_s: float, dt_s: float) -> None:
         self.now_s = now_s
-        for transfer in self._transfers:
+        for transfer in self.transfers.values():
             if transfer.upload is not None or transfer.downloads:
                 transfer.step(now_s)
         if now_s >= self._navigate_s:
@@ -373,7 +301,7 @@ class SimulatedAutopilot(ABC):
             if self.home_known and not self._home_sent:
                 self._home_sent = True
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
-            lateral_m_s2 = self.navigate(self.navigation_period_s)
+            lateral_m_s2 = self.navigate()
             if self._limited_at != self.parameters.changes:
                 self._limited_at = self.parameters.changes
                 self._roll_limit_rad = math.radians(self.parameters.within(self.roll_limit_parameter, 5.0, 80.0))
@@ -388,8 +316,7 @@ class SimulatedAutopilot(ABC):
                 self.disarm()
                 self.say(mavlink.MAV_SEVERITY_INFO, self.landed_text)
         elif self.lifting_off and self.armed:
-            lift_off_m_s = _LIFT_OFF_FRACTION * self.settings.airspeed_m_s * self.true_airspeed_ratio
-            craft.roll_on_ground(dt_s, lift_off_m_s)
+            craft.roll_on_ground(dt_s, _LIFT_OFF_FRACTION * self.settings.airspeed_m_s * self.true_airspeed_ratio)
         elif craft.ground_speed_m_s > 0.0:
             craft.roll_on_ground(dt_s, None)
 
@@ -415,16 +342,16 @@ class SimulatedAutopilot(ABC):
         """Time since the last message of a ground station, on the station's clock, s; 0 before the first."""
         return 0.0 if self.gcs_received_s is None else (self.now_s - self.gcs_received_s) / self.settings.link_rate
 
-    def landing_height_m(self, spot: LocalPosition) -> float:
-        """Return where to be on a slope of 1 in 8 that ends below the ground, for a firm touch-down."""
-        return min(self.craft.height_m, spot.distance_m(self.craft) / 8.0) - 2.0
+    def descend_to(self, spot: LocalPosition) -> None:
+        """Aim at a slope of 1 in 8 that ends below the ground, for a firm touch-down."""
+        self.height_goal_m = min(self.craft.height_m, spot.distance_m(self.craft) / 8.0) - 2.0
 
     @property
     def landed_state(self) -> int:
-        if not self.craft.flying:
-            rolling = self.armed and self.lifting_off
-            return int(mavlink.MAV_LANDED_STATE_TAKEOFF if rolling else mavlink.MAV_LANDED_STATE_ON_GROUND)
-        return int(mavlink.MAV_LANDED_STATE_IN_AIR)
+        if self.craft.flying:
+            return int(mavlink.MAV_LANDED_STATE_IN_AIR)
+        rolling = self.armed and self.lifting_off
+        return int(mavlink.MAV_LANDED_STATE_TAKEOFF if rolling else mavlink.MAV_LANDED_STATE_ON_GROUND)
 
     # Places.
 
@@ -447,19 +374,15 @@ class SimulatedAutopilot(ABC):
         """Send a text, in chunks where it is longer than a message holds."""
         data = text.encode()
         chunks = [data[at : at + _TEXT_BYTES] for at in range(0, len(data), _TEXT_BYTES)] or [b""]
-        number = 0
-        if len(chunks) > 1:
-            self._texts += 1
-            number = self._texts
+        self._texts += len(chunks) > 1
+        number = self._texts if len(chunks) > 1 else 0
         for sequence, chunk in enumerate(chunks):
             self.radio.broadcast(mavlink.MAVLink_statustext_message(severity, chunk, number, sequence))
 
     def messages(self, message_id: int) -> list[Any]:
         """Build the messages of a telemetry id; empty if it is unknown or has no data now."""
-        if message_id in self.silenced:
-            return []
-        builder = self._builders.get(message_id)
-        built = builder() if builder is not None else None
+        builder = self._builder_of(message_id)
+        built = builder() if builder is not None and message_id not in self.silenced else None
         return built if isinstance(built, list) else [] if built is None else [built]
 
     def stream(self) -> None:
@@ -484,35 +407,22 @@ class SimulatedAutopilot(ABC):
         elif kind == "HEARTBEAT":
             if self.is_ground_station(message):
                 self.gcs_received_s = self.now_s
-        elif kind == "MISSION_SET_CURRENT":
-            if self.transfers[mavlink.MAV_MISSION_TYPE_MISSION].is_busy_with(station):
-                self.say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN WP CURR CMD: Busy\t")
-            elif self.set_current_item(message.seq):
-                self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
         elif kind.startswith("MISSION_"):
             self._on_mission(station, message)
+        elif kind == "SETUP_SIGNING" and self.armed:
+            self.say(mavlink.MAV_SEVERITY_WARNING, "ERROR: Won't setup signing when armed")
         elif kind == "SETUP_SIGNING":
-            self._on_setup_signing(message)
+            self.radio.signing.set_up(bytes(message.secret_key))
         elif kind.startswith("PARAM_"):
             self.parameters.handle(station, message, self.radio)
         elif kind == "SET_MODE":
-            self._on_set_mode_message(message)
-        else:
-            self._answer(station, message, kind)
-
-    def _answer(self, station: Station, message: Any, kind: str) -> None:
-        """Answer what changes nothing here."""
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        if kind == "TIMESYNC" and message.tc1 == 0:
+            if message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+                self.set_mode(message.custom_mode)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
             self.radio.send(station, mavlink.MAVLink_timesync_message(self.boot_us * 1000, message.ts1))
         elif kind == "PING" and message.target_system == 0:
-            self.radio.send(station, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *source))
-
-    def _on_setup_signing(self, message: Any) -> None:
-        if self.armed:
-            self.say(mavlink.MAV_SEVERITY_WARNING, "ERROR: Won't setup signing when armed")
-        else:
-            self.radio.signing.set_up(bytes(message.secret_key))
+            sender = message.get_srcSystem(), message.get_srcComponent()
+            self.radio.send(station, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *sender))
 
     def _unix_s(self) -> float:
         """Return the time of the stations' clock, which a simulation may run ahead of."""
@@ -527,7 +437,12 @@ class SimulatedAutopilot(ABC):
 
     def _on_mission(self, station: Station, message: Any) -> None:
         transfer = self.transfers.get(getattr(message, "mission_type", mavlink.MAV_MISSION_TYPE_MISSION))
-        if transfer is not None:
+        if message.get_type() == "MISSION_SET_CURRENT":
+            if self.transfers[mavlink.MAV_MISSION_TYPE_MISSION].is_busy_with(station):
+                self.say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN WP CURR CMD: Busy\t")
+            elif self.set_current_item(message.seq):
+                self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
+        elif transfer is not None:
             transfer.handle(station, message, self.now_s)
         elif message.get_type() != "MISSION_ACK":
             sender = (message.get_srcSystem(), message.get_srcComponent())
@@ -543,13 +458,13 @@ class SimulatedAutopilot(ABC):
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 result = self._on_request_message(station, int(command.number(1)))
             case _:
-                handler = self._handlers.get(command.id)
+                handler = self.handlers.get(command.id)
                 result = handler(command) if handler is not None else UNSUPPORTED
         self.radio.send(station, command.acknowledgement(result))
 
     def _on_message_interval(self, station: Station, command: Command) -> int:
         message_id, interval_us = int(command.number(1)), command.number(2)
-        if message_id not in self._builders:
+        if self._builder_of(message_id) is None:
             return self.unknown_interval_result
         if interval_us == 0:
             interval_s = self.default_interval_s.get(message_id, 0.0)
@@ -569,8 +484,7 @@ class SimulatedAutopilot(ABC):
             return UNSUPPORTED
         if command.param(1) == 1.0:
             return self.arm()
-        forced = command.param(2) == 21196.0
-        if self.craft.flying and not forced:
+        if self.craft.flying and command.param(2) != 21196.0:  # not forced
             return FAILED
         self.disarm()
         return ACCEPTED
@@ -593,8 +507,7 @@ class SimulatedAutopilot(ABC):
         return ACCEPTED
 
     def disarm(self) -> None:
-        self.armed = False
-        self.lifting_off = False
+        self.armed = self.lifting_off = False
 
     def _on_reboot(self, command: Command) -> int:
         if command.param(1) != 1.0:
@@ -605,9 +518,10 @@ class SimulatedAutopilot(ABC):
         return ACCEPTED
 
     def _on_roi(self, command: Command) -> int:
-        if not (math.isfinite(command.param(5)) and math.isfinite(command.param(6))):
+        place_deg = command.param(5), command.param(6)
+        if not all(map(math.isfinite, place_deg)):
             return DENIED
-        self.roi = LocalPosition(*self.plane.east_north_m(command.param(5), command.param(6)), 0.0)
+        self.roi = LocalPosition(*self.plane.east_north_m(*place_deg), 0.0)
         return ACCEPTED
 
     def mode_of_command(self, command: Command) -> int | None:
@@ -618,10 +532,7 @@ class SimulatedAutopilot(ABC):
 
     def _on_set_mode(self, command: Command) -> int:
         mode = self.mode_of_command(command)
-        if mode is None:
-            return UNSUPPORTED
-        return ACCEPTED if self.set_mode(mode) else FAILED
+        return UNSUPPORTED if mode is None else self.change_mode(mode)
 
-    def _on_set_mode_message(self, message: Any) -> None:
-        if message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
-            self.set_mode(message.custom_mode)
+    def change_mode(self, mode: int) -> int:
+        return ACCEPTED if self.set_mode(mode) else FAILED

@@ -132,7 +132,7 @@ class Simulation(Wired):
             lookalikes=settings.camera.lookalikes,
         )
         camera = GimbalCamera(settings.camera, scenery)
-        self.vehicle.add_handler(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, camera.on_command)
+        self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = camera.on_command
         if settings.camera.url:
             camera.on_picture = VideoServer(settings.camera.url, settings.camera).put
         return camera

@@ -17,6 +17,7 @@ _CAPTURE_MAX = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
 _INTEGRAL_MAX_RAD = 0.1
 _PASSED_S = 3.0
 _RIGHT_ANGLE_RAD = math.pi / 2
+NAVIGATION_PERIOD_S = 0.1
 
 
 class L1Guidance:
@@ -147,12 +148,12 @@ class ArduPlaneNavigator:
         self._origin, self.goal, self._on_track = LocalPosition.of(self._craft), centre, False
         self.loiter = Loiter(clockwise)
 
-    def fly_leg(self, acceptance_m: float, dt_s: float) -> tuple[str | None, float]:
+    def fly_leg(self, acceptance_m: float) -> tuple[str | None, float]:
         """Return the word for how the leg ended (None: it has not) and the lateral acceleration.
 
         acceptance_m 0: by WP_RADIUS, in proportion to the turn that follows, or past the finish line.
         """
-        lateral_m_s2 = self.fly_line(dt_s)
+        lateral_m_s2 = self.fly_line()
         if acceptance_m <= 0.0:
             reach_m = min(self._parameters["WP_RADIUS"] * self._thin_air_factor, self.guidance.length_m)
             acceptance_m = reach_m * min(1.0, self._turn_ahead_rad / _RIGHT_ANGLE_RAD)
@@ -160,23 +161,23 @@ class ArduPlaneNavigator:
             return "Reached", lateral_m_s2
         return "Passed" if self._behind_goal() else None, lateral_m_s2
 
-    def fly_line(self, dt_s: float) -> float:
+    def fly_line(self) -> float:
         if self._tuned_at != self._parameters.changes:
             self._tune()
-        craft, goal, origin = self._craft, self.goal, self._origin
-        start_m = (origin.east_m, origin.north_m) if self._on_track else (craft.east_m, craft.north_m)
-        return self.guidance.towards_line(craft, start_m, (goal.east_m, goal.north_m), dt_s)
+        craft, goal = self._craft, self.goal
+        start_m = self._origin.ground_m if self._on_track else (craft.east_m, craft.north_m)
+        return self.guidance.towards_line(craft, start_m, goal.ground_m, NAVIGATION_PERIOD_S)
 
-    def fly_circle(self, radius_m: float, now_s: float, dt_s: float, by_line: bool) -> float:
+    def fly_circle(self, radius_m: float, now_s: float, by_line: bool) -> float:
         """by_line: a far circle is approached along its leg."""
         loiter, craft, goal, guidance = self.loiter, self._craft, self.goal, self.guidance
         radius_m *= self._thin_air_factor
         approaches = by_line and self._on_track and loiter.reached_s is None
         if approaches and goal.distance_m(craft) > _LINE_RADII * radius_m:
-            return self.fly_line(dt_s)
+            return self.fly_line()
         if self._tuned_at != self._parameters.changes:
             self._tune()
-        lateral_m_s2 = guidance.towards_circle(craft, (goal.east_m, goal.north_m), radius_m, loiter.clockwise)
+        lateral_m_s2 = guidance.towards_circle(craft, goal.ground_m, radius_m, loiter.clockwise)
         if loiter.reached_s is None and (guidance.on_circle or self._behind_goal()):
             loiter.reached_s = now_s
         if guidance.on_circle or loiter.last_bearing_rad is not None:

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.arduplane.mission import NAVIGATION, ArduPlaneMission, MissionState
-from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
-from sidelong.sitl.autopilot import NAN, Builder, SimulatedAutopilot, TelemetryBuilder
+from sidelong.sitl.arduplane.navigator import NAVIGATION_PERIOD_S, ArduPlaneNavigator
+from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, Store, TransferQuirks
+from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, TransferQuirks
 from sidelong.sitl.settings import Release, Settings
 from sidelong.sitl.world.airframe import AirframeParameters, LocalPosition
 
@@ -129,49 +129,32 @@ DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
 DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
 
-class ArduPlaneTelemetry(TelemetryBuilder):
+class ArduPlaneTelemetry(Telemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
     gps_dilution = (121, 200)
     gps_accuracy_mm = (300, 300, 0)
     home_quaternion = (NAN, NAN, NAN, NAN)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    # Before, TERRAIN_REPORT comes with each request for terrain.
+    since_release: ClassVar = {mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: (4, 6)}
 
     _vehicle: SimulatedArduPlane
 
-    def builders(self) -> dict[int, Builder]:
-        builders = super().builders() | {
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
-            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
-            mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._nav_controller_output,
-            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
-            mavlink.MAVLINK_MSG_ID_WIND: self._wind,
-            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status,
-            mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: self._terrain_request,
-            mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: self._terrain_report,
-        }
-        if self._vehicle.release < (4, 6):  # no message of its own: it comes with each request for terrain
-            del builders[mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT]
-        return builders
-
-    def _sys_status(self) -> Any:
+    def sys_status(self) -> Any:
         controllers = _CONTROLLERS if self._vehicle.armed else 0
         healthy = _HEALTHY if self._vehicle.ready else _HEALTHY_BEFORE_READY
         return mavlink.MAVLink_sys_status_message(
             _PRESENT, _ENABLED | controllers, healthy | controllers, 0, 12600, 1000, self.battery_percent, *(0,) * 6
         )
 
-    def _mission_current(self) -> Any:
-        mission = self._vehicle.mission
+    def mission_current(self) -> Any:
+        mission, flies = self._vehicle.mission, self._vehicle.mode == ArduPlaneMode.AUTO
         if self._vehicle.release < (4, 5):
             return mavlink.MAVLink_mission_current_message(mission.index)
-        return mavlink.MAVLink_mission_current_message(
-            mission.index,
-            max(0, len(mission.items()) - 1),
-            mission.reported_state,
-            int(self._vehicle.mode == ArduPlaneMode.AUTO),
-        )
+        total = max(0, len(mission.items()) - 1)
+        return mavlink.MAVLink_mission_current_message(mission.index, total, mission.reported_state, int(flies))
 
-    def _nav_controller_output(self) -> Any:
+    def nav_controller_output(self) -> Any:
         plane, craft, navigator = self._vehicle, self._craft, self._vehicle.navigator
         goal, guidance = navigator.goal, navigator.guidance
         return mavlink.MAVLink_nav_controller_output_message(
@@ -185,38 +168,31 @@ class ArduPlaneTelemetry(TelemetryBuilder):
             guidance.cross_track_m,
         )
 
-    def _position_target(self) -> Any:
-        plane = self._vehicle
-        if (
-            plane.mode not in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED, ArduPlaneMode.LOITER, ArduPlaneMode.RTL)
-            or not plane.armed
-        ):
+    def position_target_global_int(self) -> Any:
+        plane, goal = self._vehicle, self._vehicle.navigator.goal
+        if plane.mode not in SELF_FLYING or plane.mode == ArduPlaneMode.TAKEOFF or not plane.armed:
             return None
-        goal = plane.navigator.goal
+        place = *self.place_e7(*goal.ground_m), self.altitude_m(goal.height_m)
+        only_position = 0xFDF8
         return mavlink.MAVLink_position_target_global_int_message(
-            plane.boot_ms,
-            mavlink.MAV_FRAME_GLOBAL,
-            0xFDF8,  # only the position counts
-            *self.place_e7(*goal.ground_m),
-            self.altitude_m(goal.height_m),
-            *(0.0,) * 8,
+            plane.boot_ms, mavlink.MAV_FRAME_GLOBAL, only_position, *place, *(0.0,) * 8
         )
 
-    def _wind(self) -> Any:
+    def wind(self) -> Any:
         wind = self._craft.wind
         from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s))
         return mavlink.MAVLink_wind_message(from_deg, math.hypot(wind.east_m_s, wind.north_m_s), 0.0)
 
-    def _terrain_request(self) -> Any:
+    def terrain_request(self) -> Any:
         terrain = self._vehicle.terrain
         if terrain is None:
             return None
         request = terrain.request(*self._place_deg)
         if self._vehicle.release >= (4, 6):
             return request
-        return [*([] if request is None else [request]), self._terrain_report()]
+        return [*([] if request is None else [request]), self.terrain_report()]
 
-    def _terrain_report(self) -> Any:
+    def terrain_report(self) -> Any:
         terrain = self._vehicle.terrain
         return None if terrain is None else terrain.report(*self._place_deg, self.altitude_m(self._craft.height_m))
 
@@ -224,7 +200,7 @@ class ArduPlaneTelemetry(TelemetryBuilder):
     def _place_deg(self) -> tuple[float, float]:
         return self._vehicle.plane.latitude_longitude_deg(self._craft.east_m, self._craft.north_m)
 
-    def _ekf_status(self) -> Any:
+    def ekf_status_report(self) -> Any:
         flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
         return mavlink.MAVLink_ekf_status_report_message(flags, *(0.01,) * 5)
 
@@ -305,6 +281,11 @@ SELF_FLYING = (
 # integral on circles, that is why it flies 116 m for 100, 69 for 50 and 167 for 150 at 22 m/s.
 BUILD = AirframeParameters(turn_efficiency=0.78)
 _INITIAL_HEADING_RAD = math.radians(353.0)
+_MODE_FLAGS: int = (
+    mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+    | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+)
 _TAKEOFF_OVERSHOOT_M = 10.0  # the climb is kept up until the height is passed
 _DEFAULT_AIRSPEED = -2.0
 QUIRKS = TransferQuirks(
@@ -327,8 +308,10 @@ QUIRKS = TransferQuirks(
 class SimulatedArduPlane(SimulatedAutopilot):
     autopilot_id = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     modes, first_mode = ArduPlaneMode, ArduPlaneMode.MANUAL
+    self_flying = SELF_FLYING
+    mode_flags = _MODE_FLAGS, _MODE_FLAGS | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
     taken_over_mode = ArduPlaneMode.FBWA
-    navigation_period_s = 0.1
+    navigation_period_s = NAVIGATION_PERIOD_S
     receives_once_a_loop = True
     home_known_s = 21.7
     ready_s = 22.9
@@ -344,41 +327,26 @@ class SimulatedArduPlane(SimulatedAutopilot):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings, BUILD, _INITIAL_HEADING_RAD, arduplane_parameters(settings))
         home = self.home
-        home_item = Item(
-            mavlink.MAV_CMD_NAV_WAYPOINT,
-            mavlink.MAV_FRAME_GLOBAL,
-            (0.0, 0.0, 0.0, 0.0),
-            round(home.latitude_deg * 1e7),
-            round(home.longitude_deg * 1e7),
-            home.altitude_m,
-        )
+        home_deg = home.latitude_deg, home.longitude_deg
+        x, y = (round(angle_deg * 1e7) for angle_deg in home_deg)
+        home_item = Item(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0,) * 4, x, y, home.altitude_m)
         self.mission = ArduPlaneMission(home_item, self.say, self._start_item, lambda: self.armed)
         self.navigator = ArduPlaneNavigator(self.craft, self.parameters, home.altitude_m)
         self._guided_radius_m = 0.0
         self._ordered_airspeed_m_s: float | None = None
         self._min_ground_speed_m_s = 0.0
-        self._handlers |= {
+        self.handlers |= {
             mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self._on_set_current,
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
             mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(ArduPlaneMode.RTL) else FAILED,
-            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _: ACCEPTED if self.set_mode(ArduPlaneMode.LOITER) else FAILED,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: self.change_mode(ArduPlaneMode.RTL),
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _: self.change_mode(ArduPlaneMode.LOITER),
             mavlink.MAV_CMD_NAV_TAKEOFF: lambda _: FAILED,  # only for quadplanes
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
         # ArduPlane requests missing heights; here only if there is terrain.
-        self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
-        self.attach((self.mission, Store(False), Store(False)), ArduPlaneTelemetry(self).builders())
-
-    @property
-    def base_mode(self) -> int:
-        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-        flags |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        if self.mode in SELF_FLYING:
-            flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-        return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
-
-    # Modes.
+        self.terrain = TerrainDatabase(*home_deg) if settings.terrain else None
+        self.attach(self.mission, ArduPlaneTelemetry(self))
 
     def custom_mode(self, main: int, sub: int) -> int:
         return main
@@ -447,66 +415,58 @@ class SimulatedArduPlane(SimulatedAutopilot):
         missing_m_s = max(0.0, self._min_ground_speed_m_s - self.craft.ground_speed_m_s)
         return min(cruise_m_s + missing_m_s, max(cruise_m_s, self.parameters["AIRSPEED_MAX"]))
 
-    def navigate(self, dt_s: float) -> float:
+    def navigate(self) -> float:
         match self.mode:
             case ArduPlaneMode.AUTO:
-                return self._navigate_mission(dt_s)
+                return self._navigate_mission()
             case ArduPlaneMode.GUIDED:
-                return self._fly_circle(self._guided_radius_m, dt_s, by_line=False)
+                return self._fly_circle(self._guided_radius_m, by_line=False)
             case ArduPlaneMode.LOITER:
-                return self._fly_circle(0.0, dt_s, by_line=False)
+                return self._fly_circle(0.0, by_line=False)
             case ArduPlaneMode.RTL:
-                return self._fly_circle(abs(self.parameters["RTL_RADIUS"]), dt_s, by_line=False)
-            case ArduPlaneMode.TAKEOFF:
-                if self._climbed_out():
-                    self.set_mode(ArduPlaneMode.LOITER)
-                return 0.0
-            case _:  # sticks in the middle
-                return 0.0
+                return self._fly_circle(abs(self.parameters["RTL_RADIUS"]), by_line=False)
+            case ArduPlaneMode.TAKEOFF if self._climbed_out():
+                self.set_mode(ArduPlaneMode.LOITER)
+        return 0.0  # sticks in the middle
 
-    def _navigate_mission(self, dt_s: float) -> float:
-        item = self.mission.item
+    def _navigate_mission(self) -> float:
+        item, index = self.mission.item, self.mission.index
         if item is None:
             complete = self.mission.state is MissionState.COMPLETE and len(self.mission.items()) > 1
-            self.say(
-                mavlink.MAV_SEVERITY_INFO,
-                "Mission complete, changing mode to RTL"
-                if complete
-                else "Aircraft in auto without a running mission",
-            )
+            text = "Mission complete, changing mode to RTL"
+            self.say(mavlink.MAV_SEVERITY_INFO, text if complete else "Aircraft in auto without a running mission")
             self.set_mode(ArduPlaneMode.RTL)
             return 0.0
-        index = self.mission.index
-        done, lateral_m_s2 = self._fly_item(item, dt_s)
+        done, lateral_m_s2 = self._fly_item(item)
         if done:
             self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(index))
             self.mission.advance()
         return lateral_m_s2
 
-    def _fly_item(self, item: Item, dt_s: float) -> tuple[bool, float]:
+    def _fly_item(self, item: Item) -> tuple[bool, float]:
         """Return whether the item is done, and the lateral acceleration."""
-        loiter = self.navigator.loiter
+        loiter, first = self.navigator.loiter, item.params[0]
         match item.command:
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self._climbed_out(), 0.0
             case mavlink.MAV_CMD_NAV_WAYPOINT:
-                return self._fly_leg(item.params[1], dt_s)
+                return self._fly_leg(item.params[1])
             case mavlink.MAV_CMD_NAV_LAND:
-                return False, self._descend(dt_s)
+                self.descend_to(self.navigator.goal)
+                return False, self.navigator.fly_line()
             case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
-                return False, self._fly_circle(abs(item.params[2]), dt_s)
+                return False, self._fly_circle(abs(item.params[2]))
             case mavlink.MAV_CMD_NAV_LOITER_TURNS:
-                lateral_m_s2 = self._fly_circle(abs(item.params[2]), dt_s)
-                return loiter.turned_rad > item.params[0] * math.tau, lateral_m_s2
+                lateral_m_s2 = self._fly_circle(abs(item.params[2]))
+                return loiter.turned_rad > first * math.tau, lateral_m_s2
             case mavlink.MAV_CMD_NAV_LOITER_TIME:
-                lateral_m_s2 = self._fly_circle(0.0, dt_s)  # this item has no room for a radius
-                return loiter.reached_s is not None and self.now_s - loiter.reached_s > item.params[0], lateral_m_s2
+                lateral_m_s2 = self._fly_circle(0.0)  # this item has no room for a radius
+                return loiter.reached_s is not None and self.now_s - loiter.reached_s > first, lateral_m_s2
             case mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
-                lateral_m_s2 = self._fly_circle(abs(item.params[1]), dt_s)
+                lateral_m_s2 = self._fly_circle(abs(item.params[1]))
                 at_height = abs(self.craft.height_m - self.navigator.goal.height_m) < 5.0
                 return at_height and loiter.turned_rad > 0.0, lateral_m_s2
-            case _:
-                return False, 0.0
+        return False, 0.0
 
     def _start_item(self, index: int, item: Item) -> None:
         if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
@@ -541,23 +501,19 @@ class SimulatedArduPlane(SimulatedAutopilot):
         self.navigator.start_over()
         return True
 
-    def _fly_leg(self, acceptance_m: float, dt_s: float) -> tuple[bool, float]:
-        verb, lateral_m_s2 = self.navigator.fly_leg(acceptance_m, dt_s)
+    def _fly_leg(self, acceptance_m: float) -> tuple[bool, float]:
+        verb, lateral_m_s2 = self.navigator.fly_leg(acceptance_m)
         if verb is None:
             return False, lateral_m_s2
         distance_m = self.navigator.goal.distance_m(self.craft)
         self.say(mavlink.MAV_SEVERITY_INFO, f"{verb} waypoint #{self.mission.index} dist {distance_m:.0f}m")
         return True, lateral_m_s2
 
-    def _descend(self, dt_s: float) -> float:
-        self.height_goal_m = self.landing_height_m(self.navigator.goal)
-        return self.navigator.fly_line(dt_s)
-
     def _circle_at(self, centre: LocalPosition, clockwise: bool) -> None:
         self.height_goal_m = centre.height_m
         self.navigator.circle(centre, clockwise)
 
-    def _fly_circle(self, radius_m: float, dt_s: float, by_line: bool = True) -> float:
+    def _fly_circle(self, radius_m: float, by_line: bool = True) -> float:
         """radius_m 0 or 1: that of the parameter."""
         loiter = self.navigator.loiter
         if radius_m <= 1.0:
@@ -565,7 +521,7 @@ class SimulatedArduPlane(SimulatedAutopilot):
             radius_m = abs(default_m)
             loiter.clockwise = loiter.clockwise and default_m >= 0
         was_reached = loiter.reached_s is not None
-        lateral_m_s2 = self.navigator.fly_circle(radius_m, self.now_s, dt_s, by_line)
+        lateral_m_s2 = self.navigator.fly_circle(radius_m, self.now_s, by_line)
         if self.mode == ArduPlaneMode.GUIDED and loiter.reached_s is not None and not was_reached:
             self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(0))
         return lateral_m_s2
@@ -606,10 +562,9 @@ class SimulatedArduPlane(SimulatedAutopilot):
         if not change_mode and self.mode != ArduPlaneMode.GUIDED:
             return FAILED
         height_m = altitude_m if command.frame in RELATIVE_FRAMES else altitude_m - self.home.altitude_m
-        if latitude_deg == 0.0 and longitude_deg == 0.0:
-            east_m, north_m = self.craft.east_m, self.craft.north_m
-        else:
-            east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
+        ground_m = self.here.ground_m
+        if latitude_deg or longitude_deg:
+            ground_m = self.plane.east_north_m(latitude_deg, longitude_deg)
         self.set_mode(ArduPlaneMode.GUIDED)
         # The sign of the radius is ignored; param 4 sets the direction. Without a valid radius the last one is kept.
         # Releases before 4.5 take NaN for counter-clockwise, those before 4.4 have no radius of its own.
@@ -620,24 +575,22 @@ class SimulatedArduPlane(SimulatedAutopilot):
             self._guided_radius_m = float(math.floor(radius_m))
         else:
             clockwise = clockwise and self.parameters["WP_LOITER_RAD"] >= 0
-        self._circle_at(LocalPosition(east_m, north_m, height_m), clockwise)
+        self._circle_at(LocalPosition(*ground_m, height_m), clockwise)
         return ACCEPTED
 
     def _on_change_speed(self, command: Command) -> int:
         return ACCEPTED if self._change_speed(command.param(1), command.param(2)) else FAILED
 
     def _change_speed(self, kind: float, speed_m_s: float) -> bool:
+        within = self.parameters["AIRSPEED_MIN"] <= speed_m_s <= self.parameters["AIRSPEED_MAX"]
         if kind == mavlink.SPEED_TYPE_GROUNDSPEED:
             self._min_ground_speed_m_s = speed_m_s
             self.say(mavlink.MAV_SEVERITY_INFO, f"Set groundspeed {speed_m_s:.0f}")
-            return True
-        if kind != mavlink.SPEED_TYPE_AIRSPEED:
-            return False
-        if speed_m_s == _DEFAULT_AIRSPEED:
+        elif kind == mavlink.SPEED_TYPE_AIRSPEED and speed_m_s == _DEFAULT_AIRSPEED:
             self._ordered_airspeed_m_s = None
-            return True
-        if not self.parameters["AIRSPEED_MIN"] <= speed_m_s <= self.parameters["AIRSPEED_MAX"]:
+        elif kind == mavlink.SPEED_TYPE_AIRSPEED and within:
+            self._ordered_airspeed_m_s = speed_m_s
+            self.say(mavlink.MAV_SEVERITY_INFO, f"Set airspeed {speed_m_s:.0f} m/s")
+        else:
             return False
-        self._ordered_airspeed_m_s = speed_m_s
-        self.say(mavlink.MAV_SEVERITY_INFO, f"Set airspeed {speed_m_s:.0f} m/s")
         return True

@@ -6,10 +6,11 @@ import math
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
+from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
@@ -20,19 +21,12 @@ from sidelong.sitl.world.airframe import quaternion
 
 @dataclass(frozen=True, slots=True)
 class DeviceView:
-    """What laser and gimbal measure now.
+    """What laser and gimbal measure now."""
 
-    Attributes:
-        range_m: slant range; None: no echo.
-        bearing_rad: measured direction of the sight, from the aircraft's nose, clockwise.
-        elevation_rad: measured direction of the sight above the horizon.
-        lean_rad: how far the camera's roll is off the horizon, right side down.
-    """
-
-    range_m: float | None
-    bearing_rad: float
-    elevation_rad: float
-    lean_rad: float = 0.0
+    range_m: float | None  # slant range; None: no echo
+    bearing_rad: float  # of the sight, from the aircraft's nose, clockwise
+    elevation_rad: float  # of the sight, above the horizon
+    lean_rad: float = 0.0  # of the camera off the horizon, right side down
 
 
 class Device(ABC):
@@ -50,41 +44,30 @@ class Device(ABC):
     def receive(self, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
         """Take bytes and return the answers, as they arrive."""
         self._received += data
-        return self._carried(self._answers(now_s, seen))
+        answers = (self._answer(request, now_s, seen) for request in self._requests())
+        return self._carried([frame for frames in answers for frame in frames])
 
     def stream(self, now_s: float, seen: DeviceView) -> list[bytes]:
         """Return what is sent unasked at this time, as it arrives; to be called at each step."""
         return self._carried(self._streamed(now_s, seen))
 
     @abstractmethod
-    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
-        """Remove whole requests from what was received and return the answers."""
+    def _answer(self, request: Any, now_s: float, seen: DeviceView) -> list[bytes]: ...
 
     def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         return []
 
     def _carried(self, frames: list[bytes]) -> list[bytes]:
-        return [self._changed(frame) if self._rng.random() < self.quirks.damaged else frame for frame in frames]
+        for number, frame in enumerate(frames):
+            if self._rng.random() < self.quirks.damaged:
+                at = int(self._rng.integers(len(frame)))
+                changed = bytes((frame[at] ^ int(self._rng.integers(1, 256)),))
+                frames[number] = frame[:at] + changed + frame[at + 1 :]
+        return frames
 
-    def _changed(self, frame: bytes) -> bytes:
-        at = int(self._rng.integers(len(frame)))
-        return frame[:at] + bytes((frame[at] ^ int(self._rng.integers(1, 256)),)) + frame[at + 1 :]
-
-    def _next_frame(
-        self, least: int, size_of: Callable[[bytes], int], is_whole: Callable[[bytes], bool]
-    ) -> bytes | None:
-        """Remove the next whole frame from what was received. size_of: its bytes, 0 where none begins."""
-        buffer = self._received
-        while len(buffer) >= least:
-            size = size_of(bytes(buffer[:least]))
-            if size > len(buffer):
-                return None
-            frame = bytes(buffer[:size])
-            if size and is_whole(frame):
-                del buffer[:size]
-                return frame
-            del buffer[0]
-        return None
+    @abstractmethod
+    def _requests(self) -> Iterator[Any]:
+        """Remove the whole requests from what was received."""
 
     def _signed(self, yaw: float) -> float:
         """Return a yaw to the right as this device counts it, or the other way round."""
@@ -93,6 +76,22 @@ class Device(ABC):
     def _echo_m(self, seen: DeviceView) -> float | None:
         """Return the range within the laser's reach."""
         return seen.range_m if seen.range_m is not None and seen.range_m <= self.quirks.reach_m else None
+
+
+def _whole_frames(
+    buffer: bytearray, least: int, size_of: Callable[[bytes], int], is_whole: Callable[[bytes], bool]
+) -> Iterator[bytes]:
+    """Remove whole frames from a buffer. size_of: bytes of the frame that begins so, 0 where none does."""
+    while len(buffer) >= least:
+        size = size_of(bytes(buffer[:least]))
+        if size > len(buffer):
+            return
+        frame = bytes(buffer[:size])
+        if size and is_whole(frame):
+            del buffer[:size]
+            yield frame
+        else:
+            del buffer[0]
 
 
 # -- SIYI
@@ -118,12 +117,6 @@ class SimulatedSiyi(Device):
         self._number = 0
         self._streams_s: dict[int, tuple[float, float]] = {}  # period and next time, by kind
 
-    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
-        answers = []
-        while (request := self._next_frame(10, self._size, self._is_whole)) is not None:
-            answers += self._answer(request[7], request[8:-2], now_s, seen)
-        return answers
-
     def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         frames = []
         for kind, (period_s, next_s) in self._streams_s.items():
@@ -132,7 +125,8 @@ class SimulatedSiyi(Device):
                 frames += self._angles(seen) if kind == _SIYI_ANGLES else self._laser(seen)
         return frames
 
-    def _answer(self, command: int, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
+    def _answer(self, request: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
+        command, data = request[7], request[8:-2]
         if command in _SIYI_FIXED:
             return [self._frame(command, _SIYI_FIXED[command])]
         if command == 0x0D:
@@ -172,6 +166,9 @@ class SimulatedSiyi(Device):
         frame = b"\x55\x66\x02" + len(data).to_bytes(2, "little") + self._number.to_bytes(2, "little")
         frame += bytes((command,)) + data
         return frame + _siyi_crc(frame).to_bytes(2, "little")
+
+    def _requests(self) -> Iterator[bytes]:
+        return _whole_frames(self._received, 10, self._size, self._is_whole)
 
     @staticmethod
     def _size(head: bytes) -> int:
@@ -224,10 +221,9 @@ class SimulatedTopotek(Device):
         self._angles_until_s = -math.inf
         self._ranging = False
         self._angles_next_s = self._range_next_s = 0.0
-        self._yaw_deg = self._pitch_deg = 0.0
 
-    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
-        answers: list[bytes] = []
+    def _requests(self) -> Iterator[tuple[bytes, bytes, bytes]]:
+        """Remove the whole requests; yields command, r or w, and data."""
         while (match := _TOPOTEK_FRAME.search(received := bytes(self._received))) is not None:
             end = match.start() + _TOPOTEK_HEAD_BYTES + int(match[3], 16)
             body, checksum = received[match.start() : end], received[end : end + 2]
@@ -235,11 +231,10 @@ class SimulatedTopotek(Device):
                 break
             if checksum == _topotek_checksum(body):
                 del self._received[: end + 2]
-                answers += self._answer(match[5], match[4], body[_TOPOTEK_HEAD_BYTES:], now_s, seen)
+                yield match[5], match[4], body[_TOPOTEK_HEAD_BYTES:]
             else:
                 del self._received[: match.start() + 1]
         del self._received[:-100]
-        return answers
 
     def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         frames = []
@@ -251,11 +246,12 @@ class SimulatedTopotek(Device):
             frames += self._range(seen)
         return frames
 
-    def _answer(self, command: bytes, control: bytes, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
+    def _answer(self, request: tuple[bytes, bytes, bytes], now_s: float, seen: DeviceView) -> list[bytes]:
+        command, control, data = request
         if command == b"PA2":
-            return [_topotek_frame(b"G", b"r", b"PA2", b"KHP30S90")]
+            return [_topotek_frame(b"G", b"PA2", b"KHP30S90")]
         if command == b"VSN":
-            return [_topotek_frame(b"D", b"r", b"VSN", b"1.3.7")]
+            return [_topotek_frame(b"D", b"VSN", b"1.3.7")]
         if command == b"GIA":
             self._angles_until_s = now_s + _TOPOTEK_SENDS_ANGLES_S if data == b"01" else -math.inf
         elif command == b"LRF" and control == b"w":
@@ -264,28 +260,24 @@ class SimulatedTopotek(Device):
             return self._range(seen) if self._ranging else []
         elif command in (b"GAY", b"GIP") and len(data) == 6:
             (count,) = struct.unpack(">h", bytes.fromhex(data[:4].decode()))
-            angle_deg = count / 100.0
-            if command == b"GAY":
-                self._yaw_deg = self._signed(angle_deg)
-            else:
-                self._pitch_deg = -angle_deg
-            self.commanded_deg = self._yaw_deg, self._pitch_deg
+            yaw_deg, pitch_deg = self.commanded_deg or (0.0, 0.0)
+            at_yaw = command == b"GAY"
+            self.commanded_deg = (self._signed(count / 100.0), pitch_deg) if at_yaw else (yaw_deg, -count / 100.0)
         return []
 
     def _angles(self, seen: DeviceView) -> bytes:
         angles = (math.remainder(self._signed(seen.bearing_rad), math.tau), -seen.elevation_rad, seen.lean_rad)
-        return _topotek_frame(
-            b"G", b"r", b"GIA", b"".join(b"%04X" % (round(math.degrees(a) * 100.0) % 65536) for a in angles)
-        )
+        data = b"".join(b"%04X" % (round(math.degrees(angle_rad) * 100.0) % 65536) for angle_rad in angles)
+        return _topotek_frame(b"G", b"GIA", data)
 
     def _range(self, seen: DeviceView) -> list[bytes]:
         if (range_m := self._echo_m(seen)) is None:
-            return [] if self.quirks.silent_beyond else [_topotek_frame(b"M", b"r", b"LRF", b"ERR")]
-        return [_topotek_frame(b"M", b"r", b"LRF", b"%07.1f" % (range_m / (self.quirks.range_unit_m or 1.0)))]
+            return [] if self.quirks.silent_beyond else [_topotek_frame(b"M", b"LRF", b"ERR")]
+        return [_topotek_frame(b"M", b"LRF", b"%07.1f" % (range_m / (self.quirks.range_unit_m or 1.0)))]
 
 
-def _topotek_frame(source: bytes, control: bytes, command: bytes, data: bytes) -> bytes:
-    body = b"#tp" + source + b"U" + b"%X" % len(data) + control + command + data
+def _topotek_frame(source: bytes, command: bytes, data: bytes) -> bytes:
+    body = b"#tp" + source + b"U" + b"%X" % len(data) + b"r" + command + data
     return body + _topotek_checksum(body)
 
 
@@ -313,13 +305,8 @@ class SimulatedViewpro(Device):
         self._number = 0
         self._ranging = False
 
-    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
-        answers: list[bytes] = []
-        while (frame := self._next_frame(6, self._size, self._is_whole)) is not None:
-            answers += self._answer(frame[4], frame[5:-1], seen)
-        return answers
-
-    def _answer(self, number: int, data: bytes, seen: DeviceView) -> list[bytes]:
+    def _answer(self, request: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
+        number, data = request[4], request[5:-1]
         if number == 0x00:
             return [self._frame(0x40, self._status(seen))]
         if number == 0x01 and data[:1] in _VIEWPRO_NAMES:
@@ -354,6 +341,9 @@ class SimulatedViewpro(Device):
         if not self.over_tcp:
             return frame
         return b"\xeb\x90" + bytes((len(frame),)) + frame + bytes((sum(frame) % 256,))
+
+    def _requests(self) -> Iterator[bytes]:
+        return _whole_frames(self._received, 6, self._size, self._is_whole)
 
     @staticmethod
     def _size(head: bytes) -> int:
@@ -395,55 +385,54 @@ class SimulatedGremsy(Device):
         self._parser.robust_parsing = True
         self._senders = {part: mavlink.MAVLink(None, _GREMSY_SYSTEM, part) for part in (_PAYLOAD, _CAMERA, _GIMBAL)}
         self._laser_s: float | None = None  # its period
-        self._periods_s: dict[str, float] = {}
-        self._next_s = {"range": 0.0, "angles": 0.0, "heartbeat": 0.0}
+        self._periods_s = {"heartbeat": 1.0}
+        self._next_s: dict[str, float] = {}
 
-    def _answers(self, now_s: float, seen: DeviceView) -> list[bytes]:
-        answers: list[bytes] = []
+    def _requests(self) -> Iterator[Any]:
         data, self._received = self._received, bytearray()
-        for message in self._parser.parse_buffer(data) or ():
-            kind, target = message.get_type(), getattr(message, "target_component", None)
-            if kind == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-                if target == _PAYLOAD and round(message.param1) == _RANGE_INDEX and self.quirks.streams:
-                    self._periods_s["range"] = message.param2 * 1e-6
-                elif target == _GIMBAL and round(message.param1) == _ATTITUDE:
-                    self._periods_s["angles"] = message.param2 * 1e-6
-            elif kind == "PARAM_EXT_SET" and target == _CAMERA and message.param_id == "LRF_MODE":
-                value = message.param_value
-                number = (value.encode("latin-1") if isinstance(value, str) else bytes(value)).ljust(1, b"\0")[0]
-                self._laser_s = _LASER_PERIODS_S.get(number)
-            elif kind == "PARAM_REQUEST_READ" and target == _PAYLOAD and message.param_id == "LRF_RANGE":
-                answers += self._range(seen)
-            elif kind == "GIMBAL_DEVICE_SET_ATTITUDE" and target == _GIMBAL:
-                w, x, y, z = message.q
-                forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-                self.commanded_deg = math.degrees(math.atan2(right, forward)), math.degrees(-math.asin(down))
-        return answers
+        yield from self._parser.parse_buffer(data) or ()
+
+    def _answer(self, request: Any, now_s: float, seen: DeviceView) -> list[bytes]:
+        kind, target = request.get_type(), getattr(request, "target_component", None)
+        if kind == "COMMAND_LONG" and request.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            if target == _PAYLOAD and round(request.param1) == _RANGE_INDEX and self.quirks.streams:
+                self._periods_s["range"] = request.param2 * 1e-6
+            elif target == _GIMBAL and round(request.param1) == _ATTITUDE:
+                self._periods_s["angles"] = request.param2 * 1e-6
+        elif kind == "PARAM_EXT_SET" and target == _CAMERA and request.param_id == "LRF_MODE":
+            value = request.param_value
+            number = (value.encode("latin-1") if isinstance(value, str) else bytes(value)).ljust(1, b"\0")[0]
+            self._laser_s = _LASER_PERIODS_S.get(number)
+        elif kind == "PARAM_REQUEST_READ" and target == _PAYLOAD and request.param_id == "LRF_RANGE":
+            return self._range(seen)
+        elif kind == "GIMBAL_DEVICE_SET_ATTITUDE" and target == _GIMBAL:
+            w, x, y, z = request.q
+            forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+            self.commanded_deg = math.degrees(math.atan2(right, forward)), math.degrees(-math.asin(down))
+        return []
 
     def _streamed(self, now_s: float, seen: DeviceView) -> list[bytes]:
         frames: list[bytes] = []
-        if self._is_due("heartbeat", 1.0, now_s):
+        if self._is_due("heartbeat", now_s):
             for part, kind in ((_PAYLOAD, 0), (_CAMERA, mavlink.MAV_TYPE_CAMERA), (_GIMBAL, mavlink.MAV_TYPE_GIMBAL)):
                 frames.append(self._packed(part, mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)))
-        if "range" in self._periods_s and self._is_due("range", self._periods_s["range"], now_s):
+        if self._is_due("range", now_s):
             frames += self._range(seen)
-        if "angles" in self._periods_s and self._is_due("angles", self._periods_s["angles"], now_s):
+        if self._is_due("angles", now_s):
             frames.append(self._angles(now_s, seen))
         return frames
 
-    def _is_due(self, what: str, period_s: float, now_s: float) -> bool:
-        if now_s < self._next_s[what] - 1e-9:
+    def _is_due(self, what: str, now_s: float) -> bool:
+        if what not in self._periods_s or now_s < self._next_s.get(what, 0.0) - 1e-9:
             return False
-        self._next_s[what] = now_s + period_s
+        self._next_s[what] = now_s + self._periods_s[what]
         return True
 
     def _range(self, seen: DeviceView) -> list[bytes]:
         range_m = self._echo_m(seen) if self._laser_s is not None else None
-        if range_m is None:
-            if self.quirks.silent_beyond:
-                return []
-            range_m = 0.0
-        value = range_m / (self.quirks.range_unit_m or 1.0)
+        if range_m is None and self.quirks.silent_beyond:
+            return []
+        value = (range_m or 0.0) / (self.quirks.range_unit_m or 1.0)
         message = mavlink.MAVLink_param_value_message(b"LRF_RANGE", value, 9, _PARAMETERS, _RANGE_INDEX)
         return [self._packed(_PAYLOAD, message)]
 
@@ -454,9 +443,9 @@ class SimulatedGremsy(Device):
         )
         return self._packed(_GIMBAL, message)
 
-    def _packed(self, part: int, message: object) -> bytes:
+    def _packed(self, part: int, message: Any) -> bytes:
         sender = self._senders[part]
-        data: bytes = message.pack(sender)  # type: ignore[attr-defined]
+        data: bytes = message.pack(sender)
         sender.seq = (sender.seq + 1) % 256
         return data
 

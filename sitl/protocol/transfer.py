@@ -22,7 +22,7 @@ class Store:
     """Items that are replaced as a whole when all have come. All results are MAV_MISSION_RESULT."""
 
     def __init__(self, with_checksum: bool) -> None:
-        self._with_checksum = with_checksum
+        self.with_checksum = with_checksum
         self._items: list[Item] = []
         self._arriving: list[Item] = []
 
@@ -34,7 +34,7 @@ class Store:
 
     def opaque_id(self) -> int | None:
         """Return a checksum of the items, None where the autopilot has none."""
-        return checksum(self._items) if self._with_checksum else None
+        return checksum(self._items) if self.with_checksum else None
 
     def begin(self, count: int) -> int:
         """Prepare for an upload of ``count`` items."""
@@ -52,7 +52,7 @@ class Store:
 
     def abandon(self) -> int | None:
         """Forget the upload: it was cut. Return the checksum of what had come."""
-        arrived_id = checksum(self._arriving) if self._with_checksum else None
+        arrived_id = checksum(self._arriving) if self.with_checksum else None
         self._arriving = []
         return arrived_id
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.autopilot import NAN, Builder, SimulatedAutopilot, TelemetryBuilder
+from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Extended, Station
-from sidelong.sitl.protocol.transfer import Item, Store, TransferQuirks
+from sidelong.sitl.protocol.transfer import Item, TransferQuirks
 from sidelong.sitl.px4.mission import Px4Mission, refusal
 from sidelong.sitl.px4.navigator import Px4Navigator
 from sidelong.sitl.settings import Settings
@@ -76,119 +76,78 @@ DEFAULT_INTERVAL_S = {
 }
 
 
-class Px4Telemetry(TelemetryBuilder):
+class Px4Telemetry(Telemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
     gps_dilution = (70, 110)
     gps_accuracy_mm = (900, 1780, 400)
     home_quaternion = (1.0, 0.0, 0.0, 0.0)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    since_release: ClassVar = {mavlink.MAVLINK_MSG_ID_CURRENT_MODE: (1, 15)}
 
     _vehicle: SimulatedPx4
     _pings = 0
 
-    def builders(self) -> dict[int, Builder]:
-        builders = super().builders() | {
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
-            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
-            mavlink.MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS: self._orbit_status,
-            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
-            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._ranges,
-            mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._current_mode,
-            mavlink.MAVLINK_MSG_ID_WIND_COV: self._wind,
-            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
-            mavlink.MAVLINK_MSG_ID_PING: self._ping,
-        }
-        if self._vehicle.release < (1, 15):
-            del builders[mavlink.MAVLINK_MSG_ID_CURRENT_MODE]
-        return builders
-
-    def _sys_status(self) -> Any:
+    def sys_status(self) -> Any:
         healthy = _HEALTHY if self._vehicle.ready else _HEALTHY_BEFORE_READY
         return mavlink.MAVLink_sys_status_message(
             _PRESENT, _ENABLED, healthy, 454, 16200, -1, self.battery_percent, *(0,) * 6
         )
 
-    def _mission_current(self) -> Any:
+    def mission_current(self) -> Any:
         px4 = self._vehicle
         if px4.release < (1, 15):
             return mavlink.MAVLink_mission_current_message(px4.mission.index)
-        fence_id, rally_id = (px4.transfers[kind].store.opaque_id() or 0 for kind in px4.mission_types[1:])
-        base = mavlink.MAVLink_mission_current_message(
-            px4.mission.index,
-            len(px4.mission.items()) or 65535,
-            px4.mission_state if px4.release >= (1, 17) else mavlink.MISSION_STATE_UNKNOWN,
-            1 if px4.mode == Px4Mode.MISSION else 2,
-        )
+        fence_id, rally_id = (px4.transfers[kind].store.opaque_id() or 0 for kind in (1, 2))
+        state = px4.mission_state if px4.release >= (1, 17) else mavlink.MISSION_STATE_UNKNOWN
+        flies, total = 1 if px4.mode == Px4Mode.MISSION else 2, len(px4.mission.items()) or 65535
+        base = mavlink.MAVLink_mission_current_message(px4.mission.index, total, state, flies)
         return Extended(base, px4.mission.mission_id, fence_id, rally_id)
 
-    def _orbit_status(self) -> Any:
+    def orbit_execution_status(self) -> Any:
         circle = self._vehicle.navigator.circle
         if circle is None or not self._craft.flying:
             return None
+        radius_m = circle.radius_m if circle.clockwise else -circle.radius_m
+        place = *self.place_e7(*circle.centre.ground_m), self.altitude_m(circle.centre.height_m)
         return mavlink.MAVLink_orbit_execution_status_message(
-            self._vehicle.boot_us,
-            circle.radius_m if circle.clockwise else -circle.radius_m,
-            mavlink.MAV_FRAME_GLOBAL,
-            *self.place_e7(*circle.centre.ground_m),
-            self.altitude_m(circle.centre.height_m),
+            self._vehicle.boot_us, radius_m, mavlink.MAV_FRAME_GLOBAL, *place
         )
 
-    def _position_target(self) -> Any:
-        px4 = self._vehicle
-        if not self._craft.flying or px4.mode in BY_PILOT:
+    def position_target_global_int(self) -> Any:
+        px4, goal = self._vehicle, self._vehicle.navigator.goal
+        if not self._craft.flying or px4.mode not in SELF_FLYING:
             return None
-        goal = px4.navigator.goal
+        place = *self.place_e7(*goal.ground_m), self.altitude_m(goal.height_m)
         return mavlink.MAVLink_position_target_global_int_message(
-            px4.boot_ms,
-            mavlink.MAV_FRAME_GLOBAL_INT,
-            0,
-            *self.place_e7(*goal.ground_m),
-            self.altitude_m(goal.height_m),
-            *(NAN,) * 8,
+            px4.boot_ms, mavlink.MAV_FRAME_GLOBAL_INT, 0, *place, *(NAN,) * 8
         )
 
-    def _ranges(self) -> list[Any]:
+    def distance_sensor(self) -> list[Any]:
         """Return its own downward sensor, and what another component last reported."""
         height_m = self._craft.height_m
         height_cm = round(height_m * 100.0) if height_m < _DOWNWARD_MAX_M else _DOWNWARD_BEYOND_CM
-        downward = mavlink.MAVLink_distance_sensor_message(
-            self._vehicle.boot_ms,
-            0,
-            round(_DOWNWARD_MAX_M * 100.0),
-            height_cm,
-            mavlink.MAV_DISTANCE_SENSOR_LASER,
-            0,
-            mavlink.MAV_SENSOR_ROTATION_PITCH_270,
-            0,
-        )
+        kind = mavlink.MAV_DISTANCE_SENSOR_LASER, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0
+        max_cm = round(_DOWNWARD_MAX_M * 100.0)
+        downward = mavlink.MAVLink_distance_sensor_message(self._vehicle.boot_ms, 0, max_cm, height_cm, *kind)
         relayed, self._vehicle.relayed_range = self._vehicle.relayed_range, None
         return [downward] if relayed is None else [downward, relayed]
 
-    def _current_mode(self) -> Any:
+    def current_mode(self) -> Any:
         standard = _STANDARD_MODES.get(self._vehicle.mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
         return mavlink.MAVLink_current_mode_message(standard, self._vehicle.mode, self._vehicle.mode)
 
-    def _wind(self) -> Any:
-        wind = self._craft.wind
-        return mavlink.MAVLink_wind_cov_message(
-            self._vehicle.boot_us,
-            wind.north_m_s,
-            wind.east_m_s,
-            0.0,
-            1.0,
-            0.0,
-            self.altitude_m(self._craft.height_m),
-            0.0,
-            0.0,
-        )
+    def wind_cov(self) -> Any:
+        wind, altitude_m = self._craft.wind, self.altitude_m(self._craft.height_m)
+        moves = wind.north_m_s, wind.east_m_s, 0.0, 1.0, 0.0
+        return mavlink.MAVLink_wind_cov_message(self._vehicle.boot_us, *moves, altitude_m, 0.0, 0.0)
 
-    def _estimator_status(self) -> Any:
+    def estimator_status(self) -> Any:
         flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
         if self._vehicle.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
             flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
         return mavlink.MAVLink_estimator_status_message(self._vehicle.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
 
-    def _ping(self) -> Any:
+    def ping(self) -> Any:
         self._pings += 1
         return mavlink.MAVLink_ping_message(self._vehicle.boot_us, self._pings, 0, 0)
 
@@ -229,7 +188,8 @@ def px4_parameters(settings: Settings) -> Parameters:
     return Parameters(table, bytewise=True, reports_errors=release >= (1, 18))
 
 
-BY_PILOT = (Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.STABILIZED)
+SELF_FLYING = (Px4Mode.TAKEOFF, Px4Mode.HOLD, Px4Mode.MISSION, Px4Mode.RTL, Px4Mode.LAND)
+_MODE_FLAGS: int = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
 
 
 QUIRKS = TransferQuirks(
@@ -260,6 +220,11 @@ _SIGNED_RADIUS_PARAM = {
 class SimulatedPx4(SimulatedAutopilot):
     autopilot_id = mavlink.MAV_AUTOPILOT_PX4
     modes, first_mode = Px4Mode, Px4Mode.HOLD
+    self_flying = SELF_FLYING
+    mode_flags = (
+        _MODE_FLAGS | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+        _MODE_FLAGS | mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED,
+    )
     taken_over_mode = Px4Mode.POSCTL
     navigation_period_s = 0.04
     receives_once_a_loop = False
@@ -292,27 +257,16 @@ class SimulatedPx4(SimulatedAutopilot):
         self.relayed_range: Any = None  # the latest range of another component, until it is sent
         self._ordered_airspeed_m_s: float | None = None
         self.parameters.on_change = self._on_parameter
-        self._handlers |= {
+        self.handlers |= {
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
             mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
             mavlink.MAV_CMD_DO_ORBIT: lambda command: self._hold_around(command, command.param(1)),
             mavlink.MAV_CMD_NAV_TAKEOFF: self._on_takeoff,
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Px4Mode.RTL) else REJECTED,
-            mavlink.MAV_CMD_NAV_LAND: lambda _: ACCEPTED if self.set_mode(Px4Mode.LAND) else REJECTED,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: self.change_mode(Px4Mode.RTL),
+            mavlink.MAV_CMD_NAV_LAND: lambda _: self.change_mode(Px4Mode.LAND),
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
-        self.attach((self.mission, Store(True), Store(True)), Px4Telemetry(self).builders())
-
-    @property
-    def base_mode(self) -> int:
-        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        if self.mode in BY_PILOT:
-            flags |= mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-        else:
-            flags |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-        return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
-
-    # Modes.
+        self.attach(self.mission, Px4Telemetry(self))
 
     def custom_mode(self, main: int, sub: int) -> int:
         return custom_mode(main, sub)
@@ -375,24 +329,21 @@ class SimulatedPx4(SimulatedAutopilot):
         ordered_m_s = self._ordered_airspeed_m_s
         return self.parameters.within("FW_AIRSPD_TRIM", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
 
-    def navigate(self, dt_s: float) -> float:
-        del dt_s  # the follower has no integral
+    def navigate(self) -> float:
         self._repeat_reached()
         match self.mode:
             case Px4Mode.MISSION:
                 return self._navigate_mission()
-            case Px4Mode.TAKEOFF:
-                if self._climbed_out():
-                    goal = self.navigator.goal
-                    self.set_mode(Px4Mode.HOLD)
-                    self._circle_at(goal)
-                return 0.0
+            case Px4Mode.TAKEOFF if self._climbed_out():
+                goal = self.navigator.goal
+                self.set_mode(Px4Mode.HOLD)
+                self._circle_at(goal)
             case Px4Mode.LAND:
-                return self._descend()
+                self.descend_to(self.navigator.goal)
+                return self.navigator.fly_line()
             case Px4Mode.HOLD | Px4Mode.RTL:
                 return self.navigator.fly_circle()
-            case _:  # sticks in the middle
-                return 0.0
+        return 0.0  # sticks in the middle
 
     def _circle_at(self, centre: LocalPosition, signed_radius_m: float = math.nan) -> None:
         self.height_goal_m = centre.height_m
@@ -400,10 +351,8 @@ class SimulatedPx4(SimulatedAutopilot):
 
     def _navigate_mission(self) -> float:
         item = self._item
-        if item is None or not self.armed:
-            return 0.0
-        if not self.craft.flying:
-            self.lifting_off = True
+        if item is None or not self.armed or not self.craft.flying:
+            self.lifting_off = self.lifting_off or (item is not None and self.armed)
             return 0.0
         done, lateral_m_s2 = self._fly_item(item)
         if done:
@@ -419,7 +368,8 @@ class SimulatedPx4(SimulatedAutopilot):
             case mavlink.MAV_CMD_NAV_WAYPOINT:
                 return self.navigator.fly_leg()
             case mavlink.MAV_CMD_NAV_LAND:
-                return False, self._descend()
+                self.descend_to(self.navigator.goal)
+                return False, self.navigator.fly_line()
             case _:
                 inside_s = self.navigator.inside_for_s(self.now_s)
                 arrived = inside_s is not None and self.navigator.at_height()
@@ -439,10 +389,6 @@ class SimulatedPx4(SimulatedAutopilot):
             return False
         return self.craft.height_m >= self.navigator.goal.height_m + 0.5
 
-    def _descend(self) -> float:
-        self.height_goal_m = self.landing_height_m(self.navigator.goal)
-        return self.navigator.fly_line()
-
     # Mission.
 
     @property
@@ -451,13 +397,14 @@ class SimulatedPx4(SimulatedAutopilot):
 
     @property
     def mission_state(self) -> int:
+        state: int = mavlink.MISSION_STATE_PAUSED if self._interrupted else mavlink.MISSION_STATE_NOT_STARTED
         if not self.mission.items():
-            return int(mavlink.MISSION_STATE_NO_MISSION)
-        if self._finished:
-            return int(mavlink.MISSION_STATE_COMPLETE)
-        if self.mode == Px4Mode.MISSION:
-            return int(mavlink.MISSION_STATE_ACTIVE)
-        return int(mavlink.MISSION_STATE_PAUSED if self._interrupted else mavlink.MISSION_STATE_NOT_STARTED)
+            state = mavlink.MISSION_STATE_NO_MISSION
+        elif self._finished:
+            state = mavlink.MISSION_STATE_COMPLETE
+        elif self.mode == Px4Mode.MISSION:
+            state = mavlink.MISSION_STATE_ACTIVE
+        return state
 
     def _on_swap(self) -> None:
         """Check the items that have come, and fly them at once when in MISSION."""
@@ -472,15 +419,9 @@ class SimulatedPx4(SimulatedAutopilot):
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
             self.set_mode(Px4Mode.HOLD)
 
-    @property
-    def _take_off_and_landing(self) -> int:
-        """Required mission items, as a value of MIS_TKO_LAND_REQ; releases before 1.14 require none."""
-        return int(self.parameters["MIS_TKO_LAND_REQ"]) if "MIS_TKO_LAND_REQ" in self.parameters else 0
-
     def _check_mission(self, was_rejected: bool) -> None:
-        self._refusal = refusal(
-            self.mission.items(), self.home, self._take_off_and_landing, self.parameters["FW_LND_ANG"]
-        )
+        required = int(self.parameters.get("MIS_TKO_LAND_REQ", 0))  # releases before 1.14 require none
+        self._refusal = refusal(self.mission.items(), self.home, required, self.parameters["FW_LND_ANG"])
         if self._refusal is not None and self.mission.items():
             self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self._refusal}\t")
         elif was_rejected:
@@ -573,14 +514,14 @@ class SimulatedPx4(SimulatedAutopilot):
     def _hold_around(self, command: Command, signed_radius_m: float) -> int:
         """Hold around the place in params 5 to 7, altitude above sea level in any frame; what is NaN is here."""
         latitude_deg, longitude_deg, altitude_m = command.params[4:7]
-        here = self.here
-        east_m, north_m = here.ground_m
+        ground_m, height_m = self.here.ground_m, self.craft.height_m
         if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
-            east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
-        height_m = altitude_m - self.home.altitude_m if math.isfinite(altitude_m) else here.height_m
+            ground_m = self.plane.east_north_m(latitude_deg, longitude_deg)
+        if math.isfinite(altitude_m):
+            height_m = altitude_m - self.home.altitude_m
         self.set_mode(Px4Mode.HOLD)
         if self.craft.flying:
-            self._circle_at(LocalPosition(east_m, north_m, height_m), signed_radius_m)
+            self._circle_at(LocalPosition(*ground_m, height_m), signed_radius_m)
         return ACCEPTED
 
     def _on_takeoff(self, command: Command) -> int:

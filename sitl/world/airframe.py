@@ -67,6 +67,11 @@ class SimulatedAirframe:
     def pitch_rad(self) -> float:
         return math.asin(max(-1.0, min(1.0, self.climb_m_s / self.airspeed_m_s))) if self.flying else 0.0
 
+    @property
+    def body_rates_rad_s(self) -> tuple[float, float, float]:
+        yaw_rad_s = self.yaw_rate_rad_s
+        return self.roll_rate_rad_s, yaw_rad_s * math.sin(self.roll_rad), yaw_rad_s * math.cos(self.roll_rad)
+
     def fly(self, dt_s: float, roll_rad: float, airspeed_m_s: float, climb_m_s: float) -> None:
         """Step with commanded roll, true airspeed and climb rate; touches the ground at ``ground_m``."""
         build = self.build

@@ -44,7 +44,7 @@ def arduplane(move):
     navigator = ArduPlaneNavigator(craft, parameters, HOME_ALTITUDE_M)
     navigator.circle(LocalPosition(move["centre_east_m"], move["centre_north_m"], HEIGHT_M), clockwise=True)
     radius_m = move["radius_m"]
-    return craft, 5, math.radians(65.0), lambda: navigator.fly_circle(radius_m, 0.0, 0.1, by_line=False)
+    return craft, 5, math.radians(65.0), lambda: navigator.fly_circle(radius_m, 0.0, by_line=False)
 
 
 def px4(move):
