@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -42,17 +42,9 @@ _PX4_PARAMETERS_FILE = "px4-rc.params"
 # Before 1.16 the stock simulated aeroplane does not fly: its surfaces and its motor are on outputs that the simulator
 # does not read, and aileron and elevator have the wrong sign. With its stock 6 N it then lifts off only now and then.
 _PX4_AEROPLANE_AS_IN_1_16 = {
-    "PWM_MAIN_FUNC1": "201",
-    "PWM_MAIN_FUNC2": "202",
-    "PWM_MAIN_FUNC3": "203",
-    "PWM_MAIN_FUNC4": "101",
-    "PWM_MAIN_FUNC5": "0",
-    "PWM_MAIN_FUNC6": "0",
-    "CA_SV_CS0_TRQ_R": "1",
-    "CA_SV_CS1_TRQ_P": "-1",
-    "CA_ROTOR0_PX": "0.3",
-    "EKF2_GPS_DELAY": "0",
-    "SIH_T_MAX": "8",
+    **{f"PWM_MAIN_FUNC{number}": f for number, f in enumerate(("201", "202", "203", "101", "0", "0"), 1)},
+    **{"CA_SV_CS0_TRQ_R": "1", "CA_SV_CS1_TRQ_P": "-1", "CA_ROTOR0_PX": "0.3"},
+    **{"EKF2_GPS_DELAY": "0", "SIH_T_MAX": "8"},
 }
 _CALM = WindVector()
 
@@ -109,13 +101,10 @@ def run_of(
         port = _ARDUPLANE_TCP + 10 * instance
         return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}", instance + 1)
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
-    place = home or HomePosition(DEFAULT_HOMES[flavour].latitude_deg, DEFAULT_HOMES[flavour].longitude_deg, 0.0)
+    place = home or replace(DEFAULT_HOMES[flavour], altitude_m=0.0)
     start_files = binary.parent.parent / "etc"
-    environment = {
-        "PX4_SIM_MODEL": "sihsim_airplane",
-        "PX4_SIMULATOR": "sihsim",
-        "PX4_SIM_SPEED_FACTOR": f"{speed:g}",
-    }
+    environment = {"PX4_SIM_MODEL": "sihsim_airplane", "PX4_SIMULATOR": "sihsim"}
+    environment["PX4_SIM_SPEED_FACTOR"] = f"{speed:g}"
     parameters = {"SIM_BAT_DRAIN": f"{endurance_s:g}", "SIM_BAT_MIN_PCT": "0"}
     if wind != _CALM:  # by where it comes from
         parameters["SIH_WIND_N"], parameters["SIH_WIND_E"] = f"{-wind.north_m_s:.3f}", f"{-wind.east_m_s:.3f}"
@@ -124,26 +113,20 @@ def run_of(
         # the default of 2 N it rolls along the ground at 6 m/s and never takes off.
         parameters["SIH_F_T_MAX"] = "6"
         environment |= {f"PX4_PARAM_{name}": value for name, value in parameters.items()}
-        environment["PX4_HOME_LAT"] = str(place.latitude_deg)
-        environment["PX4_HOME_LON"] = str(place.longitude_deg)
-        environment["PX4_HOME_ALT"] = str(place.altitude_m)
+        names = "PX4_HOME_LAT", "PX4_HOME_LON", "PX4_HOME_ALT"
+        environment |= dict(zip(names, map(str, astuple(place)), strict=True))
     else:
-        parameters["SIH_LOC_LAT0"] = str(round(place.latitude_deg * 1e7))
-        parameters["SIH_LOC_LON0"] = str(round(place.longitude_deg * 1e7))
-        parameters["SIH_LOC_H0"] = str(place.altitude_m)
+        e7 = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
+        parameters |= {"SIH_LOC_LAT0": f"{e7[0]}", "SIH_LOC_LON0": f"{e7[1]}", "SIH_LOC_H0": f"{place.altitude_m}"}
         parameters |= _PX4_AEROPLANE_AS_IN_1_16
         lines = [f"param set {name} {value}\n" for name, value in parameters.items()]
         (folder / _PX4_PARAMETERS_FILE).write_text("".join(lines))
         environment["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
     command = [str(binary), "-i", str(instance), "-d", "-w", str(folder), str(start_files)]
-    return Run(
-        command,
-        environment,
-        f"udpin://127.0.0.1:{_PX4_OFFBOARD_UDP + instance}",
-        f"udpout://127.0.0.1:{_PX4_GROUND_UDP + instance}",
-        instance + 1,
-        ("127.0.0.1", _PX4_SIGNED_PAYLOAD_UDP + instance),
-    )
+    url = f"udpin://127.0.0.1:{_PX4_OFFBOARD_UDP + instance}"
+    payload_url = f"udpout://127.0.0.1:{_PX4_GROUND_UDP + instance}"
+    signed = "127.0.0.1", _PX4_SIGNED_PAYLOAD_UDP + instance
+    return Run(command, environment, url, payload_url, instance + 1, signed)
 
 
 def _takes_parameters_from_the_environment(start_files: Path) -> bool:
@@ -190,10 +173,9 @@ def started(
     logs: Path | None = None,
     endurance_s: float = _BATTERY_S,
 ) -> Iterator[Binary]:
-    """Run a simulator.
+    """Run a simulator; instance: the first that may be taken, and with it the system id. Raises BinaryError.
 
-    instance: the first that may be taken, and with it the system id. logs: where to keep its folder, which is gone
-    with it otherwise. endurance_s: of its battery. Raises BinaryError.
+    logs: where to keep its folder, which is gone with it otherwise. endurance_s: of its battery.
     """
     program = binary.resolve()
     if not os.access(program, os.X_OK) or program.is_dir():
@@ -246,13 +228,11 @@ def _free_instance(flavour: Flavour, first: int) -> int:
 
 
 def _free(kind: socket.SocketKind, port: int) -> bool:
-    with socket.socket(socket.AF_INET, kind) as probe:
+    with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(kind is socket.SOCK_STREAM))
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
+        probe.bind(("127.0.0.1", port))
         return True
+    return False
 
 
 def companions_of(settings: Sequence[Settings], vehicle_id: int | None) -> list[Companion]:
@@ -305,9 +285,8 @@ def run_binaries(
 ) -> None:
     """Run the programs until ``stopped`` or all have ended; report each one that ends early.
 
-    on_turn: called in each turn of the payloads' loops.
-
-    Raises BinaryError where one does not run, or all have ended; CompanionError, HillsError as ``accompany``.
+    on_turn: called in each turn of the payloads' loops. Raises BinaryError where one does not run, or all have ended;
+    CompanionError, HillsError as ``accompany``.
     """
     with contextlib.ExitStack() as stack:
         running: list[Binary] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import select
 import socket
@@ -26,9 +27,9 @@ _SILENT_MAX_S = 2.0
 class Pace:
     """Limits the simulation's lead over the controlling program, which reports the time it has processed.
 
-    The lead adds to the delay of each exchange between the two, in the vehicle's time. It is limited to the delay of
-    a real link, so a busy machine slows the simulation down instead of degrading its link. The simulation does not
-    wait for a program that has reported nothing yet, or nothing for two seconds of wall time.
+    The lead adds to the delay of each exchange between the two. It is limited to the delay of a real link, so a busy
+    machine slows the simulation down instead of degrading its link. The simulation does not wait for a program that
+    has reported nothing yet, or nothing for two seconds of wall time.
     """
 
     def __init__(self, speed: float) -> None:
@@ -41,10 +42,9 @@ class Pace:
 
     def limit_s(self, now_s: float) -> float:
         """Return the time of the simulation that it may go to."""
-        reported = self._reported
-        if reported is None or now_s - reported[1] > _SILENT_MAX_S:
+        if self._reported is None or now_s - self._reported[1] > _SILENT_MAX_S:
             return math.inf
-        return reported[0] + self._lead_s
+        return self._reported[0] + self._lead_s
 
 
 class _Port:
@@ -111,13 +111,14 @@ def serve(
     """
     ports: dict[socket.socket, _Port] = {}
     devices: list[DevicePort] = []
-    try:
+    with contextlib.ExitStack() as stack:
         if device_address is not None:
             first = served[0][0]
             devices.append(device_port(first.settings.device, first, device_address))
+            stack.callback(devices[0].close)
         for simulation, stations in served:
             port = _Port(simulation, stations, faults or LinkFaults())
-            ports[port.socket] = port
+            ports[stack.enter_context(port.socket)] = port
         on_ready()
         lag_max_s = max(_DEVICE_LAG_MAX_S, 2.0 * STEP_S / speed) if devices else _LAG_MAX_S
         clock = served[0][0]  # they all have the same time
@@ -141,6 +142,3 @@ def serve(
             of_devices = {one: device for device in devices for one in device.sockets}
             for ready in select.select([*ports, *of_devices], [], [], wake_s)[0]:
                 (ports[ready] if ready in ports else of_devices[ready]).receive()
-    finally:
-        for opened in (*ports, *devices):
-            opened.close()

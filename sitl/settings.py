@@ -62,43 +62,33 @@ DEFAULT_HOMES = {
 
 @dataclass(frozen=True, slots=True)
 class PayloadSettings:
-    """Laser and gimbal.
-
-    Attributes:
-        dropout_fraction: part of the time without range, in pieces of 0.5 to 8 s.
-        latency_s: from the measurement to the sending.
-        pan_limit_deg: how far the gimbal pans to each side of the nose. A target beyond is not seen.
-    """
+    """Laser and gimbal."""
 
     range_sigma_m: Annotated[float, Field(ge=0.0, le=100.0)] = 0.8
     outlier_fraction: Share = 0.02
     gimbal_sigma_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.35
     gimbal_yaw_bias_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.4
-    dropout_fraction: Share = 0.15
-    latency_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.05
+    dropout_fraction: Share = 0.15  # of the time without range, in pieces of 0.5 to 8 s
+    latency_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.05  # from the measurement to the sending
     range_message: RangeMessage = RangeMessage.DISTANCE_SENSOR
     gimbal_frame: GimbalFrame = GimbalFrame.EARTH
-    pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
+    pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0  # to each side; a target beyond is not seen
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
     """A gimbal camera in place of laser and gimbal.
 
-    Attributes:
-        url: where its video goes, such as udp://127.0.0.1:5600; "": nowhere.
-        view_deg: horizontal field of view.
-        rate_deg_s, lag_s: of the gimbal.
-        pan_limit_deg: how far the gimbal pans to each side of the nose.
-        trees, lookalikes: along the target's path, times the usual number.
+    url: where its video goes, such as udp://127.0.0.1:5600; "": nowhere. trees, lookalikes: along the target's path,
+    times the usual number.
     """
 
     url: Annotated[str, Field(pattern=r"^(udp://127\.0\.0\.1:\d{1,5})?$")] = ""
     width_px: Annotated[int, Field(ge=160, le=1280)] = 640
     height_px: Annotated[int, Field(ge=90, le=720)] = 360
     rate_hz: Annotated[float, Field(gt=0.0, le=60.0)] = 15.0
-    view_deg: Annotated[float, Field(gt=1.0, lt=120.0)] = 12.0
-    rate_deg_s: Annotated[float, Field(gt=0.0)] = 60.0
+    view_deg: Annotated[float, Field(gt=1.0, lt=120.0)] = 12.0  # horizontal
+    rate_deg_s: Annotated[float, Field(gt=0.0)] = 60.0  # of the gimbal, like lag_s
     lag_s: Annotated[float, Field(gt=0.0)] = 0.1
     pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
     trees: Annotated[float, Field(ge=0.0)] = 1.0
@@ -107,23 +97,14 @@ class CameraSettings:
 
 @dataclass(frozen=True, slots=True)
 class Quirks:
-    """Deviations of a device from its manual, and its transmission errors.
+    """Deviations of a device from its manual, and its transmission errors."""
 
-    Attributes:
-        range_unit_m: length of one count of its range, m; None: as in the manual.
-        yaw_mirrored: whether its yaw has the opposite sign.
-        streams: whether it streams data after a streaming request.
-        reach_m: the laser's maximum range.
-        silent_beyond: whether it sends nothing beyond its reach, instead of the value for no echo.
-        damaged: fraction of its frames that arrive with a changed byte.
-    """
-
-    range_unit_m: Annotated[float, Field(gt=0.0)] | None = None
+    range_unit_m: Annotated[float, Field(gt=0.0)] | None = None  # of one count; None: as in the manual
     yaw_mirrored: bool = False
-    streams: bool = True
-    reach_m: float = 1200.0
-    silent_beyond: bool = True
-    damaged: Share = 0.0
+    streams: bool = True  # after a streaming request
+    reach_m: float = 1200.0  # of the laser
+    silent_beyond: bool = True  # nothing is sent beyond its reach, instead of the value for no echo
+    damaged: Share = 0.0  # of its frames, which arrive with a changed byte
 
 
 MAX_VEHICLES = 8
@@ -135,20 +116,12 @@ STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
 
 @dataclass(frozen=True, slots=True)
 class TargetSettings:
-    """One target.
+    """One target; its name is used in the truth."""
 
-    Attributes:
-        motion: a name of sidelong.sitl.world.motion.MOTIONS, or a track file.
-        speed_max_m_s: None: 3, for tracks 6.
-        start_m: east and north of the first vehicle's home.
-        skip_s: where a track begins; None: where it becomes lively.
-        name: in the truth.
-    """
-
-    motion: str = "walk"
-    speed_max_m_s: Annotated[float, Field(ge=0.0, le=50.0)] | None = None
-    start_m: tuple[float, float] = STARTS_M[0]
-    skip_s: Annotated[float, Field(ge=0.0)] | None = None
+    motion: str = "walk"  # a name of sidelong.sitl.world.motion.MOTIONS, or a track file
+    speed_max_m_s: Annotated[float, Field(ge=0.0, le=50.0)] | None = None  # None: 3, for tracks 6
+    start_m: tuple[float, float] = STARTS_M[0]  # east and north of the first vehicle's home
+    skip_s: Annotated[float, Field(ge=0.0)] | None = None  # where a track begins; None: where it becomes lively
     name: Annotated[str, Field(pattern=r"^([A-Za-z0-9][A-Za-z0-9_-]{0,31})?$")] = ""
 
 
@@ -156,53 +129,36 @@ class TargetSettings:
 class Settings:
     """Settings of one vehicle, with its payload and its targets.
 
-    Attributes:
-        release: of its firmware; None: the newest.
-        target_seed: of the targets alone, where there are several vehicles; None: seed.
-        airspeed_m_s: equivalent airspeed that the autopilot holds, as in its parameter.
-        endurance_s: of its battery.
-        home_on_ground: whether the altitude of home is that of the elevation data, where there is some.
-        home_east_m: its home's offset from the first vehicle's.
-        looks_at: index of the target that its payload sees first, from 0.
-        device: protocol of a payload with a port of its own, and that port: KIND@HOST:PORT; "": it sends MAVLink.
-        quirks: of the device.
-        camera: in place of laser and gimbal; needs PyAV and OpenCV.
-        stations: where it sends to, HOST:PORT.
-        logs: folder for the files of another simulator's program; None: they are deleted at the end.
-        truth: file for the true tracks.
-        lost_s: when nothing is received from it any more.
-        signing_key: frames that are not signed with it are dropped.
-        link_rate: seconds of the vehicle in one of the stations'.
-        terrain: folder of .hgt tiles; None: flat.
+    device: protocol of a payload with a port of its own, and that port, KIND@HOST:PORT; "": it sends MAVLink.
     """
 
     flavour: Flavour = Flavour.ARDUPLANE
-    release: Release | None = None
+    release: Release | None = None  # of its firmware; None: the newest
     system_id: Annotated[int, Field(ge=1, le=250)] = 1
     seed: Annotated[int, Field(ge=0)] = 0
-    target_seed: int | None = None
-    airspeed_m_s: Annotated[float, Field(ge=5.0, le=60.0)] = 15.0
-    endurance_s: Annotated[float, Field(gt=0.0)] = 3.0 * 3600.0
+    target_seed: int | None = None  # of the targets alone, where there are several vehicles; None: seed
+    airspeed_m_s: Annotated[float, Field(ge=5.0, le=60.0)] = 15.0  # equivalent airspeed, as in its parameter
+    endurance_s: Annotated[float, Field(gt=0.0)] = 3.0 * 3600.0  # of its battery
     wind: WindVector = field(default_factory=WindVector)
     home: HomePosition | None = None
-    home_on_ground: bool = False
-    home_east_m: float = 0.0
+    home_on_ground: bool = False  # home's altitude is that of the elevation data, where there is some
+    home_east_m: float = 0.0  # of the first vehicle's
     targets: Annotated[tuple[TargetSettings, ...], Field(min_length=1, max_length=len(STARTS_M))] = (
         TargetSettings(),
     )
-    looks_at: Annotated[int, Field(ge=0)] = 0
+    looks_at: Annotated[int, Field(ge=0)] = 0  # index of the target that its payload sees first, from 0
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
     device: str = ""
     quirks: Quirks = field(default_factory=Quirks)
-    camera: CameraSettings | None = None
-    stations: tuple[str, ...] = DEFAULT_STATIONS
-    logs: Path | None = None
-    truth: Path | None = None
-    lost_s: float | None = None
-    signing_key: bytes | None = field(default=None, repr=False)
-    link_rate: float = 1.0
+    camera: CameraSettings | None = None  # in place of laser and gimbal; needs PyAV and OpenCV
+    stations: tuple[str, ...] = DEFAULT_STATIONS  # where it sends to, HOST:PORT
+    logs: Path | None = None  # folder for another simulator's files; None: they are deleted at the end
+    truth: Path | None = None  # file for the true tracks
+    lost_s: float | None = None  # from then on nothing is received from it
+    signing_key: bytes | None = field(default=None, repr=False)  # frames not signed with it are dropped
+    link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
     boot_unix_s: float = 1.7e9
-    terrain: Path | None = None
+    terrain: Path | None = None  # folder of .hgt tiles; None: flat
 
     @property
     def home_or_default(self) -> HomePosition:
@@ -215,22 +171,15 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """One run of the simulator.
-
-    Attributes:
-        speed: simulated time over wall time.
-        duration_s: simulated; None: until it is interrupted.
-        link: faults of each vehicle's link.
-        signing_key_file: a key with which all vehicles sign, and without which they accept nothing.
-    """
+    """One run of the simulator."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     vehicles: Annotated[tuple[Settings, ...], Field(min_length=1, max_length=MAX_VEHICLES)] = (Settings(),)
-    speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
-    duration_s: Annotated[float, Field(gt=0.0)] | None = None
-    link: LinkFaults = field(default_factory=LinkFaults)
-    signing_key_file: Path | None = None
+    speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0  # simulated time over wall time
+    duration_s: Annotated[float, Field(gt=0.0)] | None = None  # simulated; None: until it is interrupted
+    link: LinkFaults = field(default_factory=LinkFaults)  # of each vehicle
+    signing_key_file: Path | None = None  # with which all sign, and without which they accept nothing
 
     def to_json(self) -> bytes:
         """Return the settings in one line of JSON, without those that have their default."""
@@ -252,17 +201,10 @@ def in_a_row(first: Settings, count: int) -> list[Settings]:
     System ids and seeds follow one another; the targets are the same for all.
     """
     home = first.home_or_default
-    plane = HomePlane(home.latitude_deg, home.longitude_deg)
-    return [
-        replace(
-            first,
-            system_id=first.system_id + number,
-            seed=first.seed + number,
-            target_seed=first.seed,
-            home=HomePosition(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m)
-            if number
-            else home,
-            home_east_m=number * _APART_M,
-        )
-        for number in range(count)
-    ]
+    plane, row = HomePlane(home.latitude_deg, home.longitude_deg), []
+    for number in range(count):
+        own_deg = plane.latitude_longitude_deg(number * _APART_M, 0.0)
+        own = replace(first, system_id=first.system_id + number, seed=first.seed + number, target_seed=first.seed)
+        own_home = HomePosition(*own_deg, home.altitude_m) if number else home
+        row.append(replace(own, home=own_home, home_east_m=number * _APART_M))
+    return row

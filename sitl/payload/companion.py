@@ -46,10 +46,9 @@ class CompanionError(Exception):
 class Companion(Wired):
     """Measures at each position the vehicle reports, stamped with that position's time.
 
-    Pure: pass it the vehicle's messages, send the messages it returns. motion: of the target, in a plane with its
-    origin at the vehicle's home, from the first measurement on. Nothing is measured before home is known; when the
-    vehicle reboots, the target continues from its position. vehicle_id None: the first autopilot received. Raises
-    HillsError if the ground at home is not known.
+    Pure: pass it the vehicle's messages, send the messages it returns. Nothing is measured before home is known; when
+    the vehicle reboots, the target continues from its position. motion: of the target, in a plane with its origin at
+    the vehicle's home. vehicle_id None: the first autopilot received. Raises HillsError for unknown ground at home.
     """
 
     def __init__(
@@ -64,14 +63,11 @@ class Companion(Wired):
         _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         super().__init__(device, round(payload.latency_s / _DEVICE_PERIOD_S))
         self._measured: tuple[float, Measurement] | None = None  # time, s
-        self._payload = SimulatedPayload(payload, sensor_seed)
-        self._motion = motion
-        self._terrain = terrain
-        self._hills: Hills | None = None
+        self._payload, self._motion = SimulatedPayload(payload, sensor_seed), motion
         self._plane: HomePlane | None = None
+        self._terrain, self._hills = terrain, Hills(None, HomePlane(0.0, 0.0))
         self._begin_s: float | None = None
-        self._latest_s = 0.0
-        self._heading_rad = self._roll_rad = 0.0
+        self._latest_s = self._heading_rad = self._roll_rad = 0.0
         self.vehicle_id = vehicle_id
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
 
@@ -117,9 +113,7 @@ class Companion(Wired):
         since_s = max(0.0, time_s - self._begin_s)
         aircraft_deg = (position.lat / 1e7, position.lon / 1e7)
         aircraft_m = (*plane.east_north_m(*aircraft_deg), position.relative_alt / 1000.0)
-        hills = self._hills
-        assert hills is not None  # home is known
-        target_m = hills.standing(self._motion.at(since_s))
+        hills, target_m = self._hills, self._hills.standing(self._motion.at(since_s))
         in_sight = hills.sees_target(aircraft_m, target_m)
         # On the ground the payload is tried out on what is about, as in the simulation of our own.
         sight = TargetGeometry.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
@@ -127,24 +121,14 @@ class Companion(Wired):
             self.look(self.device, sight, self._measured[1], self._heading_rad, self._roll_rad)
             return []
         measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
-        row = TruthRow(
-            time_s,
-            target_m,
-            plane.latitude_longitude_deg(*target_m[:2]),
-            aircraft_m,
-            aircraft_deg,
-            sight.slant_range_m,
-            sight.bearing_rad,
-            measured.laser_valid,
-            measured.laser_outlier,
-            *hills.reported(aircraft_m, in_sight),
-        )
-        self.on_truth(row)
-        if self.device is None:
-            return measured.messages
+        target = target_m, plane.latitude_longitude_deg(*target_m[:2])
+        laser = sight.slant_range_m, sight.bearing_rad, measured.laser_valid, measured.laser_outlier
+        ground = hills.reported(aircraft_m, in_sight)
+        self.on_truth(TruthRow(time_s, *target, aircraft_m, aircraft_deg, *laser, *ground))
         self._measured = since_s, measured
-        self.look(self.device, sight, measured, self._heading_rad, self._roll_rad)
-        return []
+        if self.device is not None:
+            self.look(self.device, sight, measured, self._heading_rad, self._roll_rad)
+        return [] if self.device is not None else measured.messages
 
 
 def accompany(
@@ -160,11 +144,10 @@ def accompany(
 ) -> None:
     """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
 
-    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
-    that. straight_to: a UDP address that every frame is sent to as well. The function waits for a missing or lost
-    vehicle: on_wait then receives the reason once; on_ready is called after each connection, on_turn in each turn of
-    the loop. Raises CompanionError
-    for an unusable URL, and if several vehicles are received and none is selected.
+    key: of the vehicle's signing, if it demands that. straight_to: a UDP address that every frame is sent to as well.
+    The function waits for a missing or lost vehicle: on_wait then receives the reason once; on_ready is called after
+    each connection, on_turn in each turn of the loop. Raises CompanionError for an unusable URL, and if several
+    vehicles are received and none is selected.
     """
     scheme, _, address = url.partition("://")
     port = address.rpartition(":")[2]
@@ -203,8 +186,8 @@ class _TcpLink(mavutil.mavtcp):  # type: ignore[misc]  # pymavlink has no types
 def _connected(scheme: str, address: str) -> Any:
     # Otherwise pymavlink begins a new parser at the first frame of version 2, and that one has lost the signing key.
     os.environ["MAVLINK20"] = "1"
+    mavutil.set_dialect("all")
     if scheme == "tcpout":
-        mavutil.set_dialect("all")
         return _TcpLink(address, source_component=mavlink.MAV_COMP_ID_GIMBAL, retries=1)
     return mavutil.mavlink_connection(
         f"{scheme}:{address}", source_component=mavlink.MAV_COMP_ID_GIMBAL, dialect="all"
@@ -276,11 +259,9 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
 
 def _ask(companion: Companion, link: Any) -> None:
     """Request positions and attitudes at the payload's rate, and home until it is known."""
-    vehicle_id, period_us = companion.vehicle_id, companion.period_s * 1e6
-    for message_id in (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_ATTITUDE):
-        link.mav.command_long_send(
-            vehicle_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, period_us, 0, 0, 0, 0, 0
-        )
+    every_us = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, companion.period_s * 1e6
+    asked = {mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: every_us, mavlink.MAVLINK_MSG_ID_ATTITUDE: every_us}
     if companion.wants_home:
-        home_id = mavlink.MAVLINK_MSG_ID_HOME_POSITION
-        link.mav.command_long_send(vehicle_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, home_id, 0, 0, 0, 0, 0, 0)
+        asked[mavlink.MAVLINK_MSG_ID_HOME_POSITION] = mavlink.MAV_CMD_REQUEST_MESSAGE, 0
+    for message_id, (command, period_us) in asked.items():
+        link.mav.command_long_send(companion.vehicle_id, 1, command, 0, message_id, period_us, 0, 0, 0, 0, 0)

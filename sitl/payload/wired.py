@@ -62,75 +62,49 @@ Address = tuple[str, int]
 _DATAGRAM_MAX = 4096
 
 
-class _UdpPort:
-    """Answers its client, and streams to the latest one."""
+class DevicePort:
+    """The port of a device: by UDP it answers its latest client and streams to it, by TCP it serves only that one."""
 
-    def __init__(self, wired: Wired, address: Address) -> None:
+    def __init__(self, wired: Wired, address: Address, over_tcp: bool) -> None:
         self._wired = wired
         self._peer: Address | None = None
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(address)
-        self.socket.setblocking(False)
+        self._client: socket.socket | None = None  # by TCP
+        self._over_tcp = over_tcp
+        if over_tcp:
+            self._socket = socket.create_server(address)
+        else:
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._socket.bind(address)
+        self._socket.setblocking(False)
 
     @property
-    def sockets(self) -> tuple[socket.socket, ...]:
+    def sockets(self) -> list[socket.socket]:
         """Those that may become readable."""
-        return (self.socket,)
-
-    def send(self) -> None:
-        self._send(self._wired.take_device())
-
-    def receive(self) -> None:
-        while True:
-            try:
-                data, self._peer = self.socket.recvfrom(_DATAGRAM_MAX)
-            except BlockingIOError:
-                return
-            except ConnectionError:
-                continue  # the client has gone
-            self._send(self._wired.receive_device(data))
-
-    def close(self) -> None:
-        self.socket.close()
-
-    def _send(self, frames: Sequence[bytes]) -> None:
-        for frame in frames:
-            if self._peer is not None:
-                with contextlib.suppress(BlockingIOError, ConnectionError):
-                    self.socket.sendto(frame, self._peer)
-
-
-class _TcpPort:
-    """Serves one client at a time, the latest."""
-
-    def __init__(self, wired: Wired, address: Address) -> None:
-        self._wired = wired
-        self._server = socket.create_server(address)
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
-
-    @property
-    def sockets(self) -> tuple[socket.socket, ...]:
-        """Those that may become readable."""
-        return (self._server,) if self._client is None else (self._server, self._client)
+        return [self._socket] if self._client is None else [self._socket, self._client]
 
     def send(self) -> None:
         self._send(self._wired.take_device())
 
     def receive(self) -> None:
         with contextlib.suppress(BlockingIOError):
-            client, _ = self._server.accept()
+            if self._over_tcp:
+                self._receive_tcp()
+            while not self._over_tcp:
+                with contextlib.suppress(ConnectionError):  # the client has gone
+                    data, self._peer = self._socket.recvfrom(_DATAGRAM_MAX)
+                    self._send(self._wired.receive_device(data))
+
+    def _receive_tcp(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            client, _ = self._socket.accept()
             self._drop()
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
-        if self._client is None:
-            return
-        with contextlib.suppress(BlockingIOError):
-            try:
+        if self._client is not None:
+            data = b""
+            with contextlib.suppress(ConnectionError):
                 data = self._client.recv(_DATAGRAM_MAX)
-            except ConnectionError:
-                data = b""
             if data:
                 self._send(self._wired.receive_device(data))
             else:
@@ -138,12 +112,15 @@ class _TcpPort:
 
     def close(self) -> None:
         self._drop()
-        self._server.close()
+        self._socket.close()
 
     def _send(self, frames: Sequence[bytes]) -> None:
-        if self._client is not None:
-            with contextlib.suppress(BlockingIOError, ConnectionError):
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            if self._client is not None:
                 self._client.sendall(b"".join(frames))
+        for frame in frames if self._peer is not None else ():
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                self._socket.sendto(frame, self._peer)
 
     def _drop(self) -> None:
         if self._client is not None:
@@ -151,9 +128,6 @@ class _TcpPort:
             self._client = None
 
 
-DevicePort = _UdpPort | _TcpPort
-
-
 def device_port(kind: str, wired: Wired, address: Address) -> DevicePort:
     """Return an open port for a device of this kind."""
-    return _TcpPort(wired, address) if kind.partition("@")[0] in OVER_TCP else _UdpPort(wired, address)
+    return DevicePort(wired, address, kind.partition("@")[0] in OVER_TCP)

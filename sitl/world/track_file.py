@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import islice, pairwise
+from itertools import islice, pairwise, zip_longest
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -61,18 +61,9 @@ _TIMES = (
 _CLOCKS = ("time", "utc_t", "heure", "hora", "uhrzeit")
 _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "long", "lng")
 _OWNERS = (
-    *(
-        "what",
-        "mmsi",
-        "imo",
-        "individual_local_identifier",
-        "tag_local_identifier",
-        "track_id",
-        "trackid",
-        "vessel_id",
-    ),
-    *("trip_id", "device_id", "deviceid", "object_id", "user_id", "uid", "icao24", "callsign", "vesselname"),
-    *("name", "title", "id"),
+    *("what", "mmsi", "imo", "individual_local_identifier", "tag_local_identifier", "track_id", "trackid"),
+    *("vessel_id", "trip_id", "device_id", "deviceid", "object_id", "user_id", "uid", "icao24", "callsign"),
+    *("vesselname", "name", "title", "id"),
 )
 _WAY_POINT_COMMANDS = frozenset({16, 17, 18, 19, 21, 22, 31, 82, 84, 85})  # MAV_CMD_NAV_*
 _WPL_COLUMNS = 12
@@ -86,15 +77,12 @@ class TrackError(ValueError):
 class Line:
     """One track, route, drawn line, area or set of points of a file.
 
-    Attributes:
-        kind: "route", "line", "track", "area" or "points".
-        name: Its name in the file, its number where it has none.
-        points: (time, latitude, longitude, line of the file), or with east and north in metres. The time is in
-            seconds or, where it is a number, as in the file; NaN where there is none or no calendar has it.
+    points: (time, latitude, longitude, line of the file), or with east and north in metres. The time is in seconds
+    or, where it is a number, as in the file; NaN where there is none or no calendar has it.
     """
 
-    kind: str
-    name: str = ""
+    kind: str  # "route", "line", "track", "area" or "points"
+    name: str = ""  # its number where the file has none
     points: list[tuple[float, float, float, int]] = field(default_factory=list)
 
     def length_m(self, geodetic: bool) -> float:
@@ -106,9 +94,7 @@ class Line:
 
 
 class _Lines(list[Line]):
-    """The lines of a file; point_count: of all of them."""
-
-    point_count = 0
+    point_count = 0  # of all lines
 
     def begin(self, kind: str, name: str = "") -> Line:
         self.append(line := Line(kind, name))
@@ -128,7 +114,6 @@ def file_and_name(path: Path) -> tuple[Path, str]:
 
 
 def is_track_file(path: Path) -> bool:
-    """Return whether the file's suffix is one of ``SUFFIXES``."""
     return file_and_name(path)[0].suffix.lower() in SUFFIXES
 
 
@@ -176,15 +161,12 @@ def chosen(file: Path, found: Sequence[tuple[Line, float]], name: str) -> tuple[
             raise TrackError(f"{file}: has no track or route {name!r:.60}; it has {_listed(names)}")
         named = [int(name) - 1]
     best = max(named or range(len(names)), key=lambda k: found[k][1])
-    others = names[:best] + names[best + 1 :]
+    others, reason = names[:best] + names[best + 1 :], "" if named else ", the longest,"
     if not others:
         return best, ""
     lines = "line of the file is" if len(others) == 1 else "lines of the file are"
-    reason = "" if named else ", the longest,"
-    return best, (
-        f"{names[best]!r:.60}{reason} is used, {len(others)} further {lines} not used ({_listed(others)}); "
-        "--track NAME or FILE#NAME selects another"
-    )
+    used = f"{names[best]!r:.60}{reason} is used, {len(others)} further {lines} not used ({_listed(others)})"
+    return best, f"{used}; --track NAME or FILE#NAME selects another"
 
 
 def _one_line(text: str) -> str:
@@ -193,9 +175,6 @@ def _one_line(text: str) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(f"{name:.40}" for name in names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
-
-
-# -- bytes and times ----------------------------------------------------------------------------------------
 
 
 def _text(path: Path) -> str:
@@ -265,16 +244,11 @@ def _seconds(stamp: object) -> float:
         return math.nan
 
 
-# -- XML ----------------------------------------------------------------------------------------------------
-
-
 def _read_xml(text: str, lines: _Lines) -> None:
     """Read GPX, KML or cursor on target: prefixes need not be declared, entities are refused."""
-    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    builder, parser, handlers = ElementTree.TreeBuilder(), expat.ParserCreate(), _handlers(lines)
     parser.buffer_text = True
-    root: list[str] = []
     parts = 0
-    handlers: dict[str, Callable[[ElementTree.Element, int], None]] = {}
 
     def local(name: str) -> str:
         return name.rpartition(":")[2]
@@ -284,15 +258,11 @@ def _read_xml(text: str, lines: _Lines) -> None:
         parts += 1 + 3 * len(attributes)
         if parts > _PARTS_MAX:
             raise ValueError("it has too many parts")
-        if not root:
-            root.append(local(name))
-            handlers.update((_gpx_handlers if root[0].lower() == "gpx" else _other_handlers)(lines))
         builder.start(local(name), {local(key): value for key, value in attributes.items()})
 
     def end(name: str) -> None:
         element = builder.end(local(name))
-        handler = handlers.get(element.tag)
-        if handler is not None:
+        if handler := handlers.get(element.tag):
             try:
                 handler(element, parser.CurrentLineNumber)
             except ValueError as error:
@@ -310,35 +280,24 @@ def _read_xml(text: str, lines: _Lines) -> None:
     parser.Parse(text, True)
 
 
-_Handlers = dict[str, Callable[[ElementTree.Element, int], None]]
+def _handlers(lines: _Lines) -> dict[str, Callable[[ElementTree.Element, int], None]]:
+    """Return what takes an element of this name at its end, with its line of the file.
 
-
-def _gpx_handlers(lines: _Lines) -> _Handlers:
-    """Read tracks, routes and way points of GPX. The segments of a track are one line."""
-    way_points = lines.begin("points", "way points")
-    present = Line("")
+    The segments of a GPX track are one line, and so are the tracks of a gx:MultiTrack that follow one another.
+    """
+    way_points, marks, present = lines.begin("points", "way points"), lines.begin("points", "placemarks"), Line("")
+    named = [len(lines)]  # how many lines have been given their placemark's name
+    senders: dict[str, Line] = {}  # of cursor on target
 
     def point(element: ElementTree.Element, at: int) -> None:
         latitude, longitude = element.get("lat"), element.get("lon")
         if latitude and longitude:
-            stamp = element.findtext("time", "").strip()
             line = way_points if element.tag == "wpt" else present
-            lines.add(line, _seconds(stamp) if stamp else math.nan, float(latitude), float(longitude), at)
+            lines.add(line, _stamp(element.findtext("time", "")), float(latitude), float(longitude), at)
 
     def whole(element: ElementTree.Element, _at: int) -> None:
         line = lines.begin("track" if element.tag == "trk" else "route", element.findtext("name", ""))
         line.points, present.points = present.points, []
-
-    return {"trkpt": point, "rtept": point, "wpt": point, "trk": whole, "rte": whole}
-
-
-def _other_handlers(lines: _Lines) -> _Handlers:
-    """Read lines, outlines, points and tracks of KML; links of a route and positions of senders in cursor on target.
-
-    The tracks of a gx:MultiTrack are one line if they follow one another.
-    """
-    marks = lines.begin("points", "placemarks")
-    named = [len(lines)]  # how many lines have been given their placemark's name
 
     def coordinates(element: ElementTree.Element, at: int) -> None:
         kind = {"LineString": "line", "LinearRing": "area"}.get(element.tag)
@@ -351,11 +310,10 @@ def _other_handlers(lines: _Lines) -> _Handlers:
 
     def track(element: ElementTree.Element, at: int) -> None:
         line, stamps = lines.begin("track"), [one.text or "" for one in element.iter("when")]
-        for k, one in enumerate(element.iter("coord")):
-            words = _SPACE_OR_COMMA.split((one.text or "").strip())
+        for one, stamp in zip_longest(element.findall(".//coord"), stamps, fillvalue=""):
+            words = _SPACE_OR_COMMA.split("" if isinstance(one, str) else (one.text or "").strip())
             if words != [""]:
-                stamp = stamps[k] if k < len(stamps) else ""
-                lines.add(line, _seconds(stamp) if stamp.strip() else math.nan, *_latitude_longitude(words), at)
+                lines.add(line, _stamp(stamp), *_latitude_longitude(words), at)
 
     def tracks(_element: ElementTree.Element, _at: int) -> None:
         own = [line for line in lines[named[0] :] if line.kind == "track" and line.points]
@@ -375,8 +333,6 @@ def _other_handlers(lines: _Lines) -> _Handlers:
             line.name = element.findtext("name", "")
         named[0] = len(lines)
 
-    senders: dict[str, Line] = {}  # of cursor on target
-
     def event(element: ElementTree.Element, at: int) -> None:
         contact, point = element.find("detail/contact"), element.find("point")
         uid = element.get("uid", "")
@@ -392,6 +348,8 @@ def _other_handlers(lines: _Lines) -> _Handlers:
             lines.add(line, _seconds(element.get("time")), *place, at)
 
     return {
+        **dict.fromkeys(("trkpt", "rtept", "wpt"), point),
+        **dict.fromkeys(("trk", "rte"), whole),
         **dict.fromkeys(("LineString", "LinearRing", "Point"), coordinates),
         **{"Track": track, "MultiTrack": tracks, "innerBoundaryIs": hole, "Placemark": placemark, "event": event},
     }
@@ -404,9 +362,6 @@ def _latitude_longitude(position: Any) -> tuple[float, float]:
             with suppress(ValueError, TypeError):
                 return float(latitude), float(longitude)
     raise ValueError(f"{position!r:.60} is not a position in degrees (longitude, latitude)")
-
-
-# -- JSON and missions --------------------------------------------------------------------------------------
 
 
 def _read_json(text: str, lines: _Lines) -> None:
@@ -460,9 +415,10 @@ def _add_line(lines: _Lines, line: Line, parts: Sequence[Any], properties: dict[
     if stamps and isinstance(stamps[0], list):
         stamps = [stamp for part in stamps for stamp in part]
     positions = [position for part in parts for position in part]
-    timed = len(stamps) == len(positions)
-    for k, position in enumerate(positions):
-        lines.add(line, _seconds(stamps[k]) if timed else math.nan, *_latitude_longitude(position), 0)
+    if len(stamps) != len(positions):
+        stamps = [math.nan] * len(positions)
+    for stamp, position in zip(stamps, positions, strict=True):
+        lines.add(line, _seconds(stamp), *_latitude_longitude(position), 0)
 
 
 _MissionItem = tuple[Any, Any, Any, int]  # command, latitude, longitude, line of the file
@@ -512,9 +468,6 @@ def _read_nmea(text: str, lines: _Lines) -> None:
             lines.add(line, _seconds(f"{year}{month}{day} {clock}"), *place, at)
 
 
-# -- tables -------------------------------------------------------------------------------------------------
-
-
 def _read_csv(text: str, lines: _Lines) -> bool:
     """Read a table after its first line that names the columns of a position; return whether it is in degrees."""
     begun, number = 0, 1
@@ -546,7 +499,7 @@ def _read_table(header: list[str], rows: Iterable[tuple[int, list[Any]]], lines:
     if first is None or second is None:
         raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
     time, date, clock = (_column(names, alike) for alike in (_TIMES, ("date", "utc_d"), _CLOCKS))
-    if date is None or clock is None or date == clock or time not in (date, clock):
+    if None in (date, clock) or date == clock or time not in (date, clock):
         date = None
     else:
         time = clock  # the date has a column of its own
@@ -591,13 +544,15 @@ def _column(names: list[str], alike: Sequence[str]) -> int | None:
     return names.index(min(having, key=len)) if having else None
 
 
-def _stamp(time: str, date: str) -> float:
-    """Return a time; date: the cell of a separate column, which a whole time of its own does not need."""
+def _stamp(time: str, date: str = "") -> float:
+    """Return a time, NaN if there is none; date: a separate cell, which a whole time of its own does not need."""
     if date:
         with suppress(ValueError):
             joined = _seconds(f"{date} {time}")
             if math.isfinite(joined):
                 return joined
+    if not time.strip():
+        return math.nan
     return _seconds(time.replace(",", ".") if _DECIMAL_COMMA.fullmatch(time) else time)
 
 
