@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.arduplane.vehicle import SimulatedArduPlane
+from sidelong.sitl.arduplane import SimulatedArduPlane
 from sidelong.sitl.autopilot import SimulatedAutopilot
 from sidelong.sitl.payload.devices import Device, device_of
 from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
 from sidelong.sitl.payload.wired import Wired
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
-from sidelong.sitl.px4.vehicle import SimulatedPx4
+from sidelong.sitl.px4 import SimulatedPx4
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.world.hills import Hills
 from sidelong.sitl.world.motion import MOTIONS, Motion, built_in_motion

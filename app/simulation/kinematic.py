@@ -1,9 +1,8 @@
 """A vehicle of :mod:`sidelong.sitl` in a closed loop: its modes, missions and guidance, without bytes and streams.
 
 Readings are handed over decoded and status as messages, at fixed rates; only what the exchange sends passes as
-frames. The
-vehicle flies by the simulator's own guidance (:mod:`sidelong.sitl.arduplane.navigator`,
-:mod:`sidelong.sitl.px4.navigator`), not by the model with which the way points are laid out.
+frames. The vehicle flies by the simulator's own guidance (:mod:`sidelong.sitl.arduplane`, :mod:`sidelong.sitl.px4`),
+not by the model with which the way points are laid out.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.upload.items import MissionLayout, circle_item
 from sidelong.mission.upload.mission_item import e7
 from sidelong.sitl import settings as sitl
-from sidelong.sitl.arduplane.vehicle import ArduPlaneMode, SimulatedArduPlane
+from sidelong.sitl.arduplane import ArduPlaneMode, SimulatedArduPlane
 from sidelong.sitl.protocol.transfer import Item
-from sidelong.sitl.px4.vehicle import Px4Mode, SimulatedPx4
+from sidelong.sitl.px4 import Px4Mode, SimulatedPx4
 from sidelong.sitl.world import airframe
 
 _ADDRESS = "loop"

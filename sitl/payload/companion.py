@@ -122,9 +122,9 @@ class Companion(Wired):
             return []
         measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
         target = target_m, plane.latitude_longitude_deg(*target_m[:2])
-        laser = sight.slant_range_m, sight.bearing_rad, measured.laser_valid, measured.laser_outlier
+        line, laser = (sight.slant_range_m, sight.bearing_rad), (measured.laser_valid, measured.laser_outlier)
         ground = hills.reported(aircraft_m, in_sight)
-        self.on_truth(TruthRow(time_s, *target, aircraft_m, aircraft_deg, *laser, *ground))
+        self.on_truth(TruthRow(time_s, *target, aircraft_m, aircraft_deg, *line, *laser, *ground))
         self._measured = since_s, measured
         if self.device is not None:
             self.look(self.device, sight, measured, self._heading_rad, self._roll_rad)
@@ -187,11 +187,10 @@ def _connected(scheme: str, address: str) -> Any:
     # Otherwise pymavlink begins a new parser at the first frame of version 2, and that one has lost the signing key.
     os.environ["MAVLINK20"] = "1"
     mavutil.set_dialect("all")
+    own_id = mavlink.MAV_COMP_ID_GIMBAL
     if scheme == "tcpout":
-        return _TcpLink(address, source_component=mavlink.MAV_COMP_ID_GIMBAL, retries=1)
-    return mavutil.mavlink_connection(
-        f"{scheme}:{address}", source_component=mavlink.MAV_COMP_ID_GIMBAL, dialect="all"
-    )
+        return _TcpLink(address, source_component=own_id, retries=1)
+    return mavutil.mavlink_connection(f"{scheme}:{address}", source_component=own_id, dialect="all")
 
 
 def _converse(

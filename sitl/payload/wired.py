@@ -118,9 +118,10 @@ class DevicePort:
         with contextlib.suppress(BlockingIOError, ConnectionError):
             if self._client is not None:
                 self._client.sendall(b"".join(frames))
-        for frame in frames if self._peer is not None else ():
+        for frame in frames:
             with contextlib.suppress(BlockingIOError, ConnectionError):
-                self._socket.sendto(frame, self._peer)
+                if self._peer is not None:
+                    self._socket.sendto(frame, self._peer)
 
     def _drop(self) -> None:
         if self._client is not None:

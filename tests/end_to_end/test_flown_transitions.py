@@ -14,8 +14,8 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.paper.transition import abcd, stretched_lap
 from sidelong.mission.upload.items import lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.sitl.arduplane.navigator import L1Guidance
-from sidelong.sitl.px4.navigator import PathFollower
+from sidelong.sitl.arduplane import L1Guidance
+from sidelong.sitl.px4 import PathFollower
 from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe
 from sidelong.sitl.world.airframe import WindVector as Air
 

@@ -10,8 +10,8 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.orbit_command import leading_circle
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.paper.transition import abcd, stretched_lap
-from sidelong.sitl.arduplane.navigator import L1Guidance
-from sidelong.sitl.px4.navigator import PathFollower
+from sidelong.sitl.arduplane import L1Guidance
+from sidelong.sitl.px4 import PathFollower
 from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe, WindVector
 
 STEP_S, GRAVITY_M_S2, AIRSPEED_M_S, RADIUS_M = 0.02, 9.80665, 15.0, 70.0

@@ -12,7 +12,7 @@ from sidelong.mission.control.present import Phase
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ActivatePlan, DecisionRecord, OperatorRequest, UploadPlan, Yield
 from sidelong.mission.exchange.reports import ShutdownRequested
-from sidelong.sitl.arduplane.vehicle import ArduPlaneMode
+from sidelong.sitl.arduplane import ArduPlaneMode
 
 _DECIDED = DecisionRecord, UploadPlan, ActivatePlan, Yield
 

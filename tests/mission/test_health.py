@@ -15,7 +15,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.health.health import Health
-from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
+from sidelong.sitl.arduplane import ArduPlaneNavigator
 from tests.faults.flight import ERRORS, FaultedFlight, Scenario
 from tests.faults.flight_faults import (
     GIMBAL,

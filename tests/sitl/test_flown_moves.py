@@ -11,11 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
-from sidelong.sitl.arduplane.vehicle import BUILD as ARDUPLANE_BUILD
-from sidelong.sitl.arduplane.vehicle import arduplane_parameters
-from sidelong.sitl.px4.navigator import Px4Navigator
-from sidelong.sitl.px4.vehicle import SimulatedPx4, px4_parameters
+from sidelong.sitl.arduplane import BUILD as ARDUPLANE_BUILD
+from sidelong.sitl.arduplane import ArduPlaneNavigator, arduplane_parameters
+from sidelong.sitl.px4 import Px4Navigator, SimulatedPx4, px4_parameters
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.world.airframe import LocalPosition, SimulatedAirframe, WindVector
 

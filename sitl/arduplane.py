@@ -1,12 +1,15 @@
-"""ArduPlane as a ground program meets it: modes, parameters, commands, telemetry, failsafe and terrain requests.
+"""A simulated ArduPlane as a ground program meets it: modes, mission, guidance, parameters, telemetry, terrain.
 
-Terrain heights come in blocks of 8 x 7 squares, each of 4 x 4 posts 100 m apart. Here blocks overlap by one row of
-posts, so that every position is between four posts of one block.
+Guidance is that of its waypoint and loiter code: L1 by S. Park, J. Deyst, J. P. How, "A New Nonlinear Guidance Logic
+for Trajectory Tracking", AIAA 2004-4900, with a PD term on circles. Neither branch for circles has an integral, so an
+airframe that turns less than its bank promises flies a larger circle.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -14,15 +17,379 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.arduplane.mission import NAVIGATION, ArduPlaneMission, MissionState
-from sidelong.sitl.arduplane.navigator import NAVIGATION_PERIOD_S, ArduPlaneNavigator
 from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, TransferQuirks
+from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, ItemRefused, Store, TransferQuirks
 from sidelong.sitl.settings import Release, Settings
-from sidelong.sitl.world.airframe import AirframeParameters, LocalPosition
+from sidelong.sitl.world.airframe import (
+    AirframeParameters,
+    LocalPosition,
+    SimulatedAirframe,
+    true_over_equivalent_airspeed,
+)
+
+_CAPTURE_MAX = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
+_INTEGRAL_MAX_RAD = 0.1
+_PASSED_S = 3.0
+_RIGHT_ANGLE_RAD = math.pi / 2
+NAVIGATION_PERIOD_S = 0.1
+
+
+class L1Guidance:
+    """Lateral acceleration towards a line or a circle, and what was computed on the way, for telemetry."""
+
+    def __init__(self, period_s: float = 17.0, damping: float = 0.75, integral_gain: float = 0.02) -> None:
+        self.period_s = period_s
+        self.damping = damping
+        self.integral_gain = integral_gain
+        self.length_m = self.cross_track_m = self.nav_bearing_rad = self._bearing_integral_rad = 0.0
+        self.on_circle = False
+
+    def towards_line(
+        self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float], dt_s: float
+    ) -> float:
+        """Return the acceleration that joins and follows the line from start to end (east, north)."""
+        self.on_circle = False
+        speed_m_s, course_rad = max(0.1, craft.ground_speed_m_s), craft.course_rad
+        self.length_m = self.damping * self.period_s * speed_m_s / math.pi
+        line_east_m, line_north_m = end_m[0] - start_m[0], end_m[1] - start_m[1]
+        line_m = math.hypot(line_east_m, line_north_m)
+        if line_m < 1e-6:
+            line_east_m, line_north_m = end_m[0] - craft.east_m, end_m[1] - craft.north_m
+        line_rad = math.atan2(line_east_m, line_north_m)
+        from_start_m = (craft.east_m - start_m[0], craft.north_m - start_m[1])
+        sine, cosine = math.sin(line_rad), math.cos(line_rad)
+        along_m = from_start_m[0] * sine + from_start_m[1] * cosine
+        self.cross_track_m = from_start_m[0] * cosine - from_start_m[1] * sine  # positive right of the line
+        start_distance_m = math.hypot(*from_start_m)
+        if start_distance_m > self.length_m and along_m < -_CAPTURE_MAX * start_distance_m:
+            aim_rad = math.atan2(-from_start_m[0], -from_start_m[1])
+        elif along_m > line_m + _PASSED_S * speed_m_s:
+            aim_rad = math.atan2(end_m[0] - craft.east_m, end_m[1] - craft.north_m)
+        else:
+            offset = max(-_CAPTURE_MAX, min(_CAPTURE_MAX, self.cross_track_m / self.length_m))
+            turn_in_rad = math.asin(offset)
+            if abs(turn_in_rad) < math.radians(5.0):
+                integral_rad = self._bearing_integral_rad + turn_in_rad * self.integral_gain * dt_s
+                self._bearing_integral_rad = max(-_INTEGRAL_MAX_RAD, min(_INTEGRAL_MAX_RAD, integral_rad))
+            aim_rad = line_rad - turn_in_rad - self._bearing_integral_rad
+        self.nav_bearing_rad = aim_rad
+        return self._pursue(aim_rad - course_rad, speed_m_s)
+
+    def towards_circle(
+        self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
+    ) -> float:
+        """Return the acceleration that captures the circle and then holds it."""
+        speed_m_s = max(1.0, craft.ground_speed_m_s)
+        self.length_m = self.damping * self.period_s * speed_m_s / math.pi
+        east_m, north_m = craft.east_m - centre_m[0], craft.north_m - centre_m[1]
+        distance_m = max(0.1, math.hypot(east_m, north_m))
+        out_east, out_north = east_m / distance_m, north_m / distance_m
+        outward_m_s = craft.velocity_east_m_s * out_east + craft.velocity_north_m_s * out_north
+        rightward_m_s = craft.velocity_east_m_s * out_north - craft.velocity_north_m_s * out_east
+        turn = 1.0 if clockwise else -1.0
+        tangential_m_s = turn * rightward_m_s  # positive the right way round
+        natural_rad_s = math.tau / self.period_s
+        self.cross_track_m = distance_m - radius_m
+        self.nav_bearing_rad = math.atan2(-east_m, -north_m)
+        capture_m_s2 = self._pursue(self.nav_bearing_rad - craft.course_rad, speed_m_s)
+        hold_m_s2 = natural_rad_s**2 * self.cross_track_m + 2.0 * self.damping * natural_rad_s * outward_m_s
+        if outward_m_s > 0.0 and tangential_m_s < 0.0:  # the wrong way round: do not turn further outward
+            hold_m_s2 = max(0.0, hold_m_s2)
+        circle_m_s2 = turn * (hold_m_s2 + tangential_m_s**2 / max(0.5 * radius_m, distance_m))
+        self.on_circle = not (self.cross_track_m > 0.0 and turn * capture_m_s2 < turn * circle_m_s2)
+        return circle_m_s2 if self.on_circle else capture_m_s2
+
+    def _pursue(self, angle_rad: float, speed_m_s: float) -> float:
+        angle_rad = math.remainder(angle_rad, math.tau)
+        sine = math.sin(angle_rad) if abs(angle_rad) < _RIGHT_ANGLE_RAD else math.copysign(1.0, angle_rad)
+        return 4.0 * self.damping**2 * speed_m_s**2 / self.length_m * sine
+
+
+_LINE_RADII = 3.0  # a circle further away than this many radii is approached along the leg to its centre
+
+
+@dataclass(slots=True)
+class Loiter:
+    """Progress on a circle. reached_s: when it was captured, or its centre passed."""
+
+    clockwise: bool
+    reached_s: float | None = None
+    turned_rad: float = 0.0
+    last_bearing_rad: float | None = None
+
+
+class ArduPlaneNavigator:
+    """Where to, from where, and the lateral acceleration that leads there."""
+
+    def __init__(self, craft: SimulatedAirframe, parameters: Parameters, home_altitude_m: float) -> None:
+        self._craft = craft
+        self._parameters = parameters
+        self._home_altitude_m = home_altitude_m
+        self.guidance = L1Guidance()
+        self.goal = self._origin = LocalPosition(0.0, 0.0, 0.0)
+        self.loiter = Loiter(clockwise=True)
+        self._tuned_at = -1  # changes of parameters when the guidance was tuned
+        self._on_track = False  # the line from the origin is to be followed, not just its end reached
+        self._track_next = False
+        self._turn_ahead_rad = _RIGHT_ANGLE_RAD
+
+    @property
+    def _thin_air_factor(self) -> float:
+        """ArduPlane widens radii in thin air, so that the bank stays that of sea level."""
+        return true_over_equivalent_airspeed(self._home_altitude_m + self._craft.height_m) ** 2
+
+    def start_over(self) -> None:
+        """Let the next leg begin here, untracked, as after a takeoff or a change of mode."""
+        self._track_next = False
+
+    def go_to(self, goal: LocalPosition, then: LocalPosition | None, clockwise: bool) -> None:
+        """Make ``goal`` the end of the next leg; ``then`` is what follows it in the mission."""
+        if self._track_next:
+            self._origin, self._on_track = self.goal, True
+        else:
+            self._origin, self._on_track, self._track_next = LocalPosition.of(self._craft), False, True
+        self.goal = goal
+        if self._behind_goal():
+            self._origin = LocalPosition.of(self._craft)
+        self.loiter = Loiter(clockwise)
+        self._turn_ahead_rad = _RIGHT_ANGLE_RAD
+        if then is not None:
+            course_rad, next_rad = self._origin.bearing_rad(goal), goal.bearing_rad(then)
+            self._turn_ahead_rad = abs(math.remainder(next_rad - course_rad, math.tau))
+
+    def circle(self, centre: LocalPosition, clockwise: bool) -> None:
+        """Head straight for a circle, without a line to follow."""
+        self._origin, self.goal, self._on_track = LocalPosition.of(self._craft), centre, False
+        self.loiter = Loiter(clockwise)
+
+    def fly_leg(self, acceptance_m: float) -> tuple[str | None, float]:
+        """Return the word for how the leg ended (None: it has not) and the lateral acceleration.
+
+        acceptance_m 0: by WP_RADIUS, in proportion to the turn that follows, or past the finish line.
+        """
+        lateral_m_s2 = self.fly_line()
+        if acceptance_m <= 0.0:
+            reach_m = min(self._parameters["WP_RADIUS"] * self._thin_air_factor, self.guidance.length_m)
+            acceptance_m = reach_m * min(1.0, self._turn_ahead_rad / _RIGHT_ANGLE_RAD)
+        if self.goal.distance_m(self._craft) <= acceptance_m:
+            return "Reached", lateral_m_s2
+        return "Passed" if self._behind_goal() else None, lateral_m_s2
+
+    def fly_line(self) -> float:
+        if self._tuned_at != self._parameters.changes:
+            self._tune()
+        craft, goal = self._craft, self.goal
+        start_m = self._origin.ground_m if self._on_track else (craft.east_m, craft.north_m)
+        return self.guidance.towards_line(craft, start_m, goal.ground_m, NAVIGATION_PERIOD_S)
+
+    def fly_circle(self, radius_m: float, now_s: float, by_line: bool) -> float:
+        """by_line: a far circle is approached along its leg."""
+        loiter, craft, goal, guidance = self.loiter, self._craft, self.goal, self.guidance
+        radius_m *= self._thin_air_factor
+        approaches = by_line and self._on_track and loiter.reached_s is None
+        if approaches and goal.distance_m(craft) > _LINE_RADII * radius_m:
+            return self.fly_line()
+        if self._tuned_at != self._parameters.changes:
+            self._tune()
+        lateral_m_s2 = guidance.towards_circle(craft, goal.ground_m, radius_m, loiter.clockwise)
+        if loiter.reached_s is None and (guidance.on_circle or self._behind_goal()):
+            loiter.reached_s = now_s
+        if guidance.on_circle or loiter.last_bearing_rad is not None:
+            bearing_rad = math.atan2(goal.east_m - craft.east_m, goal.north_m - craft.north_m)
+            if loiter.last_bearing_rad is not None:
+                step_rad = math.remainder(bearing_rad - loiter.last_bearing_rad, math.tau)
+                loiter.turned_rad += step_rad if loiter.clockwise else -step_rad
+            loiter.last_bearing_rad = bearing_rad
+        return lateral_m_s2
+
+    def _tune(self) -> None:
+        self._tuned_at = self._parameters.changes
+        self.guidance.period_s = self._parameters.within("NAVL1_PERIOD", 1.0, 60.0)
+        self.guidance.damping = self._parameters.within("NAVL1_DAMPING", 0.1, 2.0)
+        self.guidance.integral_gain = self._parameters["NAVL1_XTRACK_I"]
+
+    def _behind_goal(self) -> bool:
+        """Whether the finish line, square to the leg through its end, is passed."""
+        leg_east_m, leg_north_m = self.goal.east_m - self._origin.east_m, self.goal.north_m - self._origin.north_m
+        east_m, north_m = self._craft.east_m - self.goal.east_m, self._craft.north_m - self.goal.north_m
+        return leg_east_m * east_m + leg_north_m * north_m >= 0.0
+
+
+_ACCEPTED: int = mavlink.MAV_MISSION_ACCEPTED
+
+NAVIGATION = {  # items that are flown, with their names in texts
+    mavlink.MAV_CMD_NAV_WAYPOINT: "WP",
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: "LoitUnlim",
+    mavlink.MAV_CMD_NAV_LOITER_TURNS: "LoitTurns",
+    mavlink.MAV_CMD_NAV_LOITER_TIME: "LoitTime",
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "RTL",
+    mavlink.MAV_CMD_NAV_LAND: "Land",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "Takeoff",
+    mavlink.MAV_CMD_NAV_LOITER_TO_ALT: "LoitAltitude",
+}
+_ANY_YAW = {
+    mavlink.MAV_CMD_NAV_WAYPOINT,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+}  # whose param 4 may be NaN
+
+
+class MissionState(IntEnum):
+    STOPPED = mavlink.MISSION_STATE_NOT_STARTED
+    RUNNING = mavlink.MISSION_STATE_ACTIVE
+    COMPLETE = mavlink.MISSION_STATE_COMPLETE
+
+
+class ArduPlaneMission(Store):
+    """Storage and sequence. ``on_start`` is called with each item that begins, navigation or immediate."""
+
+    def __init__(
+        self,
+        home: Item,
+        say: Callable[[int, str], None],
+        on_start: Callable[[int, Item], None],
+        armed: Callable[[], bool],
+    ) -> None:
+        super().__init__(with_checksum=False)
+        self._home = home
+        self._say = say
+        self._on_start = on_start
+        self._armed = armed
+        self.state = MissionState.STOPPED
+        self.index = 0  # of the item that is flown, or would be; 0: none yet
+        self.item: Item | None = None  # the copy that is flown
+
+    # Storage, as the protocol sees it.
+
+    def current_index(self) -> int:
+        return self.index
+
+    def begin(self, count: int) -> int:
+        del self._items[count:]
+        return self.finish() if count == 0 else _ACCEPTED
+
+    def put(self, index: int, item: Item, current: bool) -> None:  # ArduPilot ignores the flag
+        refuse_no_numbers(item)
+        stored = self._home if index == 0 else as_stored(item)
+        if index < len(self._items):
+            self._items[index] = stored
+        elif index == len(self._items):
+            self._items.append(stored)
+        else:
+            raise ItemRefused(mavlink.MAV_MISSION_ERROR)
+
+    def finish(self) -> int:
+        self._say(mavlink.MAV_SEVERITY_INFO, "Flight plan received")
+        return _ACCEPTED
+
+    def abandon(self) -> None:
+        """Leave what has arrived where it is."""
+
+    def clear(self) -> int:
+        if self.state is MissionState.RUNNING and self._armed():
+            return int(mavlink.MAV_MISSION_ERROR)
+        self._items.clear()
+        self.state, self.index, self.item = MissionState.STOPPED, 0, None
+        return _ACCEPTED
+
+    # Sequence.
+
+    @property
+    def reported_state(self) -> int:
+        return int(mavlink.MISSION_STATE_NO_MISSION if len(self._items) <= 1 else self.state)
+
+    def stop(self) -> None:
+        if self.state == MissionState.RUNNING:
+            self.state = MissionState.STOPPED
+
+    def resume(self) -> None:
+        """Fly the current item as it is stored now; from the first if there is none or the mission had ended."""
+        index = self.index if self.state == MissionState.STOPPED and 0 < self.index < len(self._items) else 1
+        self.state = MissionState.RUNNING
+        self._start_from(index)
+
+    def set_current(self, index: int) -> bool:
+        if not 0 <= index < len(self._items) or len(self._items) <= 1:
+            return False
+        index = max(1, index)
+        if self.state == MissionState.RUNNING:
+            self._start_from(index)
+        else:
+            self.state, self.index = MissionState.STOPPED, index
+        return True
+
+    def advance(self) -> None:
+        """Go on: the current item is done."""
+        self._start_from(self.index + 1)
+
+    def following(self) -> Item | None:
+        """Return the next navigation item in storage."""
+        return next((item for item in self._items[self.index + 1 :] if item.command in NAVIGATION), None)
+
+    def _start_from(self, index: int) -> None:
+        while index < len(self._items):
+            item = self._items[index]
+            if item.command in NAVIGATION:
+                self.index, self.item = index, item
+                self._on_start(index, item)
+                return
+            self._on_start(index, item)
+            index += 1
+        self.state, self.item = MissionState.COMPLETE, None
+
+
+def refuse_no_numbers(item: Item) -> None:
+    """Raise ItemRefused for the first param that is no number, where it has to be one."""
+    for number, value in enumerate(item.params):
+        if math.isinf(value) or (math.isnan(value) and (number < 3 or item.command not in _ANY_YAW)):
+            raise ItemRefused(mavlink.MAV_MISSION_INVALID_PARAM1 + number)
+
+
+def as_stored(item: Item) -> Item:
+    """Return the item as the vehicle gives it back. Raises ItemRefused."""
+    first, second, third, fourth = item.params
+    params: tuple[float, ...]
+    match item.command:
+        case mavlink.MAV_CMD_NAV_WAYPOINT:
+            params = (0.0, float(min(255, _whole(second))), float(min(255, _whole(third))))
+        case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+            params = (0.0, 0.0, _signed_whole(third))
+        case mavlink.MAV_CMD_NAV_LOITER_TURNS:
+            turns = math.floor(first * 256.0) / 256.0 if 0 < first < 1 else float(min(255, _whole(first)))
+            radius_m = abs(third)
+            kept_m = float(math.floor(radius_m)) if radius_m <= 255 else 10.0 * min(255, math.floor(radius_m / 10.0))
+            params = (turns, 0.0, math.copysign(kept_m, third), float(fourth > 0))
+        case mavlink.MAV_CMD_NAV_LOITER_TIME:
+            params = (float(_whole(first)), 0.0, -1.0 if third < 0 else 1.0, float(fourth > 0))
+        case mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+            params = (0.0, _signed_whole(second), 0.0, float(fourth > 0))
+        case mavlink.MAV_CMD_NAV_TAKEOFF | mavlink.MAV_CMD_NAV_LAND:
+            params = (float(_whole(first)),)
+        case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+            return item
+        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH | mavlink.MAV_CMD_DO_LAND_START:
+            params = ()
+        case _:
+            raise ItemRefused(mavlink.MAV_MISSION_UNSUPPORTED)
+    if not item.has_position:
+        raise ItemRefused(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
+    relative = item.frame in RELATIVE_FRAMES
+    frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT if relative else mavlink.MAV_FRAME_GLOBAL
+    altitude_m = math.trunc(item.altitude_m * 100.0) / 100.0
+    return replace(item.with_params(*params), frame=frame, altitude_m=altitude_m, autocontinue=1)
+
+
+def _whole(value: float) -> int:
+    return int(max(0.0, value)) if math.isfinite(value) else 0
+
+
+def _signed_whole(value: float) -> float:
+    return math.copysign(float(math.floor(abs(value))), value) if math.isfinite(value) else 0.0
+
 
 _SPACING_M = 100
 _ACROSS, _UP, _SQUARE = 8, 7, 4

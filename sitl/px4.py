@@ -1,9 +1,15 @@
-"""PX4 as a ground program meets it, flying a fixed wing: modes, mission, commands, failsafe."""
+"""A simulated PX4 with a fixed wing as a ground program meets it: modes, mission, guidance, commands, failsafe.
+
+Guidance is a nonlinear path follower with the path's curvature fed forward, after T. Stastny, R. Siegwart, "On Flying
+Backwards: Preventing Run-away of Small, Low-speed, Fixed-wing UAVs in Strong Winds", IROS 2019: the bearing blends
+from straight at the path (far away) to along it (on it).
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -13,11 +19,303 @@ from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Extended, Station
-from sidelong.sitl.protocol.transfer import Item, TransferQuirks
-from sidelong.sitl.px4.mission import Px4Mission, refusal
-from sidelong.sitl.px4.navigator import Px4Navigator
-from sidelong.sitl.settings import Settings
-from sidelong.sitl.world.airframe import AirframeParameters, LocalPosition
+from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, ItemRefused, Store, TransferQuirks, checksum
+from sidelong.sitl.settings import HomePosition, Settings
+from sidelong.sitl.world.airframe import GRAVITY_M_S2, AirframeParameters, LocalPosition, SimulatedAirframe
+from sidelong.sitl.world.geodesy import HomePlane
+
+
+class PathFollower:
+    """Lateral acceleration towards a line or a circle."""
+
+    def __init__(self, period_s: float = 10.0, damping: float = 0.7071) -> None:
+        self.period_s = period_s
+        self.damping = damping
+
+    def towards_line(
+        self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float]
+    ) -> float:
+        """Return the acceleration that joins and follows the endless line through start and end (east, north)."""
+        tangent_rad = math.atan2(end_m[0] - start_m[0], end_m[1] - start_m[1])
+        right_m = (craft.east_m - end_m[0]) * math.cos(tangent_rad) - (craft.north_m - end_m[1]) * math.sin(
+            tangent_rad
+        )
+        return self._follow(craft, tangent_rad, right_m, curvature_per_m=0.0)
+
+    def towards_circle(
+        self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
+    ) -> float:
+        """Return the acceleration that joins and follows the circle."""
+        east_m, north_m = craft.east_m - centre_m[0], craft.north_m - centre_m[1]
+        distance_m = math.hypot(east_m, north_m)
+        outward_rad = math.atan2(east_m, north_m) if distance_m > 0.1 else craft.course_rad
+        turn = 1.0 if clockwise else -1.0
+        tangent_rad = outward_rad + turn * math.pi / 2
+        return self._follow(craft, tangent_rad, -turn * (distance_m - radius_m), turn / max(1.0, distance_m))
+
+    def _follow(self, craft: SimulatedAirframe, tangent_rad: float, right_m: float, curvature_per_m: float) -> float:
+        """right_m: how far the craft is to the right of the path."""
+        speed_m_s = max(1.0, craft.ground_speed_m_s)
+        bound_m = speed_m_s * self.period_s * self.damping
+        closeness = 1.0 - min(1.0, abs(right_m) / bound_m)
+        look_ahead_rad = math.pi / 2 * closeness**2  # 90 degrees: along the path
+        lean_rad = math.pi / 2 - look_ahead_rad
+        heading_rad, turn_ratio = self._heading_for(craft, tangent_rad - math.copysign(lean_rad, right_m))
+        error_rad = math.remainder(heading_rad - craft.heading_rad, math.tau)
+        gain_per_s = 4.0 * math.pi * self.damping / self.period_s
+        correction = math.copysign(1.0, error_rad) if abs(error_rad) > math.pi / 2 else math.sin(error_rad)
+        on_path_rad_s = curvature_per_m * speed_m_s * math.sin(look_ahead_rad) ** 2
+        return craft.airspeed_m_s * (gain_per_s * correction + turn_ratio * on_path_rad_s)
+
+    @staticmethod
+    def _heading_for(craft: SimulatedAirframe, course_rad: float) -> tuple[float, float]:
+        """Return the heading that makes good the course in this wind, and d(heading) / d(course)."""
+        wind, airspeed_m_s = craft.wind, craft.airspeed_m_s
+        sine, cosine = math.sin(course_rad), math.cos(course_rad)
+        cross_m_s = wind.east_m_s * cosine - wind.north_m_s * sine  # wind to the right of the course
+        along_m_s = wind.east_m_s * sine + wind.north_m_s * cosine
+        drift_rad = math.asin(max(-0.95, min(0.95, cross_m_s / airspeed_m_s)))
+        return course_rad - drift_rad, 1.0 + along_m_s / (airspeed_m_s * math.cos(drift_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class LoiterGoal:
+    centre: LocalPosition
+    radius_m: float
+    clockwise: bool
+
+
+class Px4Navigator:
+    """Where to, from where, and the lateral acceleration that leads there."""
+
+    def __init__(self, craft: SimulatedAirframe, parameters: Parameters) -> None:
+        self._craft = craft
+        self._parameters = parameters
+        self.follower = PathFollower()
+        self.goal = LocalPosition(0.0, 0.0, 0.0)
+        self._origin: LocalPosition | None = (
+            None  # of the leg; None: it is flown to straight from wherever the aircraft is
+        )
+        self.circle: LoiterGoal | None = None
+        self._inside_since_s: float | None = None
+
+    def go_to(self, goal: LocalPosition, *, from_here: bool) -> None:
+        """Make ``goal`` the end of the leg that begins where the last one ended, or of no leg at all."""
+        self._origin = None if from_here else self.goal
+        self.goal, self.circle, self._inside_since_s = goal, None, None
+
+    def fly_around(self, centre: LocalPosition, signed_radius_m: float = math.nan) -> None:
+        """Circle: positive clockwise; 0 or no number for the parameter's radius."""
+        if not math.isfinite(signed_radius_m) or signed_radius_m == 0.0:
+            signed_radius_m = self._parameters["NAV_LOITER_RAD"]
+        self.goal, self._inside_since_s = centre, None
+        self.circle = LoiterGoal(centre, abs(signed_radius_m), signed_radius_m > 0.0)
+
+    def stop(self) -> None:
+        self.circle = None
+
+    def at_height(self) -> bool:
+        return abs(self._craft.height_m - self.goal.height_m) < self._parameters["NAV_FW_ALT_RAD"]
+
+    def fly_leg(self) -> tuple[bool, float]:
+        """Return whether the waypoint is reached, and the lateral acceleration; waits there for its height.
+
+        An item's own acceptance radius is not heeded. One that no leg leads to is not passed but orbited.
+        """
+        if self.circle is not None:
+            return self.at_height(), self.fly_circle()
+        lateral_m_s2 = self.fly_line()
+        if self.goal.distance_m(self._craft) > self._parameters["NAV_ACC_RAD"] and not self._beyond_goal():
+            return False, lateral_m_s2
+        if not self.at_height():
+            self.fly_around(self.goal)
+            return False, lateral_m_s2
+        return True, lateral_m_s2
+
+    def fly_line(self) -> float:
+        if not self._craft.flying:
+            return 0.0
+        self._tune()
+        origin = self._origin or LocalPosition.of(self._craft)
+        return self.follower.towards_line(self._craft, origin.ground_m, self.goal.ground_m)
+
+    def fly_circle(self) -> float:
+        """Return the lateral acceleration, 0 on the ground and without a circle."""
+        circle = self.circle
+        if circle is None or not self._craft.flying:
+            return 0.0
+        self._tune()
+        # A circle tighter than the roll limit allows is silently flown wider.
+        limit_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._parameters.within("FW_R_LIM", 5.0, 80.0)))
+        radius_m = max(circle.radius_m, self._craft.airspeed_m_s**2 / limit_m_s2)
+        return self.follower.towards_circle(self._craft, circle.centre.ground_m, radius_m, circle.clockwise)
+
+    def inside_for_s(self, now_s: float) -> float | None:
+        """Return how long the circle has been flown, None while it is not yet reached."""
+        circle = self.circle
+        if circle is None:
+            return None
+        if self._inside_since_s is None:
+            if circle.centre.distance_m(self._craft) > circle.radius_m + self._parameters["NAV_ACC_RAD"]:
+                return None
+            self._inside_since_s = now_s
+        return now_s - self._inside_since_s
+
+    def _beyond_goal(self) -> bool:
+        """Whether the line through the goal, square to the leg, is passed."""
+        if self._origin is None:
+            return False
+        course_rad = self._origin.bearing_rad(self.goal)
+        east_m, north_m = self._craft.east_m - self.goal.east_m, self._craft.north_m - self.goal.north_m
+        return east_m * math.sin(course_rad) + north_m * math.cos(course_rad) > 0.0
+
+    def _tune(self) -> None:
+        self.follower.period_s = self._parameters.within("NPFG_PERIOD", 1.0, 100.0)
+        self.follower.damping = self._parameters.within("NPFG_DAMPING", 0.1, 2.0)
+
+
+TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
+LAND = mavlink.MAV_CMD_NAV_LAND
+NAVIGATION = {
+    mavlink.MAV_CMD_NAV_WAYPOINT,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+    mavlink.MAV_CMD_NAV_LOITER_TIME,
+    mavlink.MAV_CMD_NAV_LOITER_TO_ALT,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+    LAND,
+    TAKEOFF,
+}
+_LANDING_ANGLE_SPARE_DEG = 0.1
+_IMMEDIATE = {mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_LAND_START}
+
+
+class Px4Mission(Store):
+    """Storage; ``on_swap`` is called when other items have come."""
+
+    def __init__(self, on_swap: Callable[[], None]) -> None:
+        super().__init__(with_checksum=True)
+        self._on_swap = on_swap
+        self._arriving_current: int | None = None
+        self.mission_id = 0
+        self.index = 0
+
+    def current_index(self) -> int:
+        return self.index
+
+    def opaque_id(self) -> int:
+        return self.mission_id
+
+    def begin(self, count: int) -> int:
+        self._arriving_current = None
+        return super().begin(count)
+
+    def put(self, index: int, item: Item, current: bool) -> None:
+        super().put(index, as_stored(item), current)
+        if current:
+            self._arriving_current = index
+
+    def finish(self) -> int:
+        arrived_id = checksum(self._arriving)
+        if arrived_id != self.mission_id:
+            self._items, self.mission_id = self._arriving, arrived_id
+            if self._arriving_current is not None:
+                self.index = self._arriving_current
+            self.index = min(self.index, len(self._items) - 1)
+            self._on_swap()
+        self._arriving = []
+        return int(mavlink.MAV_MISSION_ACCEPTED)
+
+    def clear(self) -> int:
+        self._items, self.mission_id, self.index = [], 0, 0
+        self._on_swap()
+        return int(mavlink.MAV_MISSION_ACCEPTED)
+
+    def navigation_from(self, index: int) -> int | None:
+        """Return the first item from ``index`` on that is flown."""
+        return next((i for i in range(index, len(self._items)) if self._items[i].command in NAVIGATION), None)
+
+
+def as_stored(item: Item) -> Item:
+    """Return the item as PX4 gives it back. Raises ItemRefused."""
+    first, second, third, fourth = item.params
+    match item.command:
+        case mavlink.MAV_CMD_NAV_WAYPOINT:
+            params = (first, second, 0.0, _compass_deg(fourth))
+        case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+            params = (0.0, 0.0, third, _compass_deg(fourth))
+        case mavlink.MAV_CMD_NAV_LOITER_TIME:
+            params = (first, float(second > 0), third, float(fourth > 0))
+        case mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+            params = (float(first > 0), second, 0.0, float(fourth > 0))
+        case mavlink.MAV_CMD_NAV_TAKEOFF:
+            params = (0.0, 0.0, 0.0, _compass_deg(fourth))
+        case mavlink.MAV_CMD_NAV_LAND:
+            params = (0.0, second, 0.0, _compass_deg(fourth))
+        case command if command in _IMMEDIATE or command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            return item
+        case _:
+            raise ItemRefused(mavlink.MAV_MISSION_UNSUPPORTED)
+    if not item.has_position:
+        raise ItemRefused(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
+    relative = item.frame in RELATIVE_FRAMES
+    frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT if relative else mavlink.MAV_FRAME_GLOBAL_INT
+    return Item(item.command, frame, params, item.latitude_e7, item.longitude_e7, item.altitude_m, item.autocontinue)
+
+
+def refusal(
+    items: list[Item], home: HomePosition, takeoff_land_required: int, landing_angle_deg: float = 5.0
+) -> str | None:
+    """Return why a mission cannot be flown, by MIS_TKO_LAND_REQ and FW_LND_ANG; None if it can."""
+    commands = [item.command for item in items]
+    if not any(command in NAVIGATION for command in commands):
+        return "No valid mission available"
+    has_takeoff, has_land = TAKEOFF in commands, LAND in commands
+    if commands.count(mavlink.MAV_CMD_DO_LAND_START) > 1:
+        return "Mission rejected: more than one land start."
+    if has_land and (reason := _landing_refusal(items, commands.index(LAND), home, landing_angle_deg)) is not None:
+        return reason
+    required = {
+        1: (has_takeoff, "Mission rejected: Takeoff waypoint required."),
+        2: (has_land, "Mission rejected: Landing waypoint/pattern required."),
+        3: (has_takeoff and has_land, "Mission rejected: Takeoff or Landing item missing."),
+        4: (has_takeoff == has_land, "Mission rejected: Add Takeoff and Landing item or remove both."),
+    }
+    met, text = required.get(takeoff_land_required, (True, ""))
+    return None if met else text
+
+
+def _landing_refusal(items: list[Item], index: int, home: HomePosition, landing_angle_deg: float) -> str | None:
+    """Return why a plane cannot land at item ``index``: what leads there must be flat, and outside of its circle."""
+    if index == 0:
+        return "Mission rejected: starts with land waypoint."
+    entrance, land = items[index - 1], items[index]
+    if entrance.has_position:
+        drop_m = _above_home_m(entrance, home) - _above_home_m(land, home)
+        if drop_m <= 0.0:
+            return "Mission rejected: the approach waypoint must be above the landing point."
+        if entrance.command not in (mavlink.MAV_CMD_NAV_LOITER_TO_ALT, mavlink.MAV_CMD_NAV_WAYPOINT):
+            return "Mission rejected: unsupported landing approach entrance waypoint type."
+        plane = HomePlane(land.latitude_deg, land.longitude_deg)
+        run_m = math.hypot(*plane.east_north_m(entrance.latitude_deg, entrance.longitude_deg))
+        if entrance.command == mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+            radius_m = abs(entrance.params[1])
+            if run_m <= radius_m:
+                return "Mission rejected: the landing point must be outside the orbit radius."
+            run_m = math.sqrt(run_m**2 - radius_m**2)  # it leaves the circle along the tangent
+        if drop_m > run_m * math.tan(math.radians(landing_angle_deg + _LANDING_ANGLE_SPARE_DEG)):
+            return (
+                "Mission rejected: the landing glide slope is steeper than the vehicle setting of "
+                f"{landing_angle_deg:.1f} degrees."
+            )
+    return None
+
+
+def _above_home_m(item: Item, home: HomePosition) -> float:
+    return item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - home.altitude_m
+
+
+def _compass_deg(angle_deg: float) -> float:
+    return angle_deg if math.isnan(angle_deg) else angle_deg % 360.0
 
 
 def custom_mode(main: int, sub: int = 0) -> int:

@@ -1,1 +1,0 @@
-"""A simulated ArduPlane: modes, mission, navigation, parameters and telemetry."""
