@@ -21,7 +21,15 @@ from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.transfer import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, ItemRefused, Store, TransferQuirks
+from sidelong.sitl.protocol.transfer import (
+    ABSOLUTE_FRAMES,
+    ACCEPTED_ITEMS,
+    RELATIVE_FRAMES,
+    Item,
+    ItemRefused,
+    Store,
+    TransferQuirks,
+)
 from sidelong.sitl.settings import Release, Settings
 from sidelong.sitl.world.airframe import (
     AirframeParameters,
@@ -41,9 +49,7 @@ class L1Guidance:
     """Lateral acceleration towards a line or a circle, and what was computed on the way, for telemetry."""
 
     def __init__(self, period_s: float = 17.0, damping: float = 0.75, integral_gain: float = 0.02) -> None:
-        self.period_s = period_s
-        self.damping = damping
-        self.integral_gain = integral_gain
+        self.period_s, self.damping, self.integral_gain = period_s, damping, integral_gain
         self.length_m = self.cross_track_m = self.nav_bearing_rad = self._bearing_integral_rad = 0.0
         self.on_circle = False
 
@@ -125,15 +131,14 @@ class ArduPlaneNavigator:
     """Where to, from where, and the lateral acceleration that leads there."""
 
     def __init__(self, craft: SimulatedAirframe, parameters: Parameters, home_altitude_m: float) -> None:
-        self._craft = craft
-        self._parameters = parameters
-        self._home_altitude_m = home_altitude_m
+        self._craft, self._parameters, self._home_altitude_m = craft, parameters, home_altitude_m
         self.guidance = L1Guidance()
         self.goal = self._origin = LocalPosition(0.0, 0.0, 0.0)
         self.loiter = Loiter(clockwise=True)
         self._tuned_at = -1  # changes of parameters when the guidance was tuned
-        self._on_track = False  # the line from the origin is to be followed, not just its end reached
-        self._track_next = False
+        self._on_track = self._track_next = (
+            False  # the leg from the origin is to be followed, not just its end reached
+        )
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
 
     @property
@@ -218,8 +223,6 @@ class ArduPlaneNavigator:
         return leg_east_m * east_m + leg_north_m * north_m >= 0.0
 
 
-_ACCEPTED: int = mavlink.MAV_MISSION_ACCEPTED
-
 NAVIGATION = {  # items that are flown, with their names in texts
     mavlink.MAV_CMD_NAV_WAYPOINT: "WP",
     mavlink.MAV_CMD_NAV_LOITER_UNLIM: "LoitUnlim",
@@ -255,10 +258,7 @@ class ArduPlaneMission(Store):
         armed: Callable[[], bool],
     ) -> None:
         super().__init__(with_checksum=False)
-        self._home = home
-        self._say = say
-        self._on_start = on_start
-        self._armed = armed
+        self._home, self._say, self._on_start, self._armed = home, say, on_start, armed
         self.state = MissionState.STOPPED
         self.index = 0  # of the item that is flown, or would be; 0: none yet
         self.item: Item | None = None  # the copy that is flown
@@ -270,7 +270,7 @@ class ArduPlaneMission(Store):
 
     def begin(self, count: int) -> int:
         del self._items[count:]
-        return self.finish() if count == 0 else _ACCEPTED
+        return self.finish() if count == 0 else ACCEPTED_ITEMS
 
     def put(self, index: int, item: Item, current: bool) -> None:  # ArduPilot ignores the flag
         refuse_no_numbers(item)
@@ -284,7 +284,7 @@ class ArduPlaneMission(Store):
 
     def finish(self) -> int:
         self._say(mavlink.MAV_SEVERITY_INFO, "Flight plan received")
-        return _ACCEPTED
+        return ACCEPTED_ITEMS
 
     def abandon(self) -> None:
         """Leave what has arrived where it is."""
@@ -294,7 +294,7 @@ class ArduPlaneMission(Store):
             return int(mavlink.MAV_MISSION_ERROR)
         self._items.clear()
         self.state, self.index, self.item = MissionState.STOPPED, 0, None
-        return _ACCEPTED
+        return ACCEPTED_ITEMS
 
     # Sequence.
 
@@ -377,8 +377,8 @@ def as_stored(item: Item) -> Item:
             raise ItemRefused(mavlink.MAV_MISSION_UNSUPPORTED)
     if not item.has_position:
         raise ItemRefused(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
-    relative = item.frame in RELATIVE_FRAMES
-    frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT if relative else mavlink.MAV_FRAME_GLOBAL
+    above_home = item.frame in RELATIVE_FRAMES
+    frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT if above_home else mavlink.MAV_FRAME_GLOBAL
     altitude_m = math.trunc(item.altitude_m * 100.0) / 100.0
     return replace(item.with_params(*params), frame=frame, altitude_m=altitude_m, autocontinue=1)
 
@@ -468,30 +468,21 @@ _HEALTHY_BEFORE_READY = 0x0211803F  # before the EKF and the pre-arm checks are 
 _CONTROLLERS = 0x00007C00  # enabled and healthy once armed
 
 # What REQUEST_DATA_STREAM turns on and off together.
-_GROUPS: dict[int, tuple[int, ...]] = {
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-        mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
-    ),
-    mavlink.MAV_DATA_STREAM_POSITION: (
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    ),
-    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
-    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
-    mavlink.MAV_DATA_STREAM_EXTRA3: (
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
-        mavlink.MAVLINK_MSG_ID_WIND,
-        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-        mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST,
-        mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT,
-    ),
+_GROUPS: dict[int, list[int]] = {
+    stream: [getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in names.split()]
+    for stream, names in {
+        mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
+            "SYS_STATUS MISSION_CURRENT GPS_RAW_INT NAV_CONTROLLER_OUTPUT POSITION_TARGET_GLOBAL_INT"
+        ),
+        mavlink.MAV_DATA_STREAM_POSITION: "GLOBAL_POSITION_INT LOCAL_POSITION_NED",
+        mavlink.MAV_DATA_STREAM_EXTRA1: "ATTITUDE",
+        mavlink.MAV_DATA_STREAM_EXTRA2: "VFR_HUD",
+        mavlink.MAV_DATA_STREAM_EXTRA3: (
+            "SYSTEM_TIME BATTERY_STATUS WIND EKF_STATUS_REPORT TERRAIN_REQUEST TERRAIN_REPORT"
+        ),
+    }.items()
 }
-_STREAMED = tuple(message_id for group in _GROUPS.values() for message_id in group)
+_STREAMED = [message_id for group in _GROUPS.values() for message_id in group]
 DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
 DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
@@ -586,35 +577,35 @@ _FORMER: dict[str, tuple[Release, str, int, float]] = {  # renamed in, name befo
 def arduplane_parameters(settings: Settings) -> Parameters:
     """Return the parameters a ground program looks at, with the stock simulator's values."""
     airspeed_m_s = settings.airspeed_m_s
+    off = (
+        "FS_GCS_ENABL",
+        "FS_LONG_ACTN",
+        "FS_SHORT_ACTN",
+        "FENCE_ENABLE",
+        "FENCE_TOTAL",
+        "MIS_RESTART",
+        "RNGFND1_TYPE",
+    )
     table: dict[str, tuple[int, float]] = {
+        **dict.fromkeys(off, (INT8, 0.0)),
+        **dict.fromkeys(("RTL_RADIUS", "FENCE_OPTIONS", "MIS_TOTAL"), (INT16, 0.0)),
+        **dict.fromkeys(("ARMING_MIS_ITEMS", "STAT_RUNTIME"), (INT32, 0.0)),
         "AIRSPEED_CRUISE": (REAL32, airspeed_m_s),
         "AIRSPEED_MIN": (INT16, math.floor(min(10.0, 0.7 * airspeed_m_s))),
         "AIRSPEED_MAX": (INT16, math.ceil(max(30.0, 1.35 * airspeed_m_s))),
         "ROLL_LIMIT_DEG": (REAL32, 65.0),
         "WP_LOITER_RAD": (INT16, 80.0),
         "WP_RADIUS": (INT16, 50.0),
-        "RTL_RADIUS": (INT16, 0.0),
         "RTL_ALTITUDE": (REAL32, 100.0),
         "TKOFF_ALT": (INT16, 50.0),
         "NAVL1_PERIOD": (REAL32, 17.0),
         "NAVL1_DAMPING": (REAL32, 0.75),
         "NAVL1_XTRACK_I": (REAL32, 0.02),
-        "FS_GCS_ENABL": (INT8, 0.0),
-        "FS_LONG_ACTN": (INT8, 0.0),
         "FS_LONG_TIMEOUT": (REAL32, 5.0),
-        "FS_SHORT_ACTN": (INT8, 0.0),
         "FS_SHORT_TIMEOUT": (REAL32, 1.5),
         "MAV_GCS_SYSID": (INT16, 255.0),
         "MAV_SYSID": (INT16, settings.system_id),
-        "FENCE_ENABLE": (INT8, 0.0),
-        "FENCE_OPTIONS": (INT16, 0.0),
         "FENCE_ACTION": (INT8, 1.0),
-        "FENCE_TOTAL": (INT8, 0.0),
-        "ARMING_MIS_ITEMS": (INT32, 0.0),
-        "MIS_RESTART": (INT8, 0.0),
-        "MIS_TOTAL": (INT16, 0.0),
-        "RNGFND1_TYPE": (INT8, 0.0),
-        "STAT_RUNTIME": (INT32, 0.0),
     }
     release, former = settings.release_or_newest, {}
     for name, (renamed_in, old_name, kind, unit) in _FORMER.items():

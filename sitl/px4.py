@@ -19,7 +19,15 @@ from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Extended, Station
-from sidelong.sitl.protocol.transfer import RELATIVE_FRAMES, Item, ItemRefused, Store, TransferQuirks, checksum
+from sidelong.sitl.protocol.transfer import (
+    ACCEPTED_ITEMS,
+    RELATIVE_FRAMES,
+    Item,
+    ItemRefused,
+    Store,
+    TransferQuirks,
+    checksum,
+)
 from sidelong.sitl.settings import HomePosition, Settings
 from sidelong.sitl.world.airframe import GRAVITY_M_S2, AirframeParameters, LocalPosition, SimulatedAirframe
 from sidelong.sitl.world.geodesy import HomePlane
@@ -29,8 +37,7 @@ class PathFollower:
     """Lateral acceleration towards a line or a circle."""
 
     def __init__(self, period_s: float = 10.0, damping: float = 0.7071) -> None:
-        self.period_s = period_s
-        self.damping = damping
+        self.period_s, self.damping = period_s, damping
 
     def towards_line(
         self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float]
@@ -89,13 +96,10 @@ class Px4Navigator:
     """Where to, from where, and the lateral acceleration that leads there."""
 
     def __init__(self, craft: SimulatedAirframe, parameters: Parameters) -> None:
-        self._craft = craft
-        self._parameters = parameters
+        self._craft, self._parameters = craft, parameters
         self.follower = PathFollower()
         self.goal = LocalPosition(0.0, 0.0, 0.0)
-        self._origin: LocalPosition | None = (
-            None  # of the leg; None: it is flown to straight from wherever the aircraft is
-        )
+        self._origin: LocalPosition | None = None  # of the leg; None: it leads from wherever the aircraft is
         self.circle: LoiterGoal | None = None
         self._inside_since_s: float | None = None
 
@@ -223,12 +227,12 @@ class Px4Mission(Store):
             self.index = min(self.index, len(self._items) - 1)
             self._on_swap()
         self._arriving = []
-        return int(mavlink.MAV_MISSION_ACCEPTED)
+        return ACCEPTED_ITEMS
 
     def clear(self) -> int:
         self._items, self.mission_id, self.index = [], 0, 0
         self._on_swap()
-        return int(mavlink.MAV_MISSION_ACCEPTED)
+        return ACCEPTED_ITEMS
 
     def navigation_from(self, index: int) -> int | None:
         """Return the first item from ``index`` on that is flown."""

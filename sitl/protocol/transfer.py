@@ -17,6 +17,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.radio import Extended, Radio, Station
 
+ACCEPTED_ITEMS: int = mavlink.MAV_MISSION_ACCEPTED
+
 
 class Store:
     """Items that are replaced as a whole when all have come. All results are MAV_MISSION_RESULT."""
@@ -39,7 +41,7 @@ class Store:
     def begin(self, count: int) -> int:
         """Prepare for an upload of ``count`` items."""
         self._arriving = []
-        return self.clear() if count == 0 else int(mavlink.MAV_MISSION_ACCEPTED)
+        return self.clear() if count == 0 else ACCEPTED_ITEMS
 
     def put(self, index: int, item: Item, current: bool) -> None:
         """Take an item. Raises ItemRefused."""
@@ -48,7 +50,7 @@ class Store:
     def finish(self) -> int:
         """Take over the upload: all items have come."""
         self._items, self._arriving = self._arriving, []
-        return int(mavlink.MAV_MISSION_ACCEPTED)
+        return ACCEPTED_ITEMS
 
     def abandon(self) -> int | None:
         """Forget the upload: it was cut. Return the checksum of what had come."""
@@ -58,7 +60,7 @@ class Store:
 
     def clear(self) -> int:
         self._items = []
-        return int(mavlink.MAV_MISSION_ACCEPTED)
+        return ACCEPTED_ITEMS
 
 
 ABSOLUTE_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
@@ -93,32 +95,14 @@ class Item:
             if not (abs(x) <= 90.0 and abs(y) <= 180.0):
                 raise ItemRefused(mavlink.MAV_MISSION_INVALID)
             x, y = round(x * 1e7), round(y * 1e7)
-        return Item(
-            message.command,
-            message.frame,
-            (message.param1, message.param2, message.param3, message.param4),
-            x,
-            y,
-            message.z,
-            message.autocontinue,
-        )
+        params = message.param1, message.param2, message.param3, message.param4
+        return Item(message.command, message.frame, params, x, y, message.z, message.autocontinue)
 
     def message(self, sequence: int, mission_type: int, current: bool, to: tuple[int, int], as_int: bool) -> Any:
         x, y = (self.latitude_e7, self.longitude_e7) if as_int else (self.latitude_e7 / 1e7, self.longitude_e7 / 1e7)
         kind = mavlink.MAVLink_mission_item_int_message if as_int else mavlink.MAVLink_mission_item_message
-        return kind(
-            *to,
-            sequence,
-            self.frame,
-            self.command,
-            int(current),
-            self.autocontinue,
-            *self.params,
-            x,
-            y,
-            self.altitude_m,
-            mission_type,
-        )
+        head = sequence, self.frame, self.command, int(current), self.autocontinue
+        return kind(*to, *head, *self.params, x, y, self.altitude_m, mission_type)
 
     @property
     def has_position(self) -> bool:
@@ -133,8 +117,8 @@ class Item:
         return self.longitude_e7 / 1e7
 
     def with_params(self, *params: float) -> Item:
-        padded = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
-        return replace(self, params=(padded[0], padded[1], padded[2], padded[3]))
+        first, second, third, fourth = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
+        return replace(self, params=(first, second, third, fourth))
 
 
 def checksum(items: list[Item]) -> int:
@@ -200,12 +184,9 @@ class Transfer:
         announce: Callable[[int, str], None],
         transfers: Mapping[int, Transfer],
     ) -> None:
-        self.mission_type = mission_type
-        self.store = store
-        self._radio = radio
-        self._quirks = quirks
-        self._retry_s = quirks.retry_s * link_rate
-        self._timeout_s = quirks.timeout_s * link_rate
+        self.mission_type, self.store = mission_type, store
+        self._radio, self._quirks = radio, quirks
+        self._retry_s, self._timeout_s = quirks.retry_s * link_rate, quirks.timeout_s * link_rate
         self._announce, self._transfers = announce, transfers
         self.upload: _Upload | None = None
         self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
@@ -216,8 +197,7 @@ class Transfer:
         return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
 
     def _is_written_by(self, station: Station) -> bool:
-        uploads = (one.upload for one in self._transfers.values())
-        return any(upload is not None and upload.station is station for upload in uploads)
+        return any(one.upload is not None and one.upload.station is station for one in self._transfers.values())
 
     def _read_by(self, station: Station) -> Transfer | None:
         return next((one for one in self._transfers.values() if station in one.downloads), None)
@@ -249,11 +229,10 @@ class Transfer:
                 self._on_item(station, sender, message, now_s)
             case "MISSION_REQUEST_LIST" if self._quirks.reads_in_order:
                 self._on_list_in_order(station, sender, now_s)
+            case "MISSION_REQUEST_LIST" if self.upload is not None:
+                self._acknowledge(station, sender, self._quirks.busy_result)
             case "MISSION_REQUEST_LIST":
-                if self.upload is not None:
-                    self._acknowledge(station, sender, self._quirks.busy_result)
-                else:
-                    self._send_count(station, sender, now_s)
+                self._send_count(station, sender, now_s)
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST" if self._quirks.reads_in_order and self.upload is None:
                 self._on_request_in_order(station, sender, message, now_s)
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
@@ -262,10 +241,9 @@ class Transfer:
                 self._on_clear(station, sender)
             case "MISSION_ACK":
                 self.downloads.pop(station, None)
-                upload = self.upload
                 breaks_off = message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED
-                if upload is not None and upload.sender == sender and breaks_off:
-                    self._abandon(upload)
+                if self.upload is not None and self.upload.sender == sender and breaks_off:
+                    self._abandon(self.upload)
 
     def _on_count(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         if not self._may_start(station, sender):
@@ -274,10 +252,11 @@ class Transfer:
             self._acknowledge(station, sender, mavlink.MAV_MISSION_NO_SPACE)
             return
         result = self.store.begin(message.count)
-        if result != mavlink.MAV_MISSION_ACCEPTED or message.count == 0:
+        if result != ACCEPTED_ITEMS or message.count == 0:
             self._acknowledge(station, sender, result)
             return
-        self._start(_Upload(station, sender, 0, message.count - 1, now_s, now_s), now_s)
+        self.upload = _Upload(station, sender, 0, message.count - 1, now_s, now_s)
+        self._ask(self.upload, now_s)
 
     def _on_partial(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         if not self._quirks.partial_writes:
@@ -289,7 +268,8 @@ class Transfer:
         if not 0 <= first <= last <= count:
             self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
             return
-        self._start(_Upload(station, sender, first, last, now_s, now_s), now_s)
+        self.upload = _Upload(station, sender, first, last, now_s, now_s)
+        self._ask(self.upload, now_s)
 
     def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
         upload = self.upload
@@ -297,24 +277,17 @@ class Transfer:
             self._announce(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN MISSION_COUNT: Busy\t")
             self._acknowledge(station, sender, self._quirks.busy_result)
             return False
-        if upload is None:
-            return True
-        if upload.sender != sender or not (self._quirks.restarts or upload.next_index == 0):
+        if upload is not None and (upload.sender != sender or not (self._quirks.restarts or upload.next_index == 0)):
             self._acknowledge(station, sender, self._quirks.busy_result)
             return False
-        self._abandon(upload)
+        if upload is not None:
+            self._abandon(upload)
         return True
 
-    def _start(self, upload: _Upload, now_s: float) -> None:
-        self.upload = upload
-        self._ask(upload, now_s)
-
     def _ask(self, upload: _Upload, now_s: float) -> None:
-        kind = (
-            mavlink.MAVLink_mission_request_int_message
-            if self._quirks.asks_with_int
-            else mavlink.MAVLink_mission_request_message
-        )
+        kind = mavlink.MAVLink_mission_request_message
+        if self._quirks.asks_with_int:
+            kind = mavlink.MAVLink_mission_request_int_message
         self._radio.send(upload.station, kind(*upload.sender, upload.next_index, self.mission_type))
         upload.asked_s = now_s
 
@@ -322,10 +295,9 @@ class Transfer:
         upload, quirks = self.upload, self._quirks
         if upload is None:
             latest = self._latest if quirks.repeats_final_ack and station not in self.downloads else None
-            if latest is not None and latest[:2] == (sender, message.seq):
-                self._acknowledge(station, sender, mavlink.MAV_MISSION_ACCEPTED, latest[2])
-            else:
-                self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
+            again = latest is not None and latest[:2] == (sender, message.seq)
+            result = mavlink.MAV_MISSION_ACCEPTED if again else mavlink.MAV_MISSION_ERROR
+            self._acknowledge(station, sender, result, latest[2] if latest is not None and again else None)
             return
         if message.seq != upload.next_index:
             if quirks.wrong_sequence_result is not None:
@@ -369,8 +341,7 @@ class Transfer:
         if not 0 <= message.seq < len(items):
             self._acknowledge(station, sender, mavlink.MAV_MISSION_INVALID_SEQUENCE)
             return
-        current = message.seq == self.store.current_index()
-        as_int = message.get_type() == "MISSION_REQUEST_INT"
+        current, as_int = message.seq == self.store.current_index(), message.get_type() == "MISSION_REQUEST_INT"
         item = items[message.seq].message(message.seq, self.mission_type, current, sender, as_int)
         self._radio.send(station, item)
 
@@ -413,8 +384,7 @@ class Transfer:
     def _acknowledge(
         self, station: Station, sender: tuple[int, int], result: int, opaque_id: int | None = None
     ) -> None:
-        named = self._quirks.names_lists
-        list_id = opaque_id if named and opaque_id is not None else self._list_id()
+        list_id = self._list_id() if opaque_id is None or not self._quirks.names_lists else opaque_id
         message = mavlink.MAVLink_mission_ack_message(*sender, result, self.mission_type)
         self._radio.send(station, Extended(message, list_id))
 
