@@ -17,7 +17,7 @@ from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_files
 from sidelong.app.errors import InputError
 from sidelong.app.flight.payload_input import payload_input
-from sidelong.app.flight.session import connected_by
+from sidelong.app.flight.session import connected
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.queries import home_of
@@ -93,7 +93,7 @@ async def _track(settings: Config, duration_s: float | None) -> None:
 
     console.print(f"waiting for a heartbeat on {' and '.join(settings.link.connections)}")
     async with (
-        connected_by(settings.link, console.print) as session,
+        connected(settings.link, console.print) as session,
         payload_input(settings, session.vehicle, console.print) as gimbal,
     ):
         await ask_for_streams(session.vehicle)

@@ -117,10 +117,10 @@ def check(
 
 async def _with_fences(settings: Config, url: str) -> Config:
     """Return the configuration with the fences of the vehicle at a URL, as a launch flies it."""
-    from sidelong.app.flight.session import connected_by, with_fences  # noqa: PLC0415  # a check needs no link else
+    from sidelong.app.flight.session import connected, with_fences  # noqa: PLC0415  # a check needs no link else
     from sidelong.app.link.parameters import read_table  # noqa: PLC0415
 
-    async with connected_by(settings.link, console.print, [url]) as session:
+    async with connected(settings.link.model_copy(update={"urls": [url]}), console.print) as session:
         parameters = await read_table(session.vehicle, session.autopilot, session.release)
         flown, found = await with_fences(session.vehicle, settings, parameters)
     console.print(f"the vehicle has {found}")

@@ -19,7 +19,7 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check, SourceRates, checks, describe_use
-from sidelong.app.flight.session import InputHealth, connected_by, with_fences
+from sidelong.app.flight.session import InputHealth, connected, with_fences
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
@@ -121,7 +121,7 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
     urls = _links(config)
     console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
     async with (
-        connected_by(config.link, console.print) as session,
+        connected(config.link, console.print) as session,
         payload_input(config, session.vehicle, console.print) as payload,
     ):
         vehicle, autopilot = session.vehicle, session.autopilot

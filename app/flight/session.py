@@ -10,9 +10,8 @@ import asyncio
 import contextlib
 import math
 from collections import defaultdict, deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from sidelong.app.assembly import tracker_of, with_vehicle_fences
@@ -22,10 +21,11 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import Check, autopilot_of, check_release
 from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
 from sidelong.app.link.key_file import KeyInUse
-from sidelong.app.link.mavsdk_link import SETTLING_S, FrameListener, MavsdkLink, Role
+from sidelong.app.link.mavsdk_link import SETTLING_S, STATION_ID, MavsdkLink
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.queries import release_of
+from sidelong.app.link.raw_links import FrameListener, opened_links, opened_url
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
 from sidelong.app.link.transport import Transport
 from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleMessages
@@ -95,67 +95,34 @@ class Session:
             self.note(f"a fault of the program, {error!r}; the flight continues")
 
 
-def connected_by(
-    link: LinkSection, note: Callable[[str], object], urls: Sequence[str] = ()
-) -> contextlib.AbstractAsyncContextManager[Session]:
-    """Connect as ``connected`` does, by the configured links or by other URLs of the same vehicle."""
-    return connected(
-        urls or link.connections,
-        link.heartbeat_timeout_s,
-        key=link.signing_key_file,
-        note=note,
-        system_id=link.system_id,
-        role=link.role,
-    )
-
-
 @contextlib.asynccontextmanager
 async def connected(
-    urls: Sequence[str],
-    timeout_s: float,
-    on_frame: FrameListener | None = None,
-    key: Path | KeyInUse | None = None,
-    note: Callable[[str], object] = lambda _text: None,
-    system_id: int | None = None,
+    section: LinkSection,
+    note: Callable[[str], object],
+    on_frame: FrameListener = lambda _data: None,
+    key: KeyInUse | None = None,
     settling_s: float = SETTLING_S,
-    open_transport: Callable[[str], Transport] | None = None,
-    role: Role | None = None,
+    open_transport: Callable[[str], Transport] = opened_url,
 ) -> AsyncIterator[Session]:
-    """Connect to one vehicle over one or several links.
+    """Connect to one vehicle over one or several links; ``note`` and ``on_frame`` are called from several threads.
 
     Args:
-        urls: URL of each link.
-        timeout_s: How long to wait for a vehicle, s.
-        on_frame: Receives each frame.
-        key: Signing key, or its file; with it every link is signed.
-        note: Receives link faults, from any thread.
-        system_id: Selects the vehicle if there are several.
+        key: The signing key where other links use it, too; None: that of the section.
         settling_s: How long to listen for other vehicles, s.
         open_transport: Opens URLs that other links use as well.
-        role: What sidelong is on the link; see ``MavsdkLink.open``.
 
     Raises:
         InputError: There is no vehicle, none that sidelong supports, or several and none is selected.
     """
-    senders = SenderCheck()
+    urls, timeout_s, senders = section.connections, section.heartbeat_timeout_s, SenderCheck()
 
     def frame(data: bytes) -> None:
         if len(urls) == 1:  # each link has numbers of its own
             senders.frame(data)
-        if on_frame is not None:
-            on_frame(data)
+        on_frame(data)
 
-    link = await MavsdkLink.open(
-        urls,
-        timeout_s,
-        frame,
-        key=key,
-        on_trouble=note,
-        system_id=system_id,
-        settling_s=settling_s,
-        open_transport=open_transport,
-        role=role,
-    )
+    links = opened_links(urls, STATION_ID, key or section.signing_key_file, frame, note, open_transport)
+    link = await MavsdkLink.open(links, timeout_s, section.system_id, section.role, settling_s)
     vehicle = Vehicle(link)
     what, own_id = "companion of the vehicle" if vehicle.is_companion else "ground station", link.own_id
     note(f"on this link sidelong is a {what} (system {own_id[0]}, component {own_id[1]}); link.role selects it")

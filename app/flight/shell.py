@@ -386,20 +386,19 @@ class Shell:
             key = stack.enter_context(key_in_use(file, signing_time(time.time()), self._aircraft[0].trouble))
 
         async def join(one: FlyingAircraft, own: tuple[str, ...], is_shared: bool, control: Prepared) -> None:
-            link = one.config.link
+            link, simulated = one.config.link, self._simulated is not None
             if one.session is None:
                 one.display.note(f"connecting to {' and '.join(own)}")
+                role = link.role or ("ground" if self._coordinator or simulated else None)
+                system_id = None if simulated else link.system_id
                 one.session = await stack.enter_async_context(
                     connected(
-                        own,
-                        link.heartbeat_timeout_s,
-                        one.own_frame if is_shared else one.recording.frame,
-                        file if key is None else key.apart() if is_shared else key,
+                        link.model_copy(update={"urls": [*own], "system_id": system_id, "role": role}),
                         one.trouble,
-                        system_id=link.system_id if self._simulated is None else None,
-                        settling_s=SETTLING_S if self._simulated is None else 0.0,
-                        open_transport=opener if is_shared else None,
-                        role=link.role or ("ground" if self._coordinator or self._simulated else None),
+                        one.own_frame if is_shared else one.recording.frame,
+                        key.apart() if key is not None and is_shared else key,
+                        0.0 if simulated else SETTLING_S,
+                        opener if is_shared else opened_url,
                     )
                 )
             await self._joined(stack, one, control)

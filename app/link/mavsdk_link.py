@@ -22,7 +22,6 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from math import isfinite
-from pathlib import Path
 from typing import Any, Literal
 
 import mavsdk.logging
@@ -35,11 +34,9 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame
-from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.message import Message, plain_fields
 from sidelong.app.link.quality import LinkReport
-from sidelong.app.link.raw_links import AUTOPILOT_COMPONENT, DO_AUX_FUNCTION, RawLinks, opened_links
-from sidelong.app.link.transport import Transport
+from sidelong.app.link.raw_links import AUTOPILOT_COMPONENT, DO_AUX_FUNCTION, RawLinks
 from sidelong.app.link.vehicle import LinkError
 
 _LOOK_FOR_OTHERS_S = 2.0
@@ -55,13 +52,13 @@ _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by wh
 
 OWN_SYSTEM_ID = 245
 """MAVLink system id of this program as a ground station; as a companion it has the vehicle's own."""
-_STATION = (OWN_SYSTEM_ID, int(dialect.MAV_COMP_ID_MISSIONPLANNER)), int(dialect.MAV_TYPE_GCS)
+STATION_ID = OWN_SYSTEM_ID, int(dialect.MAV_COMP_ID_MISSIONPLANNER)
+_STATION = STATION_ID, int(dialect.MAV_TYPE_GCS)
 _COMPANION_TYPE = int(dialect.MAV_TYPE_ONBOARD_CONTROLLER)
 _COMPANION_IDS = range(dialect.MAV_COMP_ID_ONBOARD_COMPUTER, dialect.MAV_COMP_ID_ONBOARD_COMPUTER4 + 1)
 _LOCAL = re.compile(r"serial.*|\w+://(127\.|localhost|0\.0\.0\.0).*")
 Role = Literal["companion", "ground"]
 
-FrameListener = Callable[[bytes], None]
 SETTLING_S = 2.2  # two heartbeat periods: every vehicle present has sent one by then
 _POLL_S, _EARLY_MAX = 0.1, 10_000
 
@@ -106,51 +103,38 @@ class MavsdkLink:
     @classmethod
     async def open(
         cls,
-        urls: Sequence[str],
+        links: contextlib.AbstractContextManager[RawLinks],
         timeout_s: float,
-        on_frame: FrameListener | None = None,
-        key: Path | KeyInUse | None = None,
-        on_trouble: Callable[[str], object] = lambda _text: None,
-        system_id: int | None = None,
-        settling_s: float = SETTLING_S,
-        open_transport: Callable[[str], Transport] | None = None,
-        role: Role | None = None,
+        system_id: int | None,
+        role: Role | None,
+        settling_s: float,
     ) -> MavsdkLink:
         """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one on the link.
 
         Only heartbeats are sent before the vehicle is selected; messages received until then are kept.
 
         Args:
-            urls: The links to the vehicle.
             timeout_s: Longest wait for the first heartbeat.
-            on_frame: Receives every raw frame, received and sent; called from several threads.
-            key: Signing key, or its file; with it every link is signed.
-            on_trouble: Receives refused frames and link changes in words; called from several threads.
-            system_id: The vehicle to select; None: the only one.
+            role: None: companion where all links are serial or local and a ground station is received, else ground
+                station. PX4 takes the heartbeat of any ground station as its data link, so a companion sends none.
             settling_s: How long to listen for other vehicles.
-            open_transport: Opens a URL that other links use as well.
-            role: Companion of the vehicle, or ground station; None: companion where all links are serial or local
-                and a ground station is received, else ground station. PX4 takes a ground station's heartbeat of any
-                system as its data link, so a companion sends none.
 
         Raises:
-            InputError: The URL is invalid, the port is busy, the key is unusable, no heartbeat arrives within
-                ``timeout_s``, or several vehicles are received within ``settling_s`` of the first frame and none is
-                selected.
+            InputError: As ``opened_links``; no heartbeat arrives within ``timeout_s``, or several vehicles are
+                received within ``settling_s`` of the first frame and none is selected.
         """
         # The library's own subscription decodes texts of the vehicle as UTF-8; where that fails, MAVSDK prints the
         # bytes itself, escape sequences and all.
         mavsdk.logging._cmavsdk_lib.mavsdk_log_subscribe(_drop_log, None)
-        local = all(map(_LOCAL.fullmatch, urls))
         instance, ours = None, contextlib.ExitStack()  # transports of our own
         try:
-            links = opened_links(urls, _STATION[0], key, on_frame, on_trouble, open_transport)
             raw = await asyncio.to_thread(ours.enter_context, links)  # a server may not answer for two seconds
+            local = all(map(_LOCAL.fullmatch, raw.urls))
             is_station = role == "ground" or (role is None and not local)
             raw.speak_as(*(_STATION if is_station else ((OWN_SYSTEM_ID, _COMPANION_IDS[0]), _COMPANION_TYPE)))
             early: deque[bytes] = deque(maxlen=_EARLY_MAX)
             raw.start(early.append)
-            where = " and ".join(map(repr, urls))
+            where = " and ".join(map(repr, raw.urls))
             await _vehicle_received(raw, where, timeout_s, system_id)
             if system_id is None or (role is None and local):
                 await asyncio.sleep(max(0.0, (raw.received_since_s or 0.0) + settling_s - time.monotonic()))

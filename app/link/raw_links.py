@@ -253,6 +253,7 @@ class RawLinks:
             )
             for index, (url, transport) in enumerate(transports)
         ]
+        self.urls = [url for url, _ in transports]
         self._merger = LinkMerger(len(self._links))
         self._packer = dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
         self.heartbeats: dict[tuple[int, int], Frame] = {}
@@ -518,12 +519,11 @@ def opened_links(
     key: Path | KeyInUse | None,
     on_frame: FrameListener | None = None,
     on_trouble: Callable[[str], object] = lambda _text: None,
-    open_transport: Callable[[str], Transport] | None = None,
+    open_transport: Callable[[str], Transport] = opened_url,
 ) -> Iterator[RawLinks]:
-    """Open a transport for each URL; with a key all are signed. open_transport: other than by ``opened_url``.
+    """Open a transport for each URL; with a key, or its file, all are signed.
 
-    key: its file, or one that others use as well. Raises InputError for a bad URL, a port or device that cannot be
-    opened, and a key file that cannot be used.
+    Raises InputError for a bad URL, a port or device that cannot be opened, and a key file that cannot be used.
     """
     with contextlib.ExitStack() as stack:
         if isinstance(key, Path):
@@ -531,7 +531,7 @@ def opened_links(
         transports: list[tuple[str, Transport]] = []
         for url in urls:
             try:
-                transport = (open_transport or opened_url)(url)
+                transport = open_transport(url)
             except ConnectionRefusedError as error:
                 raise InputError(
                     f"{url!r}: connection refused; start the autopilot first, or correct the URL."

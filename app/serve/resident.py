@@ -351,15 +351,8 @@ class Resident:
         self._vehicle, self.checks = "", ()
         if self._state is not State.FAULT:
             self._become(State.WAITING, f"waiting for the vehicle's heartbeat at {' and '.join(link.connections)}")
-        async with connected(
-            link.connections,
-            link.heartbeat_timeout_s,
-            self._frame,
-            link.signing_key_file,
-            self._log,
-            link.system_id,
-            role=link.role or "companion",
-        ) as session:
+        link = link.model_copy(update={"role": link.role or "companion"})
+        async with connected(link, self._log, self._frame) as session:
             self._join(session)
             try:
                 standby = Standby(session, self._config)

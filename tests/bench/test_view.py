@@ -326,7 +326,9 @@ async def _flown(parent: Path) -> Flown:
             stdout=asyncio.subprocess.PIPE,
         )
         vehicle = await stack.enter_async_context(SimulatedVehicles([CONFIG], [run.truth], pytest.fail))
-        session = await stack.enter_async_context(connected(vehicle.urls, 10.0, recording.frame))
+        session = await stack.enter_async_context(
+            connected(CONFIG.link.model_copy(update={"urls": [*vehicle.urls]}), print, recording.frame)
+        )
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, prepared(CONFIG), recording, display, FLOWN_S)
         await flight.fly(asyncio.Event())
