@@ -1,4 +1,7 @@
-"""Puts the pure core together from a configuration."""
+"""Puts the pure core together from a configuration, and runs what is compiled so that nothing loads in flight.
+
+A test flies and fails if a kernel is called in flight with arguments that the warm-up has not run.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,8 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config, Polygon, SensorsSection
 from sidelong.app.errors import InputError
@@ -22,23 +27,40 @@ from sidelong.app.planners.planner_kind import CompilesInParts, PlannerKind, Pla
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.app.warm_up import warm_up_exchange, warm_up_over, warm_up_planner, warm_up_track
 from sidelong.estimators.compiled import FOLDER, is_cached
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.tracking.payload_kernel import EARTH, SHARED, Readings, fit_readings, look
 from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.control.surroundings import FlightBounds, Surroundings
-from sidelong.mission.core.plan import CheckedPlannerFactory, Heights, OneHeight
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path as FlownPath
+from sidelong.mission.core.plan import AircraftState, CheckedPlannerFactory, Heights, OneHeight, Plan, Planner
+from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.mission_controller import MissionController
+from sidelong.mission.geometry.line_kernel import Trapezoid, laid_out, trapezoid
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.wind import ground_speeds_m_s
+from sidelong.mission.route.progress import RoutePlanner
+from sidelong.mission.route.progress_kernel import fresh_progress
+from sidelong.mission.route.route import route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline, intersection
+from sidelong.mission.upload.items import lay_out
+from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.viewpoint.course_hold import TargetCourse, courses_made_good_rad
 
 if TYPE_CHECKING:
     from sidelong.app.link.other_mission import VehicleFences
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight
+    from sidelong.mission.terrain.heights import FlightHeights
+    from sidelong.mission.terrain.sight import SightField
+
 
 Pair = tuple[float, float]
 HomeDeg = Pair | None
@@ -408,3 +430,87 @@ def _compile_part(part: str) -> None:
 
 if __name__ == "__main__":
     _compile_part(*sys.argv[1:])
+
+
+_CIRCLE = Circle(-250.0, 0.0, 60.0, clockwise=True)
+_TARGET = TargetEstimate(1.0, 0.0, 0.0, 0.0, 0.0, np.eye(4), TrackQuality.GOOD, 1.0)
+_HERE = AircraftState(1.0, *_CIRCLE.position_at_course(0.0), 0.0, 15.0, _CIRCLE.curvature_per_m)
+
+MADE_UP_ROUTE = route_of(np.array([-300.0, 300.0]), np.zeros(2))
+
+
+def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None:
+    """Run what decides and follows a plan.
+
+    Args:
+        planner: The planner, which must not be flown afterwards.
+        beyond_m: In the last decisions the target is this much farther away, out of the band, so that the planner
+            lays out a new circle as well.
+        with_route: Whether the target's route is known.
+    """
+    if with_route and isinstance(planner, RoutePlanner):
+        planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
+    shape, plan = _shape(), Plan(_CIRCLE)
+    for time_s in (0.0, 0.5, 1.0):
+        course_rad = 0.1 * time_s
+        east_m, north_m = _CIRCLE.position_at_course(course_rad)
+        aircraft = replace(_HERE, time_s=time_s, east_m=east_m, north_m=north_m, course_rad=course_rad)
+        planner.decide(aircraft, replace(_TARGET, time_s=time_s, last_sighting_s=time_s), plan, Wind(), 0.5)
+        point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
+        plan = Plan(_CIRCLE, FlownPath(*laid_out(shape, east_m, north_m, course_rad)), time_s)
+    far = replace(_TARGET, east_m=_TARGET.east_m + beyond_m)
+    for course_rad in (1.6, 3.1, 4.7, 0.0):
+        east_m, north_m = _CIRCLE.position_at_course(course_rad)
+        aircraft = replace(_HERE, east_m=east_m, north_m=north_m, course_rad=course_rad)
+        if planner.decide(aircraft, far, Plan(_CIRCLE), Wind(), 0.5).plan is not None:
+            break
+
+
+def warm_up_exchange() -> None:
+    TargetCourse().update(_TARGET, 1.0)
+    courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
+    ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
+    lay_out(FlownPath(*laid_out(_shape(), *_CIRCLE.position_at_course(0.0), 0.0)), _CIRCLE, LineTracking(), math.inf)
+
+
+def _shape() -> Trapezoid:
+    return trapezoid(_CIRCLE.curvature_per_m, 0.0, 300.0, _CIRCLE.curvature_per_m, 1e-3)
+
+
+def warm_up_track(track: Track) -> None:
+    """Run what estimates the target and the payload's delays. The track must not be flown afterwards."""
+    times_s, zero, one = np.arange(4.0), np.zeros(4), np.ones(4)
+    positions, sights = np.column_stack([times_s, zero, zero, one, zero]), np.column_stack([times_s, zero, one, zero])
+    ranges, noise, none = np.column_stack([times_s, one]), (0.01, 1.0, 0.0, 0.0), (0.0, 0.0)
+    readings = Readings(positions, sights, sights, ranges, EARTH, noise, none)
+    fit_readings(readings, np.ones(SHARED), np.zeros(SHARED, np.bool_), np.zeros(SHARED), 0.0)
+    look(readings, 0.0, np.empty((4, 3)))
+    for time_s in (0.0, 0.5, 1.0):
+        track.add(_sighting(time_s))
+        track.estimate(time_s)
+    track.begin_again()
+    track.add(_sighting(1.5))
+
+
+def warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: SightField) -> None:
+    """Run what a flight calls over elevation data only. The track must not be flown afterwards."""
+    track.stand_on(ground)
+    for time_s in (0.0, 0.5):
+        track.add(_sighting(time_s))
+        track.estimate(time_s)
+    track.begin_again()
+    track.add(_sighting(1.0))
+    here_m = 0.0, 0.0, 100.0
+    ground.cut_m(*here_m, 0.0, 0.3, 500.0)
+    ground.sees(here_m, here_m)
+    ground.heights_at_m(np.zeros(2), np.zeros(2))
+    field.sight(*here_m[:2], 1.0, 0.0, here_m[2])
+    heights.expected_m(None, here_m[:2])
+    heights.clearance_m(*here_m)
+    path = FlownPath(*laid_out(trapezoid(0.0, 0.0, 300.0, _CIRCLE.curvature_per_m, 1e-3), *here_m[:2], 0.0))
+    for one in (heights, heights.at(0.0)):  # with a climb from far below
+        one.levelled(Plan(_CIRCLE, path), -1e3)
+
+
+def _sighting(time_s: float) -> Sighting:
+    return Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0)

@@ -64,7 +64,7 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
     if config.link.take_over_from:
         yield "link.take_over_from", partial(_check_modes, config.link.take_over_from)
     if config.link.signing_key_file is not None:
-        from sidelong.app.link.key_file import read_key  # noqa: PLC0415  # as above
+        from sidelong.app.link.signing import read_key  # noqa: PLC0415  # as above
 
         yield "link.signing_key_file", partial(read_key, config.link.signing_key_file)
     if config.camera.source is not None:

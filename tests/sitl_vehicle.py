@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from sidelong.app.link.frames import Decoder, Packer
 from sidelong.app.link.message import Message
-from sidelong.app.link.wire import Decoder, Packer
 from sidelong.sitl.simulation import STEP_S, Simulation
 
 ADDRESS = "us"

@@ -19,9 +19,9 @@ from sidelong.app.camera.camera import Pictured, TargetCamera
 from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent, Sent, status_of
 from sidelong.app.camera.video import Picture, VideoOutput, VideoSource, encoded
 from sidelong.app.config import CameraSection
+from sidelong.app.link.frames import Packer
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import Vehicle, VehicleTimeline
-from sidelong.app.link.wire import Packer
 from sidelong.app.network import NetworkAddress
 from sidelong.app.records.klv import Marked, Sensor, UasMetadata
 from sidelong.estimators.frames import LocalPlane

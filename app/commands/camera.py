@@ -20,8 +20,8 @@ from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.session import connected
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
-from sidelong.app.link.queries import home_of
 from sidelong.app.link.transport import checked_url
+from sidelong.app.link.vehicle import home_of
 from sidelong.app.payload.registry import KIND_NAMES, read_payload
 from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing

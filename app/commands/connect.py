@@ -23,11 +23,10 @@ from sidelong.app.flight.session import InputHealth, connected, with_fences
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import read_table
-from sidelong.app.link.queries import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.link.transport import checked_url
-from sidelong.app.payload.pan_limits import contradiction, pan_words
+from sidelong.app.link.vehicle import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.payload.registry import KIND_NAMES, read_payload
-from sidelong.app.payload.session import PayloadStatus
+from sidelong.app.payload.session import PayloadStatus, contradiction, pan_words
 from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing
 from sidelong.mission.core.events import Event

@@ -19,10 +19,8 @@ from sidelong.app.flight.payload_input import PayloadRunner, driver_of
 from sidelong.app.link.transport import Transport, opened
 from sidelong.app.network import NetworkAddress
 from sidelong.app.payload.driver import Measured
-from sidelong.app.payload.messages import COMPONENT, fields_of, packed
-from sidelong.app.payload.pan_limits import pan_words
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, read_payload
-from sidelong.app.payload.session import PayloadStatus
+from sidelong.app.payload.session import COMPONENT, PayloadStatus, fields_of, packed, pan_words
 from sidelong.app.process import run
 from sidelong.estimators.rotations import sight_direction
 

@@ -154,8 +154,11 @@ def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary],
 
     Raises FlightError if the coordinator's output differs from the flight's.
     """
-    from sidelong.app.fleet.assembly import coordinator_of  # noqa: PLC0415  # it takes half a second to load
-    from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, compare_coordination  # noqa: PLC0415
+    from sidelong.app.fleet.coordination import (  # noqa: PLC0415
+        FLEET_JOURNAL_TYPES,
+        compare_coordination,
+        coordinator_of,  # it takes half a second to load
+    )
 
     advice = f"{folder.journal}: its configuration cannot be used; replay the aircraft by themselves"
     fleet = validated(FleetFile, JournalReader(folder.journal, FLEET_JOURNAL_TYPES).header.config, advice)

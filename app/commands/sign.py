@@ -15,8 +15,16 @@ from pymavlink.dialects.v20 import all as dialect
 from sidelong.app.commands.output import console, say
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import KeyInUse, key_in_use, make_key, read_key
-from sidelong.app.link.signing import KEY_BYTES, RADIO_STATUS_ID, LinkSigning, signing_time
+from sidelong.app.link.signing import (
+    KEY_BYTES,
+    RADIO_STATUS_ID,
+    KeyInUse,
+    LinkSigning,
+    key_in_use,
+    make_key,
+    read_key,
+    signing_time,
+)
 from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_INVALID
 from sidelong.app.link.transport import Peer, checked_url, opened
 

@@ -1,4 +1,4 @@
-"""Connects the coordinator with the flights: passes reports and advice on, and keeps both in its journal.
+"""Makes the coordinator and connects it with the flights: passes reports and advice on, and keeps its journal.
 
 It also gives the mission time of each vehicle's clock, from the messages that report both.
 """
@@ -14,18 +14,25 @@ from dataclasses import replace
 from typing import Any, Literal, cast, get_args
 
 from sidelong.app.analysis.replay import Comparison
+from sidelong.app.assembly import MADE_UP_ROUTE, planner_needs, tracker_settings
+from sidelong.app.fleet.fleet_file import FleetFile, TeamPredictive
 from sidelong.app.flight.loop import Stepped
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.records.journal import JournalWriter
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.joint_track import JointTrack
 from sidelong.mission.control.alarms import Charge
 from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.surroundings import Surroundings
+from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import Event, RouteGiven
-from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
-from sidelong.mission.core.plan import HeightProfile, Plan
-from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
-from sidelong.mission.fleet.coordinator import FleetCoordinator
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -42,7 +49,11 @@ from sidelong.mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
+from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.reports import FleetReporter
+from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.vehicle import FleetMember
+from sidelong.mission.route.progress import RouteFollower
 
 _UTC_SINCE_S = 1.5e9  # an earlier time is a clock that has not been set
 _UTC_SIGMA_S = 0.02  # GPS time, stamped by the autopilot's main loop
@@ -415,3 +426,57 @@ def _raised(plan: Plan | None, by_m: float) -> Plan | None:
         return plan
     heights = plan.heights
     return replace(plan, heights=HeightProfile(heights.from_m + by_m, heights.to_m + by_m, heights.slope))
+
+
+def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda _share: None) -> FleetCoordinator:
+    """Return the coordinator, compiled and ready to run; progress is called with the value tables' progress.
+
+    It assigns the roles by the predictive planner's costs, whichever planner the aircraft use.
+    """
+    members, nothing = fleet.members, Surroundings()
+    configs = {member.name: member.config for member in members}
+    factories = {name: TeamPredictive().factory(planner_needs(config, progress)) for name, config in configs.items()}
+
+    def judge(name: str, aircraft: Aircraft, wanted: Requirement) -> TeamPlanner:
+        planner = factories[name](aircraft, wanted, nothing)
+        assert isinstance(planner, TeamPlanner)  # a fleet's file has a side
+        return planner
+
+    for name, config in configs.items():
+        _warm_up(judge(name, config.aircraft.aircraft(), config.requirement.requirement()))
+    return FleetCoordinator(
+        [
+            FleetMember(
+                member.name,
+                member.config.aircraft.aircraft(),
+                tracker_settings(member.config.sensors, member.config.planner.lost_after_s),
+                member.config.aircraft.height_m,
+                member.target,
+                reserve=member.reserve,
+                endurance_s=math.inf if member.relieve_after_min is None else 60.0 * member.relieve_after_min,
+            )
+            for member in members
+        ],
+        [FleetTarget(name, asked) for name, asked in fleet.asked.items()],
+        judge,
+    )
+
+
+def _warm_up(planner: TeamPlanner) -> None:
+    """Call the compiled functions of a fleet flight once and discard the results, so that they are loaded."""
+    track = JointTrack({name: TrackerSettings() for name in ("west", "east")})
+    for name, east_m, bearing_rad in (("west", -250.0, 0.5 * math.pi), ("east", 250.0, -0.5 * math.pi)):
+        track.add(name, Sighting(0.0, 270.0, bearing_rad, 0.3, 1.0, 0.01, 0.01, east_m, 0.0, 80.0))
+    estimate = track.estimate(0.0)
+    assert estimate is not None
+    WatchedCourse(Requirement(100.0, 500.0, Side.LEFT, 5.0)).update(estimate, None)
+    west, east = (Circle(east_m, 0.0, 60.0, clockwise=True) for east_m in (-250.0, 250.0))
+    state = AircraftState(0.0, *west.position_at_course(0.0), 0.0, 15.0, west.curvature_per_m)
+    other = Neighbour("east", replace(state, east_m=250.0), 160.0, ours=True, target="target")
+    planner.role_costs(state, estimate, Plan(west), Wind(), 0.5)
+    planner.advise(NeighbourPlanned(0.0, "east", Plan(east), None))
+    planner.advise(FleetAdvice(0.0, "target", Role.WANTED, Side.LEFT, estimate, 100.0, (other,)))
+    planner.decide(state, estimate, Plan(west), Wind(), 0.5)
+    follower = RouteFollower(MADE_UP_ROUTE)
+    follower.update(estimate)
+    planner.follow(MADE_UP_ROUTE, follower.progress)

@@ -11,8 +11,7 @@ from importlib.metadata import version
 
 from sidelong.app.analysis.score import Asked
 from sidelong.app.analysis.summary import MissionTrack
-from sidelong.app.fleet.assembly import coordinator_of
-from sidelong.app.fleet.coordination import Coordination, Participant
+from sidelong.app.fleet.coordination import Coordination, Participant, coordinator_of
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.flight.loop import FlightDisplay, Stepped
 from sidelong.app.flight.payload_input import check_route, give_route

@@ -17,7 +17,7 @@ from sidelong.app.assembly import winds_m_s
 from sidelong.app.config import Config, check_flyable, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.flight.streams import OneTask
-from sidelong.app.payload.pan_limits import contradiction, usable_pan_limit_deg
+from sidelong.app.payload.session import contradiction, usable_pan_limit_deg
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.mission.control.controller import StandoffController

@@ -34,7 +34,11 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
-from sidelong.app.link.queries import (
+from sidelong.app.link.traffic import TrafficReader
+from sidelong.app.link.vehicle import (
+    LinkError,
+    StatusText,
+    Vehicle,
     home_of,
     is_flying,
     mode_of,
@@ -42,8 +46,6 @@ from sidelong.app.link.queries import (
     request_pan_limits,
     vehicle_status,
 )
-from sidelong.app.link.traffic import TrafficReader
-from sidelong.app.link.vehicle import LinkError, StatusText, Vehicle
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.sharing.follow import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data

@@ -15,10 +15,9 @@ from typing import Protocol
 
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
-from sidelong.app.link.queries import failsafe_of
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import LinkError, Vehicle
+from sidelong.app.link.vehicle import LinkError, Vehicle, failsafe_of
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import (

@@ -19,9 +19,8 @@ from sidelong.app.link.other_mission import read_mission
 from sidelong.app.link.transport import Peer, Transport, opened
 from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleTimeline
 from sidelong.app.payload.driver import AircraftPose, DriverSettings, Measured
-from sidelong.app.payload.messages import COMPONENT, fields_of, packed
 from sidelong.app.payload.registry import MAVLINK, kind_by_name, resolved
-from sidelong.app.payload.session import PayloadSession, PayloadStatus
+from sidelong.app.payload.session import COMPONENT, PayloadSession, PayloadStatus, fields_of, packed
 from sidelong.app.records.route_file import read_flight_route
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import RouteGiven

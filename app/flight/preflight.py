@@ -20,7 +20,6 @@ from sidelong.app.config import Config, SharingSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.outputs import open_beacon
 from sidelong.app.link.message import Message, plain
-from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import (
     AUTOPILOT_COMPONENT,
     FAILSAFE,
@@ -30,7 +29,7 @@ from sidelong.app.link.telemetry import (
     Telemetry,
     has_fix,
 )
-from sidelong.app.link.vehicle import REMOTE_ID_STATUS, Vehicle
+from sidelong.app.link.vehicle import REMOTE_ID_STATUS, Vehicle, is_flying, mode_of
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import (

@@ -20,15 +20,14 @@ from sidelong.app.config import Config, LinkSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import Check, autopilot_of, check_release
 from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
-from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.mavsdk_link import SETTLING_S, STATION_ID, MavsdkLink
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import VehicleFences, read_fences
-from sidelong.app.link.queries import release_of
 from sidelong.app.link.raw_links import FrameListener, opened_links, opened_url
+from sidelong.app.link.signing import KeyInUse
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
 from sidelong.app.link.transport import Transport
-from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleMessages
+from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleMessages, release_of
 from sidelong.app.process import ends_within, fails_with
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
 from sidelong.estimators.tracking.payload_fit import yaw_fault

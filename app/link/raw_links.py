@@ -25,9 +25,8 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame, FrameSplitter, message_ids
-from sidelong.app.link.key_file import KeyInUse, key_in_use
 from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
-from sidelong.app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, signing_time
+from sidelong.app.link.signing import RADIO_STATUS_ID, KeyInUse, LinkSigning, Refusal, key_in_use, signing_time
 from sidelong.app.link.transport import Peer, Transport, checked_url, opened
 from sidelong.app.network import Allowances
 

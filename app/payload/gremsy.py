@@ -17,8 +17,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.link.frames import FrameSplitter
 from sidelong.app.link.telemetry import gimbal_frame
-from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, Measured, RangeMeasured
-from sidelong.app.payload.framed_driver import FramedDriver
+from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, FramedDriver, Measured, RangeMeasured
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 _OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER3

@@ -1,4 +1,4 @@
-"""One payload in use: notices its loss and return, and reports in words what it cannot do."""
+"""One payload in use: its loss and return, what it cannot do in words, and its measurements as MAVLink."""
 
 from __future__ import annotations
 
@@ -7,10 +7,22 @@ import statistics
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
-from sidelong.app.payload.pan_limits import pan_words
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM
+from sidelong.app.payload.driver import (
+    AircraftPose,
+    AnglesMeasured,
+    Frame,
+    Identity,
+    Measured,
+    PayloadDriver,
+    RangeMeasured,
+)
 from sidelong.estimators.rotations import from_roll_pitch_yaw, rotate, sight_direction
+from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG
 
 LOST_AFTER_S = 2.0
 """Without a measurement for this long the payload counts as lost."""
@@ -28,28 +40,17 @@ _APART_MAX_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PayloadStatus:
-    """Present data and state of a payload.
-
-    Attributes:
-        range_hz: ranges per second over the last 2 s.
-        angles_hz: attitudes per second over the last 2 s.
-        round_trip_s: shortest recent time between a request and its reply, s; None where it is not known.
-        damaged: frames refused since the beginning.
-        range: the latest range, None before the first.
-        angles: the latest attitude, None before the first.
-        missing: messages about missing or inconsistent data; empty without a fault.
-        height_ratio: height by range and angles over the autopilot's height; None while it is not known.
-    """
+    """Present data and state of a payload; None: not known yet."""
 
     identity: Identity
-    range_hz: float
+    range_hz: float  # over the last 2 s
     angles_hz: float
-    round_trip_s: float | None
-    damaged: int
-    range: RangeMeasured | None
+    round_trip_s: float | None  # shortest recent time between a request and its reply
+    damaged: int  # frames refused since the beginning
+    range: RangeMeasured | None  # the latest
     angles: AnglesMeasured | None
-    missing: tuple[str, ...]
-    height_ratio: float | None
+    missing: tuple[str, ...]  # messages about missing or inconsistent data
+    height_ratio: float | None  # height by range and angles over the autopilot's height
 
 
 class Consistency:
@@ -93,10 +94,8 @@ class PayloadSession:
     """A driver with the supervision of its connection. Times are of the driver's clock.
 
     Args:
-        name: how reports call the payload.
         report: receives each report, one sentence without its full stop.
         range_delay_s: age of a range when the payload sends it, s.
-        angles_delay_s: the same of the angles, s.
     """
 
     def __init__(
@@ -134,16 +133,15 @@ class PayloadSession:
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
         """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
         self._bytes_s = now_s
-        measured = [
-            replace(one, time_s=one.time_s - self._delays_s[type(one)]) for one in self._driver.receive(data, now_s)
-        ]
-        for one in measured:
-            if isinstance(one, RangeMeasured):
-                self._range, self._range_s = one, now_s
+        received = self._driver.receive(data, now_s)
+        measured = [replace(each, time_s=each.time_s - self._delays_s[type(each)]) for each in received]
+        for each in measured:
+            if isinstance(each, RangeMeasured):
+                self._range, self._range_s = each, now_s
                 self._ranges_s.append(now_s)
-                self._consistency.add(one, self._angles, self._pose)
+                self._consistency.add(each, self._angles, self._pose)
             else:
-                self._angles = one
+                self._angles = each
                 self._angles_s.append(now_s)
         for times_s in (self._ranges_s, self._angles_s):
             while times_s and times_s[0] < now_s - _RATE_OVER_S:
@@ -198,8 +196,7 @@ class PayloadSession:
         identity = self._driver.identity
         if identity.model and identity.model != self._model:
             self._model = identity.model
-            no_laser = ", which has no laser: the range has to come from elsewhere"
-            no_laser = no_laser if identity.has_laser is False else ""
+            no_laser = ", which has no laser: the range has to come from elsewhere" * (identity.has_laser is False)
             self._report(f"payload {self._name}: {identity.model}{no_laser}")
             for words in pan_words(identity.pan_limits_rad):
                 self._report(f"payload {self._name}: {words}")
@@ -232,3 +229,98 @@ class PayloadSession:
             self._is_lost = self._is_rangeless = False
             self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
             self._range_s = now_s  # its laser may take some seconds
+
+
+_CLOSED_RAD = math.radians(1.0)
+_EQUAL_DEG = 2.0
+
+
+def usable_pan_limit_deg(limits_rad: tuple[float, float] | None) -> float | None:
+    """Return the pan limit to each side that figures of eight can be planned for, degrees.
+
+    limits_rad: least and greatest yaw off the nose. None for a gimbal that looks all around, or too little aside.
+    """
+    if limits_rad is None or _looks_all_around(limits_rad):
+        return None
+    nearer_deg = float(math.floor(math.degrees(min(-limits_rad[0], limits_rad[1])) + 0.1))
+    return None if nearer_deg < PAN_LIMIT_MIN_DEG else nearer_deg
+
+
+def pan_words(limits_rad: tuple[float, float] | None) -> list[str]:
+    """Return what pan limits mean for a watch, one sentence; none if the gimbal looks all around.
+
+    The aircraft turns through 360 degrees in each lap. A target outside the circle is therefore in every direction
+    from the nose for the same time, wherever the circle is; only figures of eight avoid that.
+    """
+    if limits_rad is None or _looks_all_around(limits_rad):
+        return []
+    least_deg, most_deg = (math.degrees(limit_rad) for limit_rad in limits_rad)
+    share = 100.0 - (most_deg - least_deg) / 3.6
+    reach = f"the gimbal pans from {least_deg:.0f} to {most_deg:.0f} degrees off the nose"
+    lost = f"on a circle it cannot look at the target for {share:.0f} % of each lap"
+    instead = "" if usable_pan_limit_deg(limits_rad) is None else "; one aircraft flies figures of eight instead"
+    return [f"{reach}: {lost}{instead}"]
+
+
+def contradiction(configured_deg: float | None, limits_rad: tuple[float, float] | None) -> str:
+    """Return that the configured pan limit is wider than the gimbal's, and what to do; empty: it is not."""
+    limit_deg = usable_pan_limit_deg(limits_rad)
+    if configured_deg is None or limit_deg is None or configured_deg <= limit_deg + _EQUAL_DEG:
+        return ""
+    return (
+        f"aircraft.pan_limit_deg = {configured_deg:g}, but the gimbal pans {limit_deg:g} degrees only; "
+        "remove it to plan for that"
+    )
+
+
+def _looks_all_around(limits_rad: tuple[float, float]) -> bool:
+    return limits_rad[1] - limits_rad[0] >= math.tau - _CLOSED_RAD
+
+
+COMPONENT = mavlink.MAV_COMP_ID_GIMBAL
+"""The component that a driver's messages come from: 154."""
+
+_LOCKED = mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
+_FLAGS: dict[Frame, int] = {
+    "vehicle": _LOCKED | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
+    "body": mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
+    "earth": _LOCKED | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME,
+}
+_SENSOR_ID = 1
+_COVARIANCE_UNKNOWN = 255
+_BOOT_MS_WRAP = 1 << 32
+
+
+def fields_of(measured: Measured, vehicle_s: float) -> tuple[str, dict[str, Any]]:
+    """Return name and fields of the message for a measurement, vehicle_s being its time on the vehicle's clock."""
+    boot_ms = round(1000.0 * vehicle_s) % _BOOT_MS_WRAP
+    if isinstance(measured, AnglesMeasured):
+        addressed = {"target_system": 0, "target_component": 0, "time_boot_ms": boot_ms}
+        attitude = {"flags": _FLAGS[measured.frame], "q": list(measured.quaternion_wxyz), "failure_flags": 0}
+        rates = dict.fromkeys((f"angular_velocity_{axis}" for axis in "xyz"), math.nan)
+        return "GIMBAL_DEVICE_ATTITUDE_STATUS", addressed | attitude | rates
+    # A field of 16 bits limits what is sent to others, not what is flown by.
+    centimetres = 100.0 * measured.slant_range_m
+    return "DISTANCE_SENSOR", {
+        "time_boot_ms": boot_ms,
+        "min_distance": 0,
+        "max_distance": max(DISTANCE_SENSOR_MAX_CM, math.floor(centimetres) + 1),
+        "current_distance": centimetres,
+        "type": mavlink.MAV_DISTANCE_SENSOR_LASER,
+        "id": _SENSOR_ID,
+        "orientation": mavlink.MAV_SENSOR_ROTATION_CUSTOM,
+        "covariance": _COVARIANCE_UNKNOWN,
+        "quaternion": [1.0, 0.0, 0.0, 0.0],
+        "signal_quality": 0,
+    }
+
+
+def packed(name: str, fields: dict[str, Any], encoder: Any) -> bytes | None:
+    """Return the message as bytes; None for a range beyond the 655 m that DISTANCE_SENSOR can carry."""
+    if name == "DISTANCE_SENSOR":
+        if fields["current_distance"] > DISTANCE_SENSOR_MAX_CM:
+            return None
+        whole_cm = round(fields["current_distance"])
+        fields = fields | {"current_distance": whole_cm, "max_distance": DISTANCE_SENSOR_MAX_CM}
+    data: bytes = getattr(mavlink, f"MAVLink_{name.lower()}_message")(**fields).pack(encoder)
+    return data

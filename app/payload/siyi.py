@@ -21,10 +21,10 @@ from sidelong.app.payload.driver import (
     AnglesMeasured,
     DriverSettings,
     Frame,
+    FramedDriver,
     Measured,
     RangeMeasured,
 )
-from sidelong.app.payload.framed_driver import FramedDriver
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 

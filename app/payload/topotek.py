@@ -13,13 +13,7 @@ import struct
 from collections.abc import Sequence
 
 from sidelong.app.link.framing import Framer
-from sidelong.app.payload.driver import (
-    AnglesMeasured,
-    DriverSettings,
-    Measured,
-    RangeMeasured,
-)
-from sidelong.app.payload.framed_driver import FramedDriver
+from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, FramedDriver, Measured, RangeMeasured
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 

@@ -13,8 +13,8 @@ from dataclasses import astuple, dataclass
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import AircraftSection
+from sidelong.app.link.frames import Decoder
 from sidelong.app.link.message import Message
-from sidelong.app.link.wire import Decoder
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import STEP_S, Target
 from sidelong.estimators.frames import LocalPlane

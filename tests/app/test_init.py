@@ -12,7 +12,7 @@ import pytest
 from sidelong.app.commands.init import PAYLOAD_PRESETS, PRESETS, config_text, init
 from sidelong.app.config import Config, check_flyable, load_config
 from sidelong.app.errors import InputError
-from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.flight.shell import SimulatedVehicles
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 
 

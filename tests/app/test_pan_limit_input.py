@@ -14,7 +14,7 @@ from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.flight.changes import PanLimitInput
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.payload.pan_limits import usable_pan_limit_deg
+from sidelong.app.payload.session import usable_pan_limit_deg
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.mission.control.present import Phase

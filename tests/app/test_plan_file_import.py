@@ -8,7 +8,7 @@ from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 
 from sidelong.app.config import Config
-from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.flight.shell import SimulatedVehicles
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan

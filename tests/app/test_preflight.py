@@ -10,9 +10,9 @@ from sidelong.app.autopilots.px4 import Px4
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import SourceRate, check_takeover, checks
-from sidelong.app.link.queries import reported_pan_limits_rad
 from sidelong.app.link.telemetry import RECOVERY_MODES
-from sidelong.app.payload.pan_limits import contradiction, pan_words
+from sidelong.app.link.vehicle import reported_pan_limits_rad
+from sidelong.app.payload.session import contradiction, pan_words
 from sidelong.estimators.sensing.readings import Source
 from tests.messages import latest
 

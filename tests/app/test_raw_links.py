@@ -15,9 +15,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import key_in_use, make_key
 from sidelong.app.link.raw_links import UNREAD, RawLinks
-from sidelong.app.link.signing import Refusal, signing_time
+from sidelong.app.link.signing import Refusal, key_in_use, make_key, signing_time
 from sidelong.sitl.protocol.radio import read_key as sitl_key
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation

@@ -12,8 +12,7 @@ from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_release, checks
 from sidelong.app.link.parameters import read_table, temporary_parameters
-from sidelong.app.link.queries import release_of
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import Vehicle, release_of
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
 from tests.app.test_asking import LossyLink

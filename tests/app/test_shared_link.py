@@ -8,9 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.link.frames import Frame
-from sidelong.app.link.key_file import key_in_use, make_key
 from sidelong.app.link.raw_links import RawLinks
-from sidelong.app.link.signing import LinkSigning, Refusal, signing_time
+from sidelong.app.link.signing import LinkSigning, Refusal, key_in_use, make_key, signing_time
 from sidelong.app.link.transport import sharing_opener
 from sidelong.sitl.protocol.radio import read_key as sitl_key
 from sidelong.sitl.settings import Settings

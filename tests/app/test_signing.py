@@ -11,8 +11,16 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.app.link.key_file import key_in_use, make_key, read_key
-from sidelong.app.link.signing import LinkSigning, Refusal, SigningKey, SigningTimes, signing_time
+from sidelong.app.link.signing import (
+    LinkSigning,
+    Refusal,
+    SigningKey,
+    SigningTimes,
+    key_in_use,
+    make_key,
+    read_key,
+    signing_time,
+)
 
 SECRET, OTHER_SECRET = bytes(range(32)), bytes(range(1, 33))
 NOW = signing_time(1.78e9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sidelong.app.link.quality import LinkReport, Measured
-from sidelong.app.link.queries import vehicle_status
+from sidelong.app.link.vehicle import vehicle_status
 from tests.messages import latest
 
 

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.app.link.frames import Frame, FrameSplitter
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 

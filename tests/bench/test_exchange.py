@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan, Yield
 from sidelong.sitl.protocol.link import LinkFaults
 from tests.bench.size import size

@@ -24,7 +24,7 @@ import pytest
 from sidelong.app.analysis.score import judge_moments
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.config import load_config
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.estimators.frames import LocalPlane
 from tests.autopilot.real_vehicle import AIRCRAFT
 

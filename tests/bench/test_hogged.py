@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.app.records.journal import JournalReader
 from sidelong.mission.core.events import ActivatePlan, PlanStatus, Yield
 

@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.commands.sign import sign
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.app.link.signing import signing_time
 from sidelong.app.records.journal import JournalReader
 from sidelong.estimators.sensing.readings import PositionReading

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from sidelong.app.fleet.assembly import coordinator_of
+from sidelong.app.fleet.coordination import coordinator_of
 from sidelong.app.fleet.fleet_file import FleetFile, TeamPredictive
 from sidelong.mission.fleet.events import ClockReported, FleetEvent, Tell, Tick
 from sidelong.mission.fleet.reports import FleetReporter

@@ -30,7 +30,7 @@ import pytest
 from sidelong.app.analysis.score import within_pan_limits
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.simulation.kinematic import STEP_S
 from sidelong.app.study.judging import judged

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 
 RESTARTS = int(os.environ.get("RESTARTS", "10"))
 RADIO = ("--set", "link.baud=57600", "--set", "link.loss=0.05", "--set", "link.delay_s=0.075")  # each way

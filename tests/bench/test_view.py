@@ -36,7 +36,7 @@ from sidelong.app.config import Config
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import connected
-from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.flight.shell import SimulatedVehicles
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.background import Background, background

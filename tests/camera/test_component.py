@@ -11,8 +11,8 @@ from sidelong.app.camera.camera import Pictured
 from sidelong.app.camera.component import CAMERA_COMPONENT, CameraComponent
 from sidelong.app.camera.tracker import Box, Tracked
 from sidelong.app.camera.view import View
+from sidelong.app.link.frames import Packer
 from sidelong.app.link.message import Message
-from sidelong.app.link.wire import Packer
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
 
 STATION, OTHER = (255, 190), (254, 190)

@@ -14,10 +14,9 @@ from sidelong.app.assembly import mission_controller_of, tracker_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.link.frames import FrameSplitter
+from sidelong.app.link.frames import OWN_ID, FrameSplitter, Packer
 from sidelong.app.link.quality import LinkQuality
 from sidelong.app.link.raw_links import LinkMerger
-from sidelong.app.link.wire import OWN_ID, Packer
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle

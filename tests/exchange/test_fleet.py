@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from sidelong.app.assembly import controller_of, mission_controller_of
-from sidelong.app.fleet.assembly import coordinator_of
-from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant, compare_coordination
+from sidelong.app.fleet.coordination import (
+    FLEET_JOURNAL_TYPES,
+    Coordination,
+    Participant,
+    compare_coordination,
+    coordinator_of,
+)
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.core.events import End

@@ -17,8 +17,7 @@ import numpy as np
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
-from sidelong.app.fleet.assembly import coordinator_of
-from sidelong.app.fleet.coordination import Coordination, Participant
+from sidelong.app.fleet.coordination import Coordination, Participant, coordinator_of
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.estimators.frames import LocalPlane

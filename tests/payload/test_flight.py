@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sidelong.app.payload.driver import RangeMeasured
-from sidelong.app.payload.messages import COMPONENT, fields_of
+from sidelong.app.payload.session import COMPONENT, fields_of
 from sidelong.sitl.payload.devices import DEVICES, DeviceView
 from sidelong.sitl.settings import Quirks
 from tests.faults.flight import ERRORS, STEP_S, FaultedFlight, Scenario
