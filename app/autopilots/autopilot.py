@@ -73,21 +73,16 @@ class Parameter:
     """A parameter as some releases have it.
 
     Attributes:
-        name: Its name in those releases.
-        key: What the rest of the program calls it: its name in the newest release. Empty: ``name``.
         unit: One unit of this parameter in units of ``key``, for example 0.01 for cm/s where ``key`` is in m/s.
-        since: First release that has it.
-        until: First release that no longer has it, None: all later ones have it.
-        notes: Values that deserve a remark.
     """
 
-    name: str
+    name: str  # its name in those releases
     purpose: Purpose
-    key: str = ""
+    key: str = ""  # what the rest of the program calls it: its name in the newest release. Empty: ``name``
     unit: float = 1.0
-    since: Release = _OLDEST
-    until: Release | None = None
-    notes: Mapping[float, str] = field(default_factory=dict, hash=False)
+    since: Release = _OLDEST  # first release that has it
+    until: Release | None = None  # first release that no longer has it, None: all later ones have it
+    notes: Mapping[float, str] = field(default_factory=dict, hash=False)  # values that deserve a remark
 
     @property
     def known_as(self) -> str:
@@ -198,16 +193,11 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class SupportedReleases:
-    """The releases of an autopilot that can be flown.
-
-    Attributes:
-        newest: Last series whose parameters and protocol are known.
-        older_lack: What releases before ``oldest`` lack, as the end of a sentence.
-    """
+    """The releases of an autopilot that can be flown."""
 
     oldest: Release
-    newest: Release
-    older_lack: str
+    newest: Release  # last series whose parameters and protocol are known
+    older_lack: str  # what releases before ``oldest`` lack, as the end of a sentence
 
 
 class Autopilot(AutopilotDialect, Protocol):

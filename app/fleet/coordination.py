@@ -32,23 +32,8 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
+from sidelong.mission.fleet import events
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from sidelong.mission.fleet.events import (
-    BatteryReported,
-    ClockReported,
-    FleetAnnounce,
-    FleetCommand,
-    FleetEvent,
-    LaunchRequested,
-    PlansReported,
-    ReliefRequested,
-    RequirementChanged,
-    SideRequested,
-    Tell,
-    Tick,
-    VehicleLost,
-    VehicleReported,
-)
 from sidelong.mission.fleet.judges import WatchedCourse
 from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.team_planner import TeamPlanner
@@ -141,13 +126,13 @@ class VehicleClockReader:
         """Use the answers to TIMESYNC from now on, even where UTC is reported."""
         self._utc_rejected = self._restarted = True
 
-    def report(self, message: Message) -> ClockReported | None:
+    def report(self, message: Message) -> events.ClockReported | None:
         reported = self._report(message)
         if reported is not None:
             self._reported_offset_s = reported.mission_time_s - reported.time_s
         return reported
 
-    def _report(self, message: Message) -> ClockReported | None:
+    def _report(self, message: Message) -> events.ClockReported | None:
         if message.component_id != AUTOPILOT_COMPONENT:
             return None
         fields, received_s = message.fields, time.monotonic()
@@ -161,7 +146,7 @@ class VehicleClockReader:
             if self._utc_rejected or not self._utc_rate.holds:
                 return None
             self._utc_received_s = self._reported_s = received_s
-            return ClockReported(self._name, vehicle_s, self._to_mission_s("utc", utc_s), _UTC_SIGMA_S)
+            return events.ClockReported(self._name, vehicle_s, self._to_mission_s("utc", utc_s), _UTC_SIGMA_S)
         if not self._utc_rate.holds:
             return self._by_other_clocks(fields) if message.name == "GLOBAL_POSITION_INT" else None
         if message.name == "TIMESYNC" and fields["tc1"]:
@@ -177,13 +162,14 @@ class VehicleClockReader:
             self._reported_s = received_s
             restarted, self._restarted = self._restarted, False
             mission_s, sigma_s = self._to_mission_s("host", host_s), math.hypot(half_s, _HOST_SIGMA_S)
-            return ClockReported(self._name, vehicle_s, mission_s, sigma_s, restarted)
+            return events.ClockReported(self._name, vehicle_s, mission_s, sigma_s, restarted)
         if message.name == "GLOBAL_POSITION_INT" and received_s - self._reported_s > _UTC_VALID_S:
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
-            return ClockReported(self._name, vehicle_s, self._to_mission_s("host", time.time()), _ARRIVAL_SIGMA_S)
+            mission_s = self._to_mission_s("host", time.time())
+            return events.ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
         return None
 
-    def _by_other_clocks(self, fields: Mapping[str, Any]) -> ClockReported:
+    def _by_other_clocks(self, fields: Mapping[str, Any]) -> events.ClockReported:
         vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
         # Two that went by each other would fall back by what each learns too late.
         mission_s = math.nan if self._leads else self._mission_s()
@@ -192,7 +178,7 @@ class VehicleClockReader:
             if self._reported_offset_s is None:
                 self._reported_offset_s = self._to_mission_s("host", time.time()) - vehicle_s
             mission_s = vehicle_s + self._reported_offset_s
-        return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
+        return events.ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 
     def _unwrapped_s(self, stamp_s: float) -> float:
         """Return a stamp of milliseconds in 32 bits on the vehicle's clock, which does not wrap around."""
@@ -200,7 +186,7 @@ class VehicleClockReader:
         return stamp_s if not math.isfinite(now_s) else stamp_s + _WRAP_S * round((now_s - stamp_s) / _WRAP_S)
 
 
-FLEET_JOURNAL_TYPES: tuple[type, ...] = (*get_args(FleetEvent), *get_args(FleetCommand))
+FLEET_JOURNAL_TYPES: tuple[type, ...] = (*get_args(events.FleetEvent), *get_args(events.FleetCommand))
 
 _TICK_S = 0.5  # of mission time
 _POLL_S = 0.05
@@ -305,7 +291,7 @@ class Coordination:
             now_s += _STANDING_S  # no vehicle is received any more
         if math.isfinite(now_s):
             self._ticked_s, self._moved_s = now_s, wall_s
-            self.put(Tick(now_s))
+            self.put(events.Tick(now_s))
 
     # -- what the aircraft report --------------------------------------------------------------------------
 
@@ -353,58 +339,58 @@ class Coordination:
         participant.charge.take(now_s, percent)
         charge = round(participant.charge.percent or 0.0)
         if before is None or charge != round(before):
-            self.put(BatteryReported(participant.name, now_s, charge / 100.0))
+            self.put(events.BatteryReported(participant.name, now_s, charge / 100.0))
 
     def lost(self, name: str, reason: str) -> None:
         """Take an aircraft out whose flight has ended."""
         if math.isfinite(self.now_s):
-            self.put(VehicleLost(name, self.now_s, reason))
+            self.put(events.VehicleLost(name, self.now_s, reason))
 
     # -- what a person asks --------------------------------------------------------------------------------
 
     def watch_from(self, side: Side, who: str) -> None:
-        self.put(SideRequested(self.now_s, side, who))
+        self.put(events.SideRequested(self.now_s, side, who))
 
     def relieve(self, name: str, who: str) -> None:
-        self.put(ReliefRequested(name, self.now_s, who))
+        self.put(events.ReliefRequested(name, self.now_s, who))
 
     # -- output of the coordinator -------------------------------------------------------------------------
 
-    def put(self, event: FleetEvent) -> None:
+    def put(self, event: events.FleetEvent) -> None:
         """Step the coordinator, and pass on what it led to."""
         self._journal.write(event)
         for command in self.coordinator.step(event):
             self._journal.write(command)
             match command:
-                case Tell():
+                case events.Tell():
                     advised = self._participants[command.name]
                     advised.put_event(_own_heights(command.event, advised.home_above_m))
-                case FleetAnnounce():
+                case events.FleetAnnounce():
                     self._note(command.name, command.text)
-                case RequirementChanged():
+                case events.RequirementChanged():
                     self.changes[command.target].append((command.mission_time_s, command.requirement))
-                case LaunchRequested():
+                case events.LaunchRequested():
                     self._note(command.name, f"is wanted in the air: {command.reason}")
                     self._launch(command.name)
 
 
 def compare_coordination(coordinator: FleetCoordinator, records: Iterable[object]) -> Comparison:
     """Step a coordinator through its journal, and compare its commands."""
-    comparison, commands = Comparison(), get_args(FleetCommand)
+    comparison, commands = Comparison(), get_args(events.FleetCommand)
     for record in records:
         if isinstance(record, commands):
             comparison.flown(record)
         else:
-            comparison.replayed(record, coordinator.step(cast(FleetEvent, record)))
+            comparison.replayed(record, coordinator.step(cast(events.FleetEvent, record)))
     return comparison
 
 
-def _common_heights(event: FleetEvent, by_m: float) -> FleetEvent:
+def _common_heights(event: events.FleetEvent, by_m: float) -> events.FleetEvent:
     """Return what an aircraft reports with heights above the common home."""
     match event:
-        case VehicleReported() if by_m:
+        case events.VehicleReported() if by_m:
             return replace(event, height_m=event.height_m + by_m)
-        case PlansReported() if by_m:
+        case events.PlansReported() if by_m:
             return replace(event, present=_raised(event.present, by_m), coming=_raised(event.coming, by_m))
     return event
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from sidelong.app.assembly import winds_m_s
 from sidelong.app.config import Config, check_flyable, with_values
@@ -29,17 +29,16 @@ from sidelong.mission.core.events import Announce, MissionChange, WindPrepared
 GIMBAL = "gimbal"
 
 
+@dataclass(eq=False)
 class MissionChanges:
-    def __init__(
-        self,
-        config: Config,
-        controller: StandoffController,
-        now_s: Callable[[], float],
-        put: Callable[[MissionChange], object],
-        say: Callable[[Announce], object],
-    ) -> None:
-        self._config, self._controller, self._now_s, self._put, self._say = config, controller, now_s, put, say
-        self._making_ready = OneTask()
+    """Changes of one flight, which go to the control loop (``_put``)."""
+
+    _config: Config
+    _controller: StandoffController
+    _now_s: Callable[[], float]
+    _put: Callable[[MissionChange], object]
+    _say: Callable[[Announce], object]
+    _making_ready: OneTask = field(default_factory=OneTask)
 
     @property
     def is_busy(self) -> bool:
@@ -67,22 +66,12 @@ class MissionChanges:
 
     def _checked(self, change: MissionChange) -> Config:
         """Return the configuration as changed. Raises InputError with what keeps it from being flown."""
-        changed = with_values(
-            self._config,
-            {
-                "aircraft": {
-                    "radius_m": change.radius_m,
-                    "height_m": change.height_m,
-                    "pan_limit_deg": change.pan_limit_deg,
-                },
-                "requirement": {
-                    "range_min_m": change.range_min_m,
-                    "range_max_m": change.range_max_m,
-                    "side": change.side,
-                },
-            },
-            "change",
-        )
+        keys = {
+            "aircraft": ("radius_m", "height_m", "pan_limit_deg"),
+            "requirement": ("range_min_m", "range_max_m", "side"),
+        }
+        values = {section: {key: getattr(change, key) for key in own} for section, own in keys.items()}
+        changed = with_values(self._config, values, "change")
         check_flyable(changed)
         objection = self._controller.objection(change)
         if objection is not None:
@@ -108,25 +97,15 @@ class MissionChanges:
         self._say(Announce(self._now_s(), "operator", text))
 
 
+@dataclass(eq=False)
 class PanLimitInput:
-    """Pan limits of one flight, driven by its snapshots.
+    """Pan limits of one flight, driven by its snapshots."""
 
-    Args:
-        configured_deg: ``aircraft.pan_limit_deg``, which has precedence; None: not configured.
-        reported: Returns the least and the greatest yaw off the nose, rad; None while nothing is reported.
-        changes: Prepares the plan for them.
-        note: Receives what is done, and where the configuration contradicts the gimbal.
-    """
-
-    def __init__(
-        self,
-        configured_deg: float | None,
-        reported: Callable[[], tuple[float, float] | None],
-        changes: MissionChanges,
-        note: Callable[[str], object],
-    ) -> None:
-        self._configured_deg, self._reported, self._changes, self._note = configured_deg, reported, changes, note
-        self._is_settled = False
+    _configured_deg: float | None  # aircraft.pan_limit_deg, which has precedence
+    _reported: Callable[[], tuple[float, float] | None]  # least and greatest yaw off the nose, rad
+    _changes: MissionChanges
+    _note: Callable[[str], object]
+    _is_settled: bool = False
 
     def show(self, snapshot: Present) -> None:
         """Plan for the limits, once they are known and the target is watched."""
@@ -152,10 +131,7 @@ _AVERAGED_OVER_S = 30.0
 
 
 class WindTables:
-    """Wind tables of one flight, driven by its snapshots. winds_m_s: wind speeds with a table, in addition to 0.
-
-    put: passes the event that a table is ready; note: reports errors to the operator.
-    """
+    """Wind tables of one flight, driven by its snapshots. winds_m_s: wind speeds with a table, in addition to 0."""
 
     def __init__(
         self,
@@ -185,7 +161,7 @@ class WindTables:
         if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == WINDS_MAX or self._making.is_running:
             return
         step_m_s = _STEP * self._airspeed_m_s
-        nearest_m_s = min(self._ready_m_s, key=lambda one: abs(one - self._mean_m_s))
+        nearest_m_s = min(self._ready_m_s, key=lambda ready_m_s: abs(ready_m_s - self._mean_m_s))
         if abs(nearest_m_s - self._mean_m_s) > 0.75 * step_m_s:
             self._prepared += 1
             speed_m_s = round(round(self._mean_m_s / step_m_s) * step_m_s, 2)

@@ -53,18 +53,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarms, Endurance, battery_is_low, describe_battery, time_to_s
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Phase, Present, VehicleStatus
-from sidelong.mission.core.events import (
-    AlarmReported,
-    Announce,
-    BankLimitReported,
-    BatteryReported,
-    ControlAcquired,
-    Event,
-    HomeReported,
-    MissionChange,
-    RoundTripReported,
-    TrafficReported,
-)
+from sidelong.mission.core import events
 from sidelong.mission.core.plan import AircraftState, PanLimitPlanner
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
@@ -100,11 +89,10 @@ class CameraPlaces:
 
     Attributes:
         simulated: That of a simulated vehicle, whose operator clicks the target; None: the configured one.
-        record: The file in the run folder; None: nowhere.
     """
 
     simulated: str | None = None
-    record: Path | None = None
+    record: Path | None = None  # the file in the run folder; None: nowhere
 
 
 class StoppedClock:
@@ -195,7 +183,7 @@ class Flight:
         self._prepared = replace(self._prepared, config=self._config)
         self._display.note(f"the vehicle has {self._fences}")
 
-    async def _watch_fences(self, put: Callable[[AlarmReported], object]) -> None:
+    async def _watch_fences(self, put: Callable[[events.AlarmReported], object]) -> None:
         """Announce once that the vehicle's fences differ from those that are flown by."""
         vehicle, partial_writes = self._vehicle, self._autopilot.quirks.stores_items_one_by_one
         known_id = _fence_ids(vehicle)
@@ -207,7 +195,7 @@ class Flight:
             with contextlib.suppress(LookupError, LinkError):
                 if await read_fences(vehicle) != self._fences:
                     text = "the vehicle's fences have changed: end this watch and start another one to keep them"
-                    put(AlarmReported(self._telemetry.now_s, "fences", "raised", text))
+                    put(events.AlarmReported(self._telemetry.now_s, "fences", "raised", text))
                     return
 
     async def watch(
@@ -258,7 +246,7 @@ class Flight:
         last = self._vehicle.latest.get("GLOBAL_POSITION_INT")
         return math.inf if last is None else float(last.fields["time_boot_ms"]) * 1e-3
 
-    def put_event(self, event: Event) -> None:
+    def put_event(self, event: events.Event) -> None:
         """Pass the core an event that does not come from the vehicle; ignored if the core does not run."""
         if self._loop is not None:
             self._loop.put(event)
@@ -348,7 +336,7 @@ class Flight:
     def _limits_changed(self, values: Mapping[str, float]) -> None:
         bank_deg = self._autopilot.limits(values).bank_max_deg
         if bank_deg is not None:
-            self.put_event(BankLimitReported(self._telemetry.now_s, math.radians(bank_deg)))
+            self.put_event(events.BankLimitReported(self._telemetry.now_s, math.radians(bank_deg)))
 
     def _takeover(self, link_s: float) -> TakeoverRequested:
         """Return the request to take over, and show the autopilot's warnings from now on."""
@@ -364,7 +352,7 @@ class Flight:
         try:
             await self._resume()
         except InputError as refusal:
-            self._display.say(Announce(self._telemetry.now_s, "refused", f"resume refused: {refusal}"))
+            self._display.say(events.Announce(self._telemetry.now_s, "refused", f"resume refused: {refusal}"))
 
     async def _resume(self) -> None:
         """Check the vehicle again after a yield, then ask the core to take it over.
@@ -405,9 +393,9 @@ class Flight:
 
     def _request(self, changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wish: Wish) -> None:
         match wish:
-            case MissionChange():
+            case events.MissionChange():
                 changes.take(wish)
-            case AlarmReported():
+            case events.AlarmReported():
                 alarms.acknowledge(wish)
             case TrackRequest():
                 if self._runner is None:
@@ -438,7 +426,7 @@ class Flight:
 
         def listen(message: Message) -> None:
             if reader.report(message) is not None:
-                self.put_event(TrafficReported(self._telemetry.now_s, reader.aircraft))
+                self.put_event(events.TrafficReported(self._telemetry.now_s, reader.aircraft))
 
         vehicle.bystanders.append(listen)
         shared.callback(vehicle.bystanders.remove, listen)
@@ -488,7 +476,7 @@ class Flight:
                 rate = (self._telemetry.now_s - began_s) / (loop.link_s - at_s)
             round_trip_s = watch.news(self._vehicle.link.recent(), rate)
             if round_trip_s is not None:
-                loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s))
+                loop.put(events.RoundTripReported(self._telemetry.now_s, round_trip_s))
 
     def _target_height_m(self, east_m: float, north_m: float) -> float:
         """Return the ground's height above home at a place, 0 where it is not known."""
@@ -537,13 +525,13 @@ class Flight:
             self._warnings.add(text.text)
             self._display.note(f'the autopilot reports "{text.text}"')
 
-    def _acquired(self, acquired: ControlAcquired) -> None:
+    def _acquired(self, acquired: events.ControlAcquired) -> None:
         self._vehicle.texts.listeners.remove(self._warned)
         if self._start_s < math.inf:
             self._display.note("circling again: the target is watched from now on")
             return
         home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
-        self.put_event(HomeReported(acquired.time_s, *home_m))  # it may have been reported long before
+        self.put_event(events.HomeReported(acquired.time_s, *home_m))  # it may have been reported long before
         self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
         self._display.engage(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
@@ -697,7 +685,7 @@ class AlarmWatch:
         config: Config,
         home_m: tuple[float, float],
         status: Callable[[], VehicleStatus],
-        put: Callable[[AlarmReported | BatteryReported], object],
+        put: Callable[[events.AlarmReported | events.BatteryReported], object],
         send: Callable[[str], object],
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -715,7 +703,7 @@ class AlarmWatch:
         self.home_s: float | None = None
         self._low = False
 
-    def acknowledge(self, wish: AlarmReported) -> None:
+    def acknowledge(self, wish: events.AlarmReported) -> None:
         if self._alarms.acknowledge(wish.key):
             self._put(wish)
 
@@ -765,9 +753,9 @@ class AlarmWatch:
         self._watch_battery(present)
         raised, cleared = self._alarms.update(replace(present, vehicle=self.status))
         for alarm in cleared:
-            self._put(AlarmReported(present.time_s, alarm.key, "cleared", alarm.text))
+            self._put(events.AlarmReported(present.time_s, alarm.key, "cleared", alarm.text))
         for alarm in raised:
-            self._put(AlarmReported(present.time_s, alarm.key, "raised", f"{alarm.text}: {alarm.advice}"))
+            self._put(events.AlarmReported(present.time_s, alarm.key, "raised", f"{alarm.text}: {alarm.advice}"))
         if raised and present.phase.in_control and present.time_s >= self._sent_s + _TEXT_EVERY_S:
             self._sent_s = present.time_s
             self._send(f"sidelong: {raised[0].text}")
@@ -787,4 +775,4 @@ class AlarmWatch:
             self._reported_s, status = present.time_s, self.status
             text, rejected = describe_battery(status) if self._low else "", bool(status.battery_doubt)
             percent = self._known.battery_percent
-            self._put(BatteryReported(present.time_s, percent, self.left_s, self.home_s, text, rejected))
+            self._put(events.BatteryReported(present.time_s, percent, self.left_s, self.home_s, text, rejected))

@@ -20,21 +20,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import LinkError, Vehicle, failsafe_of
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
-from sidelong.mission.core.events import (
-    AlarmReported,
-    Announce,
-    ClockTick,
-    ControlAcquired,
-    DecisionRecord,
-    End,
-    HealthChanged,
-    LinkReported,
-    MissionChange,
-    ModeReported,
-    OperatorRequest,
-    PlanStatus,
-    Yield,
-)
+from sidelong.mission.core import events
 from sidelong.mission.exchange.mission_controller import UNSEEN, InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import ShutdownRequested, TimerExpired
@@ -86,44 +72,29 @@ class Observer(Protocol):
 
 
 class Display(Observer, Protocol):
-    def say(self, announcement: Announce) -> None: ...
+    def say(self, announcement: events.Announce) -> None: ...
 
 
 Stepped = Callable[[InboundEvent, Sequence[Output]], object]
 
 
+@dataclass(eq=False)
 class ControlLoop:
-    """Runs the core on what the vehicle reports, until ``stop`` or the end of the mission.
+    """Runs the core on what the vehicle reports, until ``stop`` or the end of the mission."""
 
-    Args:
-        vehicle: sends messages and reports what it receives.
-        telemetry: decodes what the vehicle reports.
-        controller: the core.
-        log: keeps every event and command.
-        display: shows announcements and snapshots.
-        acquired: called once control of the aircraft is confirmed; ``failed`` holds the reason if it never is.
-        stepped: called after each step with its event and outputs.
-        health_changed: called with each change of an input's state.
-    """
+    _vehicle: Vehicle
+    _telemetry: Telemetry
+    controller: MissionController
+    _log: Log
+    _display: Display
+    _acquired: Callable[[events.ControlAcquired], object]  # called once control of the aircraft is confirmed
+    _stepped: Stepped = lambda _event, _outputs: None  # called after each step
+    _health_changed: Callable[[events.HealthChanged], object] = lambda _change: None
+    outcome: str | None = None
+    failed: TakeoverFailed | None = None  # why control was never acquired
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        telemetry: Telemetry,
-        controller: MissionController,
-        log: Log,
-        display: Display,
-        acquired: Callable[[ControlAcquired], object],
-        stepped: Stepped = lambda _event, _outputs: None,
-        health_changed: Callable[[HealthChanged], object] = lambda _change: None,
-    ) -> None:
-        self.controller = controller
-        self.outcome: str | None = None
-        self.failed: TakeoverFailed | None = None
-        self._vehicle, self._telemetry = vehicle, telemetry
-        self._executor, self._reports = CommandExecutor(vehicle), VehicleReports(vehicle)
-        self._log, self._display = log, display
-        self._acquired, self._stepped, self._health_changed = acquired, stepped, health_changed
+    def __post_init__(self) -> None:
+        self._executor, self._reports = CommandExecutor(self._vehicle), VehicleReports(self._vehicle)
         self._queue: asyncio.Queue[InboundEvent] = asyncio.Queue()
         self._start_s = self._received_s = time.monotonic()
         self._timer: asyncio.TimerHandle | None = None
@@ -151,7 +122,7 @@ class ControlLoop:
         self._received_s = time.monotonic()
         event = self._telemetry.event(message)
         report = self._reports.report(message, self._telemetry.now_s, self.link_s) if event is None else event
-        if isinstance(report, ModeReported) and (failsafe := failsafe_of(self._vehicle)):
+        if isinstance(report, events.ModeReported) and (failsafe := failsafe_of(self._vehicle)):
             report = replace(report, failsafe=failsafe)
         if report is not None:
             self._queue.put_nowait(report)
@@ -187,28 +158,28 @@ class ControlLoop:
         match output:
             case SendMessage():
                 self._executor.send(output)
-            case Announce():
+            case events.Announce():
                 self._display.say(output)
-            case ControlAcquired():
+            case events.ControlAcquired():
                 self.outcome = None
                 self._acquired(output)
             case TakeoverFailed():
                 self.failed = output
                 self._end()
-            case Yield():
+            case events.Yield():
                 self._executor.drop()
                 self.outcome = f"yielded: {output.reason}"
                 text = f"yielding: {output.reason}; commanding nothing more until you resume"
-                self._display.say(Announce(output.time_s, "yield", text))
-            case HealthChanged():
+                self._display.say(events.Announce(output.time_s, "yield", text))
+            case events.HealthChanged():
                 self._health_changed(output)
                 self._display.say(output.announcement)
-            case End():
+            case events.End():
                 self._executor.drop()
                 self.outcome = f"ended: {output.reason}"
-                self._display.say(Announce(output.time_s, "end", f"ending ({output.action}): {output.reason}"))
+                self._display.say(events.Announce(output.time_s, "end", f"ending ({output.action}): {output.reason}"))
                 self._end()
-            case DecisionRecord() | PlanStatus():
+            case events.DecisionRecord() | events.PlanStatus():
                 pass
 
     # -- timers --------------------------------------------------------------------------------------------
@@ -234,11 +205,11 @@ class ControlLoop:
         for check in itertools.count(1):
             await asyncio.sleep(_LINK_CHECK_S)
             if check % _TICK_CHECKS == 0:
-                self.put(ClockTick(self._telemetry.now_s, self.link_s))
+                self.put(events.ClockTick(self._telemetry.now_s, self.link_s))
             connected = time.monotonic() - self._received_s < _LINK_SILENCE_S
             if connected != self._connected:
                 self._connected = connected
-                self.put(LinkReported(self._telemetry.now_s, connected))
+                self.put(events.LinkReported(self._telemetry.now_s, connected))
 
     # -- the end -------------------------------------------------------------------------------------------
 
@@ -255,28 +226,21 @@ class ControlLoop:
 
 @dataclass(frozen=True, slots=True)
 class TrackRequest:
-    """A request to follow what the camera's picture shows at a place, or to stop.
+    """A request to follow what the camera's picture shows at a place, or to stop."""
 
-    Attributes:
-        time_s: On the vehicle's clock.
-        where: Middle (x, y), and width and height of a rectangle, in shares of the picture; empty: stop.
-        who: Asks for it.
-    """
-
-    time_s: float
-    where: tuple[float, ...] = ()
+    time_s: float  # on the vehicle's clock
+    where: tuple[float, ...] = ()  # middle (x, y), width and height of a rectangle, in shares of it; empty: stop
     who: str = ""
 
 
-Wish = OperatorRequest | MissionChange | AlarmReported | TrackRequest
+Wish = events.OperatorRequest | events.MissionChange | events.AlarmReported | TrackRequest
 """A request of the operator."""
 
 
 class FlightDisplay(Display, Protocol):
     """A display that is active from the connection on, before there is a mission to show."""
 
-    def note(self, text: str) -> None:
-        """Show a message about the progress of the connection and preparation."""
+    def note(self, text: str) -> None: ...
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         """Receive the local plane, the receiver of the operator's requests, and the configuration as it is flown."""
@@ -285,4 +249,4 @@ class FlightDisplay(Display, Protocol):
         """Receive a picture of the camera: what returns its marks as a line of JSON, and then itself as JPEG."""
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
-        """Learn that watching has begun, and for how long it is to go on; times are shown since ``start_s``."""
+        """Begin to show times since ``start_s``: watching has begun."""

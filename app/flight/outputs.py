@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import ssl
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -60,8 +61,7 @@ def outputs(
 ) -> Iterator[Output]:
     """Yield the displays, each to be stopped at the end; to be called in the running event loop.
 
-    ``latest`` holds the vehicle's latest message of each name; the callback receives the state of the connections.
-    target_altitude_m: returns the target's altitude above the sea at a place (east, north). Raises InputError as
+    latest: the vehicle's messages. announce: receives the state of the connections. Raises InputError as
     :func:`check_hosts` and :func:`tls_of`.
     """
     if sharing.cot is not None:
@@ -71,16 +71,8 @@ def outputs(
             sender = DatagramSender(address, _COT)
         else:
             sender = StreamSender(address, tls_of(sharing), sharing.cot_server_name, announce)
-        across_rad, down_rad = camera.view_rad()
-        names = CotNames(
-            sharing.cot_type,
-            sharing.cot_callsign,
-            sharing.cot_own_type,
-            sharing.cot_own_callsign,
-            sharing.cot_team,
-            (math.degrees(across_rad), math.degrees(down_rad)),
-            camera.video_uri,
-        )
+        own, view_deg = (sharing.cot_own_type, sharing.cot_own_callsign), map(math.degrees, camera.view_rad())
+        names = CotNames(sharing.cot_type, sharing.cot_callsign, *own, sharing.cot_team, tuple(view_deg), camera.video_uri)
         yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
     if sharing.follow_target is not None:
         udp = DatagramSender(NetworkAddress.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)
@@ -130,27 +122,21 @@ _BY_VEHICLE_EVERY_S, _BY_PAYLOAD_EVERY_S = 1.0, 0.2
 _ONE_SIGMA = 1.0 - math.exp(-0.5)
 
 
+@dataclass(eq=False)
 class GimbalPointer:
     """An ``Observer`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
 
     Nothing is sent for a lost track, before the mission or after a yield; a pending command is then cancelled.
-    target_altitude_m: returns the target's altitude above the sea at a place (east, north); always: False sends only
-    while a fleet requires the payload on another target. The callback receives refusals of the vehicle.
     """
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        plane: LocalPlane,
-        target_altitude_m: AltitudeAt,
-        announce: Callable[[str], None],
-        always: bool = True,
-    ) -> None:
-        self._vehicle, self._plane, self._target_altitude_m = vehicle, plane, target_altitude_m
-        self._announce, self._always = announce, always
-        self._next_s = -math.inf
-        self._sending = OneTask()
-        self._points = True
+    _vehicle: Vehicle
+    _plane: LocalPlane
+    _target_altitude_m: AltitudeAt
+    _announce: Callable[[str], None]
+    _always: bool = True  # False: only while a fleet requires the payload on another target
+    _next_s: float = -math.inf
+    _sending: OneTask = field(default_factory=OneTask)
+    _points: bool = True
 
     def show(self, snapshot: Present) -> None:
         """Start sending the estimate if it is time to; to be called in the running event loop."""
@@ -189,25 +175,17 @@ class GimbalPointer:
             self._announce(f"the vehicle does not point its gimbal ({why}); it is sent the target's place only")
 
 
+@dataclass(eq=False)
 class PayloadPointer:
     """An ``Observer`` that commands the gimbal's angles five times a second at most.
 
     Nothing is commanded while the track is lost, before the mission or after a yield.
-
-    Args:
-        point: takes pitch and yaw of the gimbal in its mount, level and relative to the aircraft's heading, rad.
-        tracker: knows the mount and the gimbal's yaw error.
-        target_height_m: returns the target's height above home at a place (east, north), m.
     """
 
-    def __init__(
-        self,
-        point: Callable[[float, float], object],
-        tracker: Tracker,
-        target_height_m: Callable[[float, float], float],
-    ) -> None:
-        self._point, self._tracker, self._target_height_m = point, tracker, target_height_m
-        self._next_s = -math.inf
+    _point: Callable[[float, float], object]  # pitch and yaw in its mount, level and relative to the heading, rad
+    _tracker: Tracker  # knows the mount and the gimbal's yaw error
+    _target_height_m: Callable[[float, float], float]  # above home at a place (east, north)
+    _next_s: float = -math.inf
 
     def show(self, snapshot: Present) -> None:
         estimate, aircraft, attitude = snapshot.estimate, snapshot.aircraft, snapshot.attitude

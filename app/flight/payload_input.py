@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,15 +45,7 @@ def give_route(
 ) -> None:
     """Pass on the configured route, as an event of the vehicle's time; the target's mission once it is read.
 
-    Args:
-        route: The configuration.
-        session: The connected vehicle, whose links the target's mission is read on.
-        plane: The local plane of the flight.
-        put: Receives the route.
-        note: Receives in words why there is none, or that it is far away.
-
-    Raises:
-        InputError: The route file cannot be used.
+    note: receives in words why there is none, or that it is far away. Raises InputError if the file cannot be used.
     """
 
     def pass_on(east_m: Iterable[float], north_m: Iterable[float], lap: bool) -> None:
@@ -91,30 +84,18 @@ _RETRY_S = 1.0
 _DELAY_MAX_S = 0.5
 
 
+@dataclass(eq=False)
 class PayloadRunner:
-    """Moves bytes between a payload and its session.
+    """Moves bytes between a payload and its session."""
 
-    Args:
-        url: where the payload is.
-        session: the protocol and its supervision.
-        rate: seconds of the driver's clock per second of this computer's.
-        measured: receives each measurement with its time on this computer's monotonic clock.
-        report: receives trouble with the connection, one sentence without its full stop.
-    """
-
-    def __init__(
-        self,
-        url: str,
-        session: PayloadSession,
-        rate: float,
-        measured: Callable[[Measured, float], object],
-        report: Callable[[str], object],
-    ) -> None:
-        self._url, self._session, self._rate = url, session, rate
-        self._measured, self._report = measured, report
-        self._begun_s = time.monotonic()
-        self._transport: Transport | None = None
-        self._loop = asyncio.get_running_loop()
+    _url: str
+    _session: PayloadSession
+    _rate: float  # seconds of the driver's clock per second of this computer's
+    _measured: Callable[[Measured, float], object]  # with the time on this computer's monotonic clock
+    _report: Callable[[str], object]  # trouble with the connection, one sentence without its full stop
+    _begun_s: float = field(default_factory=time.monotonic)
+    _transport: Transport | None = None
+    _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
 
     async def run(self) -> None:
         try:
@@ -168,17 +149,14 @@ class PayloadRunner:
         return True
 
     def _take(self, data: bytes, arrived_s: float) -> None:
-        for one in self._session.receive(data, self._driver_s(arrived_s)):
-            self._measured(one, self._begun_s + one.time_s / self._rate)
+        for measured in self._session.receive(data, self._driver_s(arrived_s)):
+            self._measured(measured, self._begun_s + measured.time_s / self._rate)
 
 
 class PayloadInput:
     """Passes a payload's measurements to the listeners of a vehicle, stamped with the vehicle's time.
 
-    Args:
-        vehicle: the vehicle that carries the payload.
-        rate: seconds of the vehicle's clock per second of this computer's.
-        on_frame: receives each measurement as a MAVLink frame, for the record.
+    rate: seconds of the vehicle's clock per second of this computer's.
     """
 
     def __init__(self, vehicle: Vehicle, rate: float, on_frame: Callable[[bytes], object]) -> None:
@@ -230,15 +208,9 @@ def driver_of(
     """Return name, URL and session of a payload with a driver. Raises InputError for a host that is not known."""
     kind = kind_by_name(payload.kind)
     url = resolved(simulated_url or payload.url or kind.url)
-    settings = DriverSettings(
-        payload.range_unit_m,
-        payload.flip_yaw,
-        payload.flip_pitch,
-        payload.angles_relative_to,
-        over_tcp=url.startswith("tcp:"),
-    )
+    flips, over_tcp = (payload.flip_yaw, payload.flip_pitch), url.startswith("tcp:")
+    driver = kind.make(DriverSettings(payload.range_unit_m, *flips, payload.angles_relative_to, over_tcp))
     name = f"{kind.name} at {url}"
-    driver = kind.make(settings)
     return name, url, PayloadSession(name, driver, report, payload.range_delay_s, payload.angles_delay_s)
 
 
@@ -250,16 +222,9 @@ async def payload_input(
     on_frame: Callable[[bytes], object] = lambda _data: None,
     simulated_url: str | None = None,
 ) -> AsyncIterator[PayloadRunner | None]:
-    """Read the configured payload by its driver; None for one that speaks MAVLink.
+    """Read the configured payload by its driver, or the simulated one; None for one that speaks MAVLink.
 
-    Args:
-        vehicle: whose payload it is.
-        report: receives what happens to the payload, in words.
-        on_frame: receives each measurement as a MAVLink frame.
-        simulated_url: where the simulated payload is, instead of the configured one.
-
-    Raises:
-        InputError: the payload's host is not known.
+    on_frame: receives each measurement as a MAVLink frame. Raises InputError if the payload's host is not known.
     """
     if config.payload.kind == MAVLINK:
         yield None

@@ -49,19 +49,12 @@ _ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only 
 
 @dataclass(frozen=True, slots=True)
 class SourceRate:
-    """How often a range or gimbal source speaks.
+    """How often a range or gimbal source speaks."""
 
-    Attributes:
-        kind: range, gimbal or target.
-        source: Who sends.
-        rate_hz: Messages per second of the vehicle's clock.
-        fault: Why none of them holds a reading, '' if they do.
-    """
-
-    kind: str
-    source: Source
-    rate_hz: float
-    fault: str = ""
+    kind: str  # range, gimbal or target
+    source: Source  # who sends
+    rate_hz: float  # messages per second of the vehicle's clock
+    fault: str = ""  # why none of them holds a reading, '' if they do
 
     def __str__(self) -> str:
         return self._spoken + (f", but {self.fault}" if self.fault else "")
@@ -202,18 +195,14 @@ _SENSORS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One requirement: ready or not, what was found, and the way out when it is not.
-
-    An aircraft that flies already is taken over without those that are only ``before_take_off``. Waiting does not
-    change one that ``lasts``: parameters are read once.
-    """
+    """One requirement: ready or not, what was found, and the way out when it is not."""
 
     name: str
     ready: bool
     found: str
     remedy: str = ""
-    before_take_off: bool = False
-    lasts: bool = False
+    before_take_off: bool = False  # an aircraft that flies already is taken over without it
+    lasts: bool = False  # waiting does not change it: parameters are read once
 
     @property
     def words(self) -> str:
@@ -225,14 +214,9 @@ class Check:
 
 
 def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
-    """Check that no flying aircraft is silently taken out of a return, a landing or a failsafe.
+    """Raise InputError if a flying aircraft would be silently taken out of a return, a landing or a failsafe.
 
-    Args:
-        vehicle: The vehicle, whose heartbeat was received.
-        allowed: The modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
-
-    Raises:
-        InputError: It flies in such a mode, and the operator has not allowed it.
+    allowed: modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
     """
     if not is_flying(vehicle):
         return
@@ -240,7 +224,7 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
     reasons = [mode] if mode in RECOVERY_MODES else []
     if state in FAILSAFE_STATES:
         reasons.append(FAILSAFE)
-    refused = [reason for reason in reasons if reason.upper() not in {one.upper() for one in allowed}]
+    refused = [reason for reason in reasons if reason.upper() not in set(map(str.upper, allowed))]
     if refused:
         named = ", ".join(f'"{reason}"' for reason in refused)
         raise InputError(
@@ -266,11 +250,7 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
 
 
 def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
-    """Return a remark on the firmware's release, None where it is one that sidelong knows.
-
-    Raises:
-        InputError: The release is older than supported.
-    """
+    """Return a remark on a release that sidelong does not know. Raises InputError if it is older than supported."""
     name, supported = autopilot.name, autopilot.releases
     oldest, newest = supported.oldest.series, supported.newest.series
     if release is None:
@@ -280,9 +260,7 @@ def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
             f"{name} {release} is not supported: it lacks {supported.older_lack}; update it to {oldest} or later."
         )
     if Release(release.major, release.minor) > supported.newest:
-        return (
-            f"{name} {release} is newer than {supported.newest.series}, the newest that sidelong knows; test it first"
-        )
+        return f"{name} {release} is newer than {newest}, the newest that sidelong knows; test it first"
     return None
 
 

@@ -110,9 +110,7 @@ class Recording:
     ) -> None:
         """Open the journal; home is (latitude, longitude). autopilot: where the exchange with it is recorded too.
 
-        config: the configuration as it is flown, if that differs from the one given before.
-
-        Raises InputError when it cannot be written: nothing has been commanded yet.
+        config: as it is flown, if that differs from the one given before. Raises InputError if it cannot be written.
         """
         config = config or self._config
         header = Header(

@@ -364,32 +364,21 @@ class FlyingAircraft:
     """One aircraft, from its connection to its summary.
 
     Attributes:
-        config: Its configuration; without link URLs a vehicle is simulated.
-        folder: Its run folder.
-        recording: Its records.
-        display: Shows the flight, and passes the operator's requests.
-        trouble: Displays a problem, from any thread.
-        prepare: Returns what the control step is made of; it may compute for seconds.
-        name: Its name; '' where it is the only one.
-        reserve: Whether it waits on the ground until the fleet needs it.
         session: Its connection; a given one stays open, and ``recording`` has its frames then.
-        wanted: Set once it has to be in the air.
-        outcome: How its flight ended; '' until then.
-        error: What its flight failed with.
     """
 
-    config: Config
-    folder: RunFolder
-    recording: Recording
-    display: FlightDisplay
-    trouble: Callable[[str], None]
-    prepare: Callable[[], Prepared]
-    name: str = ""
-    reserve: bool = False
+    config: Config  # its configuration; without link URLs a vehicle is simulated
+    folder: RunFolder  # its run folder
+    recording: Recording  # its records
+    display: FlightDisplay  # shows the flight, and passes the operator's requests
+    trouble: Callable[[str], None]  # displays a problem, from any thread
+    prepare: Callable[[], Prepared]  # returns what the control step is made of; it may compute for seconds
+    name: str = ""  # its name; '' where it is the only one
+    reserve: bool = False  # whether it waits on the ground until the fleet needs it
     session: Session = None  # type: ignore[assignment]  # until it is connected
-    wanted: asyncio.Event = field(default_factory=asyncio.Event)
-    outcome: str = ""
-    error: Exception | None = None
+    wanted: asyncio.Event = field(default_factory=asyncio.Event)  # set once it has to be in the air
+    outcome: str = ""  # how its flight ended; '' until then
+    error: Exception | None = None  # what its flight failed with
     flight: Flight = None  # type: ignore[assignment]  # until it is connected
     links: tuple[dict[str, Any], ...] = ()
 
@@ -423,19 +412,12 @@ class FlyingAircraft:
 
 @dataclass(frozen=True, slots=True)
 class FlightEnded:
-    """How a flight ended.
+    """How a flight ended."""
 
-    Attributes:
-        folder: Where its records are.
-        summary: What was flown.
-        reason: The error to report and to exit with, None after a regular end.
-        aircraft: What each aircraft does now, as the end of a sentence.
-    """
-
-    folder: RunFolder | FleetFolder
-    summary: Summary | FleetSummary
-    reason: Exception | None
-    aircraft: str = ""
+    folder: RunFolder | FleetFolder  # where its records are
+    summary: Summary | FleetSummary  # what was flown
+    reason: Exception | None  # the error to report and to exit with, None after a regular end
+    aircraft: str = ""  # what each aircraft does now, as the end of a sentence
 
     @property
     def is_internal(self) -> bool:
@@ -446,15 +428,13 @@ class Coordinator(Protocol):
     """What several aircraft have in common: see :class:`sidelong.app.fleet.flight.FleetFlight`.
 
     Attributes:
-        folder: The folder of the whole run.
         targets: Those of a simulation, and which of them each aircraft's payload sees first.
-        over: Set when the flight of all is over.
         now_s: Mission time; -inf before the first clock is known.
     """
 
-    folder: FleetFolder
+    folder: FleetFolder  # the folder of the whole run
     targets: tuple[list[TargetSettings], list[int]]
-    over: asyncio.Event
+    over: asyncio.Event  # set when the flight of all is over
 
     @property
     def now_s(self) -> float: ...

@@ -83,8 +83,7 @@ def wants_few(link: LinkSection) -> bool:
 async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = False) -> None:
     """Request the messages that the mission needs; default rates are 1 Hz on ArduPlane.
 
-    terrain: request terrain messages too. few: request the minimum rates and switch all other messages off; a ground
-    station on the same link then receives fewer messages, too.
+    few: request the minimum rates and switch all other messages off, for a ground station on the same link, too.
     """
     if few:
         await vehicle.set_rates(UNUSED_HZ, rounds=1)
@@ -94,14 +93,7 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = F
 
 
 class StreamKeeper:
-    """Requests the streams again while one is silent, and when another ground station has slowed one down.
-
-    It observes the rates in the snapshots.
-
-    Args:
-        request: requests all streams.
-        note: reports a sentence to the operator.
-    """
+    """Requests the streams again while one is silent, and when another ground station has slowed one down."""
 
     def __init__(self, request: Callable[[], Awaitable[None]], note: Callable[[str], object]) -> None:
         self._request, self._note = request, note
@@ -124,15 +116,14 @@ class StreamKeeper:
         if abs(snapshot.time_s - self._look_s) < _SLOWED_EVERY_S:
             return
         self._look_s = snapshot.time_s
-        for one in snapshot.health:
-            if one.input not in (Input.POSITION, Input.ATTITUDE) or not one.rate_hz > 0.0:
+        for health in snapshot.health:
+            rate_hz = health.rate_hz
+            if health.input not in (Input.POSITION, Input.ATTITUDE) or not rate_hz > 0.0:
                 continue
-            best_hz = self._best_hz[one.input] = max(one.rate_hz, self._best_hz.get(one.input, 0.0))
-            if one.rate_hz < _SLOWED_SHARE * best_hz and one.state is InputState.OK:
-                self._note(
-                    f"the autopilot sends its {one.input} {one.rate_hz:.1f} times a second, before it was "
-                    f"{best_hz:.1f}: requesting the rate again"
-                )
+            best_hz = self._best_hz[health.input] = max(rate_hz, self._best_hz.get(health.input, 0.0))
+            if rate_hz < _SLOWED_SHARE * best_hz and health.state is InputState.OK:
+                sends = f"the autopilot sends its {health.input} {rate_hz:.1f} times a second"
+                self._note(f"{sends}, before it was {best_hz:.1f}: requesting the rate again")
                 self._requesting.begin(self._keep_requesting)
 
     def stop(self) -> None:
@@ -190,15 +181,8 @@ def answers(request: Mapping[str, Any], data: ElevationData) -> Iterator[dict[st
     ):
         return
     step_deg = spacing_m / _METRES_PER_DEG
-    posts = Posts(
-        latitude_deg,
-        longitude_deg,
-        step_deg,
-        step_deg / math.cos(math.radians(latitude_deg)),
-        _UP * _POSTS,
-        _ACROSS * _POSTS,
-    )
-    heights = data.read(posts)
+    steps_deg = step_deg, step_deg / math.cos(math.radians(latitude_deg))
+    heights = data.read(Posts(latitude_deg, longitude_deg, *steps_deg, _UP * _POSTS, _ACROSS * _POSTS))
     for bit in range(_UP * _ACROSS):
         if not mask >> bit & 1:
             continue
@@ -206,9 +190,8 @@ def answers(request: Mapping[str, Any], data: ElevationData) -> Iterator[dict[st
         square = heights[row : row + _POSTS, column : column + _POSTS]
         if np.isnan(square).any():
             continue
-        yield {
-            "lat": int(request["lat"]),
-            "lon": int(request["lon"]),
+        place = {"lat": int(request["lat"]), "lon": int(request["lon"])}
+        yield place | {
             "grid_spacing": spacing_m,
             "gridbit": bit,
             "data": np.rint(square).astype(int).ravel().tolist(),

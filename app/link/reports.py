@@ -12,31 +12,21 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT, mode_name
 from sidelong.app.link.vehicle import VehicleMessages
 from sidelong.mission.core.events import ModeReported
+from sidelong.mission.exchange import reports
 from sidelong.mission.exchange.outbox import MISSION
-from sidelong.mission.exchange.reports import (
-    CommandAcknowledged,
-    MissionAcknowledged,
-    MissionCountReported,
-    MissionCurrentReported,
-    MissionItemReported,
-    MissionItemRequested,
-    OrbitReported,
-    PositionTargetReported,
-    VehicleReport,
-)
 from sidelong.mission.upload.mission_item import MissionItem
 
 Fields = Mapping[str, Any]
-_Decoder = Callable[[Fields, float, float], VehicleReport | ModeReported | None]
+_Decoder = Callable[[Fields, float, float], reports.VehicleReport | ModeReported | None]
 # Reports of whole numbers alone: their fields, 0 for an extension that the sender does not have.
 _NUMBERS: dict[str, tuple[Any, ...]] = {
-    "MISSION_CURRENT": (MissionCurrentReported, "seq", "total", "mission_id"),
-    "MISSION_COUNT": (MissionCountReported, "count", "opaque_id"),
-    "MISSION_REQUEST": (MissionItemRequested, "seq"),
-    "MISSION_REQUEST_INT": (MissionItemRequested, "seq"),
-    "MISSION_ACK": (MissionAcknowledged, "type", "opaque_id"),
-    "COMMAND_ACK": (CommandAcknowledged, "command", "result"),
-    "POSITION_TARGET_GLOBAL_INT": (PositionTargetReported, "lat_int", "lon_int"),
+    "MISSION_CURRENT": (reports.MissionCurrentReported, "seq", "total", "mission_id"),
+    "MISSION_COUNT": (reports.MissionCountReported, "count", "opaque_id"),
+    "MISSION_REQUEST": (reports.MissionItemRequested, "seq"),
+    "MISSION_REQUEST_INT": (reports.MissionItemRequested, "seq"),
+    "MISSION_ACK": (reports.MissionAcknowledged, "type", "opaque_id"),
+    "COMMAND_ACK": (reports.CommandAcknowledged, "command", "result"),
+    "POSITION_TARGET_GLOBAL_INT": (reports.PositionTargetReported, "lat_int", "lon_int"),
 }
 _UNASKED = {"MISSION_CURRENT", "POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_STATUS", "CURRENT_MODE"}
 
@@ -53,7 +43,7 @@ class VehicleReports:
             "CURRENT_MODE": self._current_mode,
         }
 
-    def report(self, message: Message, time_s: float, link_s: float) -> VehicleReport | ModeReported | None:
+    def report(self, message: Message, time_s: float, link_s: float) -> reports.VehicleReport | ModeReported | None:
         """Return what a message reports, None if nothing. time_s: the vehicle's clock, link_s: when it came."""
         decoder = self._decoders.get(message.name)
         if decoder is None or message.component_id != AUTOPILOT_COMPONENT or time_s == -math.inf:
@@ -77,16 +67,16 @@ class VehicleReports:
 
 
 def _numbers(
-    kind: Callable[..., VehicleReport], names: list[str], fields: Fields, time_s: float, link_s: float
-) -> VehicleReport:
+    kind: Callable[..., reports.VehicleReport], names: list[str], fields: Fields, time_s: float, link_s: float
+) -> reports.VehicleReport:
     return kind(time_s, link_s, *(int(fields.get(name) or 0) for name in names))
 
 
-def _mission_item(fields: Fields, time_s: float, link_s: float) -> MissionItemReported:
+def _mission_item(fields: Fields, time_s: float, link_s: float) -> reports.MissionItemReported:
     values: dict[str, Any] = {field.name: fields[field.name] for field in dataclasses.fields(MissionItem)}
     values.update({name: math.nan for name, value in values.items() if value is None})
-    return MissionItemReported(time_s, link_s, int(fields["seq"]), MissionItem(**values))
+    return reports.MissionItemReported(time_s, link_s, int(fields["seq"]), MissionItem(**values))
 
 
-def _orbit(fields: Fields, time_s: float, link_s: float) -> OrbitReported:
-    return OrbitReported(time_s, link_s, int(fields["x"]), int(fields["y"]), float(fields["radius"]))
+def _orbit(fields: Fields, time_s: float, link_s: float) -> reports.OrbitReported:
+    return reports.OrbitReported(time_s, link_s, int(fields["x"]), int(fields["y"]), float(fields["radius"]))

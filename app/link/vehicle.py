@@ -29,17 +29,11 @@ _KEPT = 50
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A text of the autopilot.
+    """A text of the autopilot."""
 
-    Attributes:
-        text: The text, without control characters.
-        severity: MAV_SEVERITY: 0 emergency to 7 debug.
-        received_s: When its last chunk came.
-    """
-
-    text: str
-    severity: int
-    received_s: float
+    text: str  # the text, without control characters
+    severity: int  # MAV_SEVERITY: 0 emergency to 7 debug
+    received_s: float  # when its last chunk came
 
     @property
     def is_warning(self) -> bool:

@@ -130,25 +130,15 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What ``sidelong status`` shows.
+    """What ``sidelong status`` shows."""
 
-    Attributes:
-        state: What the service does now.
-        reason: Why, in words; '' where there is nothing to add.
-        vehicle: The vehicle that is connected, '' if none is.
-        run: The folder of the present watch, or of the last one; '' before the first.
-        watches: How many watches have begun since the service started.
-        disk_mb: What all run folders take, MB.
-        records: Why records of the present or last watch are incomplete, '' if they are not.
-    """
-
-    state: State
-    reason: str = ""
-    vehicle: str = ""
-    run: str = ""
-    watches: int = 0
-    disk_mb: float = 0.0
-    records: str = ""
+    state: State  # what the service does now
+    reason: str = ""  # why, in words; '' where there is nothing to add
+    vehicle: str = ""  # the vehicle that is connected, '' if none is
+    run: str = ""  # the folder of the present watch, or of the last one; '' before the first
+    watches: int = 0  # how many watches have begun since the service started
+    disk_mb: float = 0.0  # what all run folders take, MB
+    records: str = ""  # why records of the present or last watch are incomplete, '' if they are not
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)

@@ -126,13 +126,11 @@ class _Switch:
     again before it starts anything.
 
     Attributes:
-        up: Its position, None while it is not known.
-        moved: The position that it was moved to, and when, ms of the vehicle's clock.
         healthy_ms: When the autopilot last reported a healthy receiver; None: not since it reported an unhealthy one.
     """
 
-    up: bool | None = None
-    moved: tuple[bool, int] | None = None
+    up: bool | None = None  # its position, None while it is not known
+    moved: tuple[bool, int] | None = None  # the position that it was moved to, and when, ms of the vehicle's clock
     healthy_ms: int | None = None
     now_ms: int = 0
     others_us: tuple[int, ...] = ()
