@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -29,7 +29,14 @@ from sidelong.app.flight.payload_input import PayloadRunner, check_route, give_r
 from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import InputHealth, Session, with_fences
-from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, ask_for_streams, wants_few
+from sidelong.app.flight.streams import (
+    OneTask,
+    StreamKeeper,
+    TerrainServer,
+    announcing,
+    ask_for_streams,
+    wants_few,
+)
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
@@ -85,26 +92,19 @@ class _Ready:
 
 @dataclass(frozen=True, slots=True)
 class CameraPlaces:
-    """Where the video of a configured camera comes from and goes to.
+    """Where the video of a configured camera comes from and goes to."""
 
-    Attributes:
-        simulated: That of a simulated vehicle, whose operator clicks the target; None: the configured one.
-    """
-
-    simulated: str | None = None
+    simulated: str | None = None  # of a simulated vehicle, whose operator clicks the target; None: as configured
     record: Path | None = None  # the file in the run folder; None: nowhere
 
 
+@dataclass(slots=True)
 class StoppedClock:
-    """Counts by this computer's clock while the vehicle's clock stands still.
+    """Counts by this computer's clock while the vehicle's clock stands still."""
 
-    Attributes:
-        seconds: For how long it has stood still; 0 once it has gone on by more than that.
-    """
-
-    def __init__(self, now_s: float, wall_s: float) -> None:
-        self.seconds = 0.0
-        self._now_s, self._wall_s = now_s, wall_s
+    _now_s: float
+    _wall_s: float
+    seconds: float = 0.0  # for how long it has stood still; 0 once it has gone on by more than that
 
     def update(self, now_s: float, wall_s: float) -> None:
         if now_s == self._now_s:
@@ -146,11 +146,6 @@ class Flight:
         self._resumption = OneTask()  # after a yield
         self._fences = VehicleFences()
 
-    async def fly(self, stopped: asyncio.Event) -> str:
-        """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
-        await self.prepare()
-        return await self.watch(stopped)
-
     async def prepare(self) -> None:
         """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
         check_route(self._config.route, (self._vehicle.system_id,))
@@ -166,7 +161,9 @@ class Flight:
         )
         for sentence in parameters.missing:
             self._display.note(sentence)
-        await self._keep_fences(parameters)
+        self._config, self._fences = await with_fences(self._vehicle, self._config, parameters)
+        self._prepared = replace(self._prepared, config=self._config)
+        self._display.note(f"the vehicle has {self._fences}")
         home, required_parameters = await self._check(parameters, sources, inputs)
         check_takeover(self._vehicle, self._config.link.take_over_from)
         inputs.close()
@@ -177,11 +174,6 @@ class Flight:
         borrowed = required_parameters if self._config.link.set_parameters else ()
         self._ready = _Ready(plane, home, borrowed, parameters)
         self.share_plane(plane)
-
-    async def _keep_fences(self, parameters: ParameterTable) -> None:
-        self._config, self._fences = await with_fences(self._vehicle, self._config, parameters)
-        self._prepared = replace(self._prepared, config=self._config)
-        self._display.note(f"the vehicle has {self._fences}")
 
     async def _watch_fences(self, put: Callable[[events.AlarmReported], object]) -> None:
         """Announce once that the vehicle's fences differ from those that are flown by."""
@@ -209,12 +201,8 @@ class Flight:
         stepped: called after each step of the core, with its event and outputs. ``prepare`` must have passed.
         """
         assert self._ready is not None
-        async with temporary_parameters(
-            self._vehicle,
-            self._ready.parameters,
-            self._display.note,
-            lambda: self.controller.phase is not Phase.YIELDED,
-        ):
+        in_control: Callable[[], bool] = lambda: self.controller.phase is not Phase.YIELDED  # noqa: E731
+        async with temporary_parameters(self._vehicle, self._ready.parameters, self._display.note, in_control):
             return await self._watched(self._ready, stopped, stepped, over)
 
     @property
@@ -225,13 +213,12 @@ class Flight:
 
     @property
     def plane(self) -> LocalPlane:
-        """The local plane of the flight, known once ``prepare`` has passed."""
+        """The local plane, known once ``prepare`` has passed, as ``home`` is."""
         assert self._ready is not None
         return self._ready.plane
 
     @property
     def home(self) -> Home:
-        """Where the vehicle has its home, known once ``prepare`` has passed."""
         assert self._ready is not None
         return self._ready.home
 
@@ -268,70 +255,54 @@ class Flight:
         core = mission_controller_of(self._config, self.controller, self._autopilot, plane, home)
         shared = contextlib.ExitStack()
         observers = self._observers(plane, home, shared)
-        own = {one.name: one.value for one in ready.parameters}
-        parameters = ParameterWatch(
-            ready.table, self._autopilot.packs_integers_bytewise, own, self._display.note, self._limits_changed
-        )
-        self._vehicle.listeners.append(parameters.take)
-        shared.callback(self._vehicle.listeners.remove, parameters.take)
+        own_values = {one.name: one.value for one in ready.parameters}
+        bytewise = self._autopilot.packs_integers_bytewise
+        watch = ParameterWatch(ready.table, bytewise, own_values, self._display.note, self._limits_changed)
+        self._vehicle.listeners.append(watch.take)
+        shared.callback(self._vehicle.listeners.remove, watch.take)
         streams = StreamKeeper(self._request_streams, self._display.note)
-        shared.callback(streams.stop)
-        observers.append(streams)
-        alarms = self._alarm_watch()
+        alarms = AlarmWatch(self._config, self._home_m, self._status, self.put_event, self._send_alarm)
         observed = _Observed(self._display, alarms, observers, self._collector)
         camera = self._runner = self._camera_runner(plane, home)
-        loop = ControlLoop(
-            self._vehicle,
-            self._telemetry,
-            core,
-            self._recording,
-            observed,
-            self._acquired,
-            stepped if camera is None else _both(camera.stepped, stepped),
-            streams.health_changed,
-        )
-        self._loop = loop
-        beacon = await open_beacon(
-            self._config.sharing,
-            plane,
-            lambda: self._telemetry.now_s,
-            loop.put,
-            self._display.note,
-            self._vehicle.listeners,
-        )
-        if beacon is not None:
-            shared.callback(beacon.stop)
-        changes = MissionChanges(
-            self._config, self.controller, lambda: self._telemetry.now_s, loop.put, self._display.say
-        )
-        shared.callback(changes.stop)
-        observers += self._pan_limits(changes)
+        both = stepped if camera is None else _both(camera.stepped, stepped)
+        own = self._vehicle, self._telemetry, core, self._recording, observed
+        loop = self._loop = ControlLoop(*own, self._acquired, both, streams.health_changed)
+        received = loop.put, self._display.note, self._vehicle.listeners
+        beacon = await open_beacon(self._config.sharing, plane, self._now_s, *received)
+        changes = MissionChanges(self._config, self.controller, self._now_s, loop.put, self._display.say)
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
         tables = WindTables(kind, self.controller, winds, loop.put, self._display.note)
-        shared.callback(tables.stop)
-        observers.append(tables)
-
-        shared.callback(self._resumption.stop)
+        observers += [streams, *self._pan_limits(changes), tables]
+        for running in (streams, beacon, changes, tables, self._resumption):
+            if running is not None:
+                shared.callback(running.stop)
         self._display.begin(plane, partial(self._request, changes, alarms, loop), self._config)
         shared.callback(_without_garbage_searches())
-        running = asyncio.create_task(loop.run())
+        looping = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
         works = [self._announce_delay(loop), alarms.run(), self._watch_fences(loop.put)]
-        background = [asyncio.create_task(work) for work in (*works, *([camera.run()] if camera else []))]
+        if camera is not None:
+            works.append(announcing(camera.run(), "the camera", self._display.note))
+        background = [self._begin(work) for work in works]
         give_route(self._config.route, self._session, plane, loop.put, self._display.note)
         if not stopped.is_set():
             loop.put(self._takeover(loop.link_s))
         try:
-            await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((looping, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
             loop.stop()
-            await _all_ended(running, over, interrupt, *background)
+            for task in (over, interrupt, *background):
+                task.cancel()
+            await asyncio.gather(looping, over, interrupt, *background, return_exceptions=True)
             shared.close()
-        running.result()
+        looping.result()
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    def _now_s(self) -> float:
+        return self._telemetry.now_s
 
     def _limits_changed(self, values: Mapping[str, float]) -> None:
         bank_deg = self._autopilot.limits(values).bank_max_deg
@@ -382,7 +353,9 @@ class Flight:
         for check in found:
             if not check.ready:  # the target may be out of the laser's range while a pilot flies
                 self._display.note(f"resuming without {check}")
-        if home is not None and _has_moved(home, ready.home, ready.plane):
+        moved_m = 0.0 if home is None else math.dist(_place_m(home, ready.plane), self._home_m)
+        raised_m = 0.0 if home is None else abs(home.altitude_m - ready.home.altitude_m)
+        if moved_m > _SAME_HOME_M or raised_m > _SAME_HOME_HEIGHT_M:
             raise InputError("the autopilot has another home than at take-off; end this watch and start another one.")
         check_takeover(self._vehicle, self._config.link.take_over_from)
         if mode_of(self._vehicle) != mode:
@@ -420,9 +393,8 @@ class Flight:
             return None if state is None or height_m is None else (state, height_m)
 
         beacon = (self._config.sharing.beacon or "").upper().removeprefix("ADSB:")
-        reader = TrafficReader(
-            plane, home.altitude_m, (vehicle.system_id,), lambda: self._telemetry.now_s, own, (f"ADS-B {beacon:>06}",)
-        )
+        ignored = (f"ADS-B {beacon:>06}",)
+        reader = TrafficReader(plane, home.altitude_m, (vehicle.system_id,), self._now_s, own, ignored)
 
         def listen(message: Message) -> None:
             if reader.report(message) is not None:
@@ -460,12 +432,12 @@ class Flight:
 
         return [PanLimitInput(configured_deg, reported_rad, changes, self._display.note)]
 
-    def _alarm_watch(self) -> AlarmWatch:
-        def send(text: str) -> None:
-            self._begin(self._vehicle.send_text(text, mavlink.MAV_SEVERITY_CRITICAL))
+    def _send_alarm(self, text: str) -> None:
+        self._begin(self._vehicle.send_text(text, mavlink.MAV_SEVERITY_CRITICAL))
 
-        home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
-        return AlarmWatch(self._config, home_m, self._status, self.put_event, send)
+    @property
+    def _home_m(self) -> tuple[float, float]:
+        return _place_m(self.home, self.plane)
 
     async def _announce_delay(self, loop: ControlLoop) -> None:
         watch, rate = RoundTripWatch(), self._vehicle_rate
@@ -530,8 +502,7 @@ class Flight:
         if self._start_s < math.inf:
             self._display.note("circling again: the target is watched from now on")
             return
-        home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
-        self.put_event(events.HomeReported(acquired.time_s, *home_m))  # it may have been reported long before
+        self.put_event(events.HomeReported(acquired.time_s, *self._home_m))  # it may have been reported long before
         self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
         self._display.engage(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
@@ -589,7 +560,6 @@ class Flight:
         return self._collector.moments(truth, self._telemetry.plane, self._start_s)[0]
 
     def summary(self, outcome: str, truth: Truth | None) -> Summary:
-        """Return the summary, judged by the truth where that is known."""
         begin, end = self._battery_percent, self._status().battery_percent
         judged = summarise(
             self._collector,
@@ -606,25 +576,13 @@ class Flight:
 def _fence_ids(vehicle: Vehicle) -> tuple[int, int] | None:
     """Return the ids of the stored fences and rally points; None where the autopilot reports none."""
     message = vehicle.latest.get("MISSION_CURRENT")
-    ids = (
-        (0, 0)
-        if message is None
-        else tuple(message.fields.get(f"{name}_id") or 0 for name in ("fence", "rally_points"))
-    )
-    return (ids[0], ids[1]) if any(ids) else None
+    fields = {} if message is None else message.fields
+    ids = fields.get("fence_id") or 0, fields.get("rally_points_id") or 0
+    return ids if any(ids) else None
 
 
-def _has_moved(home: Home, before: Home, plane: LocalPlane) -> bool:
-    east_m, north_m = plane.east_north_m(home.latitude_deg, home.longitude_deg)
-    before_m = plane.east_north_m(before.latitude_deg, before.longitude_deg)
-    moved_m = math.dist((east_m, north_m), before_m)
-    return moved_m > _SAME_HOME_M or abs(home.altitude_m - before.altitude_m) > _SAME_HOME_HEIGHT_M
-
-
-async def _all_ended(running: asyncio.Task[None], *background: asyncio.Task[Any]) -> None:
-    for task in background:
-        task.cancel()
-    await asyncio.gather(running, *background, return_exceptions=True)
+def _place_m(home: Home, plane: LocalPlane) -> tuple[float, float]:
+    return plane.east_north_m(home.latitude_deg, home.longitude_deg)
 
 
 def _both(first: Stepped, second: Stepped) -> Stepped:
@@ -665,43 +623,30 @@ _BATTERY_EVERY_S, _LOW_BATTERY_EVERY_S = 10.0, 1.0  # the controller flies home 
 _TEXT_EVERY_S = 5.0
 
 
+@dataclass(eq=False)
 class AlarmWatch:
     """Judges the flight and completes what is shown of it by the vehicle's status and the alarms.
 
     Each change is an event of the control loop, so it is in the journal and on all displays. A ground station gets
     the text of a raised alarm as STATUSTEXT.
-
-    Args:
-        config: The mission.
-        home_m: Home in the local plane, east and north.
-        status: Returns the vehicle's status as received last.
-        put: Passes an event on to the control loop.
-        send: Sends a text to the ground station.
-        clock_s: The wall clock.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        home_m: tuple[float, float],
-        status: Callable[[], VehicleStatus],
-        put: Callable[[events.AlarmReported | events.BatteryReported], object],
-        send: Callable[[str], object],
-        clock_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._config, self._home_m, self._status = config, home_m, status
-        self._put, self._send, self._clock_s = put, send, clock_s
+    _config: Config
+    _home_m: tuple[float, float]  # east and north in the local plane
+    _status: Callable[[], VehicleStatus]  # as received last
+    _put: Callable[[events.AlarmReported | events.BatteryReported], object]
+    _send: Callable[[str], object]  # a text to the ground station
+    _clock_s: Callable[[], float] = time.monotonic
+    left_s: float | None = None
+    home_s: float | None = None
+
+    def __post_init__(self) -> None:
         self._alarms = Alarms()
-        self._endurance = Endurance(config.planner.battery_reserve_percent)
+        self._endurance = Endurance(self._config.planner.battery_reserve_percent)
         self._snapshot: Present | None = None
-        self._received_at_s = clock_s()
-        self._known = VehicleStatus()
-        self._known_at_s = -math.inf
-        self._looked_at_s = clock_s()
-        self._looked_s = self._reported_s = self._sent_s = -math.inf
-        self.left_s: float | None = None
-        self.home_s: float | None = None
-        self._low = False
+        self._known, self._low = VehicleStatus(), False
+        self._received_at_s = self._looked_at_s = self._clock_s()
+        self._known_at_s = self._looked_s = self._reported_s = self._sent_s = -math.inf
 
     def acknowledge(self, wish: events.AlarmReported) -> None:
         if self._alarms.acknowledge(wish.key):

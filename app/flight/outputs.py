@@ -71,8 +71,10 @@ def outputs(
             sender = DatagramSender(address, _COT)
         else:
             sender = StreamSender(address, tls_of(sharing), sharing.cot_server_name, announce)
-        own, view_deg = (sharing.cot_own_type, sharing.cot_own_callsign), map(math.degrees, camera.view_rad())
-        names = CotNames(sharing.cot_type, sharing.cot_callsign, *own, sharing.cot_team, tuple(view_deg), camera.video_uri)
+        across_deg, down_deg = map(math.degrees, camera.view_rad())
+        own = sharing.cot_own_type, sharing.cot_own_callsign, sharing.cot_team
+        filmed = (across_deg, down_deg), camera.video_uri
+        names = CotNames(sharing.cot_type, sharing.cot_callsign, *own, *filmed)
         yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
     if sharing.follow_target is not None:
         udp = DatagramSender(NetworkAddress.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)

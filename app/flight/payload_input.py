@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.config import Config, PayloadSection, RouteSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.session import Session
+from sidelong.app.flight.streams import announcing
 from sidelong.app.link.message import Message
 from sidelong.app.link.other_mission import read_mission
 from sidelong.app.link.transport import Peer, Transport, opened
@@ -240,13 +241,7 @@ async def payload_input(
             runner.aircraft(pose)
 
     vehicle.listeners.append(on_message)
-    running = asyncio.create_task(runner.run())
-
-    def ended(task: asyncio.Task[None]) -> None:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            report(f"payload {name}: internal error, no more data from it: {error!r}")
-
-    running.add_done_callback(ended)
+    running = asyncio.create_task(announcing(runner.run(), f"payload {name}", report))
     try:
         yield runner
     finally:

@@ -81,11 +81,12 @@ class Session:
             self.senders.judge(outer)
             outer.listen()
 
-    def begin(self, work: Coroutine[Any, Any, None]) -> None:
+    def begin(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Run some work in the background, until the connection ends at the latest."""
         task = asyncio.create_task(work)
         self.background.add(task)
         task.add_done_callback(self._ended)
+        return task
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self.background.discard(task)

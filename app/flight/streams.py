@@ -40,6 +40,14 @@ class OneTask:
             self._task.cancel()
 
 
+async def announcing(work: Coroutine[Any, Any, None], what: str, note: Callable[[str], object]) -> None:
+    """Do work that the flight can go on without: an error of it is announced."""
+    try:
+        await work
+    except Exception as error:
+        note(f"{what}: internal error, {error!r}; the flight goes on without it")
+
+
 _SLOW_BAUD = 57_600
 _AGAIN_S = 10.0
 _SLOWED_SHARE, _SLOWED_EVERY_S = 0.5, 30.0

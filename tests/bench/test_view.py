@@ -331,7 +331,8 @@ async def _flown(parent: Path) -> Flown:
         )
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, prepared(CONFIG), recording, display, FLOWN_S)
-        await flight.fly(asyncio.Event())
+        await flight.prepare()
+        await flight.watch(asyncio.Event())
         announced, _ = await viewers.communicate(b"enough\n")
     return Flown(without_s, with_s, display.held_s, json.loads(announced))
 
