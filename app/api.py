@@ -16,7 +16,7 @@ from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.loop import Wish
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, fly
+from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, Shell
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
@@ -156,7 +156,7 @@ async def watch(
         try:
             with contextlib.closing(recording):
                 aircraft = FlyingAircraft(settings, folder, recording, watched, note_safely, lambda: done)
-                flown = await fly([aircraft], duration_s, life, watched.note)
+                flown = await Shell([aircraft], duration_s, life, watched.note).fly()
             folder.write_summary(flown.summary.as_json())
         except asyncio.CancelledError:
             error = None if life.failure is None else FlightError(life.failure)

@@ -18,7 +18,7 @@ from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.flight.loop import FlightDisplay
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.shell import Coordinator, FlightEnded, FlyingAircraft, Life, fly
+from sidelong.app.flight.shell import Coordinator, FlightEnded, FlyingAircraft, Life, Shell
 from sidelong.app.process import interrupt_dropped, run
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.view.address import PageAddress
@@ -71,7 +71,7 @@ async def _recorded(
             life = Life(lambda: any(one.recording.begun for one in aircraft), note)
             with life.heeding_signals():
                 try:
-                    ended = await fly(aircraft, duration_s, life, note, coordinator)
+                    ended = await Shell(aircraft, duration_s, life, note, coordinator).fly()
                 finally:
                     for one in aircraft:
                         one.recording.close()

@@ -10,7 +10,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast, get_args
 
 from sidelong.app.analysis.replay import Comparison
@@ -73,6 +73,7 @@ ToMissionTime = Callable[[Literal["utc", "host"], float], float]
 """Returns mission time for the time of a source: the vehicles' UTC, or this computer's clock."""
 
 
+@dataclass(eq=False)
 class VehicleClockReader:
     """Reads one vehicle's SYSTEM_TIME, which holds UTC and the vehicle's own clock; without UTC, its TIMESYNC.
 
@@ -80,21 +81,14 @@ class VehicleClockReader:
     Without both, a position counts as measured when it was received. A simulator that runs faster than real time and
     still reports this computer's UTC can be compared with neither: its positions then count as measured at the
     mission time of the other vehicles. If no other vehicle has one, its own clock continues from its latest report.
-
-    Args:
-        now_s: Returns the time of its own clock, s.
-        mission_s: Returns the mission time that the others have reached, s; NaN where they have none.
-        to_mission_s: Converts the time of a source into mission time.
     """
 
-    def __init__(
-        self,
-        name: str,
-        now_s: Callable[[], float],
-        mission_s: Callable[[], float] = lambda: math.nan,
-        to_mission_s: ToMissionTime = lambda _source, time_s: time_s,
-    ) -> None:
-        self._name, self._now_s, self._mission_s, self._to_mission_s = name, now_s, mission_s, to_mission_s
+    _name: str
+    now_s: Callable[[], float]  # of its own clock
+    _mission_s: Callable[[], float] = lambda: math.nan  # that the others have reached; NaN where they have none
+    _to_mission_s: ToMissionTime = lambda _source, time_s: time_s
+
+    def __post_init__(self) -> None:
         self._reported_s = time.monotonic()
         self._utc_received_s = self._reported_s + _UTC_AWAITED_S - _UTC_VALID_S
         self._utc_rate, self._host_rate = _SameRate(unknown=True), _SameRate(unknown=False)
@@ -182,7 +176,7 @@ class VehicleClockReader:
 
     def _unwrapped_s(self, stamp_s: float) -> float:
         """Return a stamp of milliseconds in 32 bits on the vehicle's clock, which does not wrap around."""
-        now_s = self._now_s()
+        now_s = self.now_s()
         return stamp_s if not math.isfinite(now_s) else stamp_s + _WRAP_S * round((now_s - stamp_s) / _WRAP_S)
 
 
@@ -193,36 +187,26 @@ _POLL_S = 0.05
 _STANDING_S = 1.0  # of the wall clock: without any vehicle's clock, mission time advances by this per second
 
 
+@dataclass(eq=False)
 class Participant:
-    """One aircraft of the fleet; mission_s and to_mission_s are as ``VehicleClockReader`` has them.
+    """One aircraft of the fleet."""
 
-    Args:
-        now_s: Returns the time of its clock, s.
-        home_above_m: Height of its home above the common home, m.
-    """
+    name: str
+    controller: StandoffController
+    put_event: Callable[[Event], None]
+    clock: VehicleClockReader
+    home_above_m: float = 0.0  # height of its home above the common home
+    charge: Charge = field(default_factory=Charge)
+    received_s: float = -math.inf  # last, by this computer's clock
 
-    def __init__(
-        self,
-        name: str,
-        controller: StandoffController,
-        put_event: Callable[[Event], None],
-        now_s: Callable[[], float],
-        home_above_m: float = 0.0,
-        mission_s: Callable[[], float] = lambda: math.nan,
-        to_mission_s: ToMissionTime = lambda _source, time_s: time_s,
-    ) -> None:
-        self.name, self.controller, self.put_event, self.now_s = name, controller, put_event, now_s
-        self.home_above_m = home_above_m
-        self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s, to_mission_s)
-        self.charge = Charge()
-        self.received_s = -math.inf  # last, by this computer's clock
+    def __post_init__(self) -> None:
+        self.reporter = FleetReporter(self.name)
 
 
 class Coordination:
     """Steps the coordinator by what the aircraft report, in the order in which it comes.
 
-    note receives the name of an aircraft, '' for all, and the text to display. changes: of the requirement of each
-    target, as (since, requirement) in mission time.
+    note receives the name of an aircraft, '' for all, and the text to display.
     """
 
     def __init__(
@@ -233,7 +217,7 @@ class Coordination:
         launch: Callable[[str], object] = lambda _name: None,
     ) -> None:
         self.coordinator = coordinator
-        self.changes: dict[str, list[tuple[float, Requirement]]] = defaultdict(list)
+        self.changes: dict[str, list[tuple[float, Requirement]]] = defaultdict(list)  # by target, in mission time
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
         self._ahead_s: dict[str, float] = {}  # mission time less the time of each source
@@ -274,7 +258,7 @@ class Coordination:
     def _mission_s(self, participant: Participant) -> float:
         """Return mission time by one aircraft's clock; -inf before that is known."""
         offset_s = self.coordinator.offset_s(participant.name)
-        return -math.inf if offset_s is None else participant.now_s() + offset_s
+        return -math.inf if offset_s is None else participant.clock.now_s() + offset_s
 
     async def keep_time(self) -> None:
         """Send clock events to the coordinator until cancelled."""
@@ -332,7 +316,7 @@ class Coordination:
         self._note(latest[2], text)
 
     def _battery(self, participant: Participant, percent: int) -> None:
-        now_s = participant.now_s()
+        now_s = participant.clock.now_s()
         if percent < 0 or not math.isfinite(now_s):
             return
         before = participant.charge.percent

@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 from sidelong.app.analysis.score import Asked
 from sidelong.app.analysis.summary import MissionTrack
-from sidelong.app.fleet.coordination import Coordination, Participant, coordinator_of
+from sidelong.app.fleet.coordination import Coordination, Participant, VehicleClockReader, coordinator_of
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.flight.loop import FlightDisplay, Stepped
 from sidelong.app.flight.payload_input import check_route, give_route
@@ -133,17 +133,14 @@ class FleetFlight:
 
         def join(one: FlyingAircraft) -> None:
             telemetry, vehicle = one.session.telemetry, one.session.vehicle
-            coordination.add(
-                Participant(
-                    one.name,
-                    one.controller,
-                    one.flight.put_event,
-                    lambda: telemetry.now_s,
-                    one.flight.home.altitude_m - home_m,
-                    lambda: coordination.reported_by_others_s(one.name),
-                    coordination.mission_s,
-                )
+            clock = VehicleClockReader(
+                one.name,
+                lambda: telemetry.now_s,
+                lambda: coordination.reported_by_others_s(one.name),
+                coordination.mission_s,
             )
+            above_m = one.flight.home.altitude_m - home_m
+            coordination.add(Participant(one.name, one.controller, one.flight.put_event, clock, above_m))
             vehicle.bystanders.append(bystander)
             vehicle.listeners.append(lambda message: bystander(message, one))
             vehicle.listeners.append(lambda message: coordination.message(one.name, message))

@@ -1,13 +1,8 @@
 """The shell of a flight of one or several aircraft: connect, check, take off, watch, shut down, summarise.
 
-| | before anything was commanded | later |
-| --- | --- | --- |
-| one aircraft is not received or not ready | all are given up; where others fly already, it is left out | |
-| one link, autopilot or payload is lost, a pilot takes over, a flight fails | | the others go on |
-| an interrupt, the end of the simulation | given up at once | all are shut down |
-
-Aircraft on the ground take off one after the other, the highest layer first: none climbs through another's. A reserve
-waits until the coordinator wants it.
+If one aircraft is not ready, all are given up; where others fly already, it is left out. If one fails later, the
+others go on. Aircraft on the ground take off one after the other, the highest layer first: none climbs through
+another's. A reserve waits until the coordinator wants it.
 
 What ends a flight early, and what is reported:
 
@@ -157,9 +152,9 @@ class SimulatedVehicles:
             signing_key_file=first.link.signing_key_file,
         )
         self._what = "the simulated vehicle" if len(configs) == 1 else "the simulation of the vehicles"
-        self._process: asyncio.subprocess.Process | None = None
         self._on_end = on_end
-        self._vigil: asyncio.Task[None] | None = None
+        self._process: asyncio.subprocess.Process
+        self._vigil: asyncio.Task[None]
 
     async def __aenter__(self) -> SimulatedVehicles:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
@@ -189,7 +184,6 @@ class SimulatedVehicles:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        assert self._vigil is not None
         self._vigil.cancel()
         await asyncio.gather(self._vigil, return_exceptions=True)
         await self._stop()
@@ -200,7 +194,6 @@ class SimulatedVehicles:
         time_s: simulation time the program has processed, inf if not known. A program that no longer flies sends
         nothing, and the simulation does not wait for it.
         """
-        assert self._process is not None
         assert self._process.stdin is not None
         announced_s = -math.inf
         with contextlib.suppress(ConnectionError):
@@ -218,19 +211,14 @@ class SimulatedVehicles:
 
     async def ended(self) -> str:
         """Wait until the process has ended, and return the reason."""
-        assert self._process is not None
         await self._process.wait()
-        return await self._complaint()
-
-    async def _complaint(self) -> str:
-        assert self._process is not None
         assert self._process.stderr is not None
         text = (await self._process.stderr.read()).decode(errors="replace").strip()
         return text.splitlines()[-1] if text else f"it stopped with code {self._process.returncode}."
 
     async def _stop(self) -> None:
         process = self._process
-        if process is None or process.returncode is not None:
+        if process.returncode is not None:
             return
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
@@ -361,11 +349,7 @@ _FLEET_WITHIN_M = 100_000.0
 
 @dataclass(eq=False)
 class FlyingAircraft:
-    """One aircraft, from its connection to its summary.
-
-    Attributes:
-        session: Its connection; a given one stays open, and ``recording`` has its frames then.
-    """
+    """One aircraft, from its connection to its summary."""
 
     config: Config  # its configuration; without link URLs a vehicle is simulated
     folder: RunFolder  # its run folder
@@ -375,7 +359,7 @@ class FlyingAircraft:
     prepare: Callable[[], Prepared]  # returns what the control step is made of; it may compute for seconds
     name: str = ""  # its name; '' where it is the only one
     reserve: bool = False  # whether it waits on the ground until the fleet needs it
-    session: Session = None  # type: ignore[assignment]  # until it is connected
+    session: Session = None  # type: ignore[assignment]  # a given one stays open, and has its frames recorded
     wanted: asyncio.Event = field(default_factory=asyncio.Event)  # set once it has to be in the air
     outcome: str = ""  # how its flight ended; '' until then
     error: Exception | None = None  # what its flight failed with
@@ -458,37 +442,19 @@ class Coordinator(Protocol):
         """Return the requirements of each target, in mission time."""
 
 
-async def fly(
-    aircraft: Sequence[FlyingAircraft],
-    duration_s: float | None,
-    life: Life,
-    note: Callable[[str], None],
-    coordinator: Coordinator | None = None,
-) -> FlightEnded:
-    """Fly to the end and return how it ended. Raises what happens before an aircraft was armed.
-
-    Args:
-        aircraft: One aircraft, or several with a coordinator.
-        duration_s: How long to watch, of the vehicle's clock; None: until it is stopped.
-        life: What ends the flight early.
-        note: Displays a text about all aircraft.
-        coordinator: That of several aircraft.
-    """
-    return await Shell([*aircraft], duration_s, life, note, coordinator).fly()
-
-
 @dataclass(eq=False)
 class Shell:
-    """Flies one aircraft, or several; see :func:`fly`."""
+    """Flies one aircraft, or several with a coordinator."""
 
     _aircraft: list[FlyingAircraft]
-    _duration_s: float | None
-    _life: Life
-    _note: Callable[[str], None]
+    _duration_s: float | None  # how long to watch, of the vehicle's clock; None: until it is stopped
+    _life: Life  # ends the flight early
+    _note: Callable[[str], None]  # displays a text about all aircraft
     _coordinator: Coordinator | None = None
     _simulated: SimulatedVehicles | None = None
 
     async def fly(self) -> FlightEnded:
+        """Fly to the end and return how it ended. Raises what happens before an aircraft was armed."""
         coordinator = self._coordinator
         async with contextlib.AsyncExitStack() as stack:
             with self._life.computing():
@@ -559,11 +525,8 @@ class Shell:
                 )
             await self._joined(stack, one, control)
 
-        done = await asyncio.gather(
-            *(join(*each) for each in zip(self._aircraft, urls, shared, prepared, strict=True)),
-            return_exceptions=True,
-        )
-        self._go_on_with(done)
+        joins = (join(*each) for each in zip(self._aircraft, urls, shared, prepared, strict=True))
+        self._go_on_with(await asyncio.gather(*joins, return_exceptions=True))
 
     async def _joined(self, stack: contextlib.AsyncExitStack, one: FlyingAircraft, prepared: Prepared) -> None:
         session, vehicle = one.session, one.session.vehicle
@@ -582,18 +545,14 @@ class Shell:
         await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
 
     async def _prepare(self) -> None:
-        done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
-        self._go_on_with(done)
+        prepare = (one.flight.prepare() for one in self._aircraft)
+        self._go_on_with(await asyncio.gather(*prepare, return_exceptions=True))
         check_apart(self._aircraft)
         for one in self._aircraft[1:]:
             one.flight.share_plane(self._aircraft[0].flight.plane)
 
     def _go_on_with(self, done: Sequence[BaseException | None]) -> None:
-        """Continue with the aircraft that are ready. done: the error of each aircraft.
-
-        If others already fly, aircraft that are not ready are left out, so that the flight continues. Otherwise this
-        raises the error.
-        """
+        """Continue with the aircraft that are ready, if that may be, else raise an error. done: each one's error."""
         pairs = list(zip(self._aircraft, done, strict=True))
         ready = [one for one, error in pairs if error is None]
         for one, error in pairs:
@@ -705,7 +664,7 @@ class Shell:
         """Return the error to report. Raises what happened before an aircraft was armed."""
         life, errors = self._life, {one.name: one.error for one in self._aircraft if one.error is not None}
         if len(errors) == len(self._aircraft) == 1:
-            ((_, error),) = errors.items()
+            (error,) = errors.values()
             if not (life.was_armed or isinstance(error, FlightError)):
                 raise error
         if life.failure is not None:

@@ -37,7 +37,7 @@ from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import Session, connected
-from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, fly
+from sidelong.app.flight.shell import FlightEnded, FlyingAircraft, Life, Shell
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.run_folder import RunFolder, rotate
@@ -59,28 +59,15 @@ _LIBRARY = re.compile(r"([0-9a-f]+)-([0-9a-f]+) r-[x-]p .*/[^/]*\.so[.\d]*$")
 _PRINTED = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", "health", "link", "position"})
 
 
+@dataclass(eq=False)
 class ServiceDisplay:
-    """Of one watch.
+    """The ``FlightDisplay`` of one watch."""
 
-    Args:
-        log: Receives a line for people.
-        changed: Called when the flight is in another phase.
-        refused: Receives why a resumption is refused.
-
-    Attributes:
-        request: Passes on an operator's wish, None before the flight takes any.
-        snapshot: The latest one.
-    """
-
-    def __init__(
-        self,
-        log: Callable[[str], object],
-        changed: Callable[[], object],
-        refused: Callable[[str], object],
-    ) -> None:
-        self._log, self._changed, self._refused = log, changed, refused
-        self.request: Callable[[Wish], None] | None = None
-        self.snapshot: Present | None = None
+    _log: Callable[[str], object]
+    _changed: Callable[[], object]  # called when the flight is in another phase
+    _refused: Callable[[str], object]  # receives why a resumption is refused
+    request: Callable[[Wish], None] | None = None  # passes on an operator's wish, None before the flight takes any
+    snapshot: Present | None = None
 
     @property
     def trouble(self) -> str:
@@ -155,10 +142,6 @@ class Resident:
         log: Receives lines, from any thread.
         decorate: Shows each watch elsewhere, too.
         changed: Called when another state, reason or list of checks is to be shown.
-
-    Attributes:
-        checks: What was checked last before a watch.
-        last: The last watch that was flown.
     """
 
     def __init__(
@@ -169,11 +152,9 @@ class Resident:
         decorate: Decorate = undecorated,
         changed: Callable[[], object] = lambda: None,
     ) -> None:
-        self._changed = changed
-        self.checks: tuple[Check, ...] = ()
+        self.checks: tuple[Check, ...] = ()  # before the last watch
         self.last: FlightEnded | None = None
-        self._config, self._out, self._log = config, out, log
-        self._decorate = decorate
+        self._config, self._out, self._log, self._decorate, self._changed = config, out, log, decorate, changed
         self._state, self._reason = State.WAITING, "not connected yet"
         self._vehicle = self._run = self._unwritten = ""
         self._recording: Recording | None = None  # of the present watch
@@ -447,7 +428,7 @@ class Resident:
             async with self._decorate(display) as shown:
                 self._recording = recording
                 own = self._config, folder, recording, shown, self._log, self._prepared
-                return await fly([FlyingAircraft(*own, session=session)], None, life, shown.note)
+                return await Shell([FlyingAircraft(*own, session=session)], None, life, shown.note).fly()
         finally:
             self._recording = None  # from now on no frame is recorded
             recording.close()
@@ -512,12 +493,10 @@ class Resident:
     def _inform_station(self, text: str) -> None:
         """Send a STATUSTEXT to the ground station, as far as there is a link."""
         session = self._session
-        if session is None:
-            return
-        severity = mavlink.MAV_SEVERITY_NOTICE
-        if self._state in (State.YIELDED, State.FAULT):
-            severity = mavlink.MAV_SEVERITY_WARNING
-        session.begin(session.vehicle.send_text(f"sidelong {text}", severity))
+        if session is not None:
+            bad = self._state in (State.YIELDED, State.FAULT)
+            severity = mavlink.MAV_SEVERITY_WARNING if bad else mavlink.MAV_SEVERITY_NOTICE
+            session.begin(session.vehicle.send_text(f"sidelong {text}", severity))
 
     # -- the disk ------------------------------------------------------------------------------------------
 
@@ -567,8 +546,7 @@ def share_one_heap() -> None:
 def release_unused() -> None:
     """Drop the pages of the libraries' code and constants (100 MB), and return freed memory to the system.
 
-    Most were needed for the preparation only, the compiler's above all. Pages that are called for again come from the
-    file.
+    Most were needed for the preparation only; pages that are called for again come from the file.
     """
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # another system, or another C library
@@ -577,7 +555,7 @@ def release_unused() -> None:
             region = _LIBRARY.match(line) or region
             if region and line.startswith("Anonymous:"):
                 if line.split()[1] == "0":  # no page differs from the file's
-                    begin, end = (int(one, 16) for one in region.groups())
+                    begin, end = (int(address, 16) for address in region.groups())
                     library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _MADV_DONTNEED)
                 region = None
         library.malloc_trim(0)

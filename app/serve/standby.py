@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from sidelong.app.config import Config, ControlSection
@@ -81,8 +81,8 @@ class Standby:
                 unmet = () if config.link.set_parameters else needed
                 found = checks(config, vehicle, autopilot, table, home, rates, unmet)
                 flying = is_flying(vehicle)
-                self.found = tuple(one for one in found if one.ready or not (flying and one.before_take_off))
-                missing = [str(one) for one in found if not (one.ready or (flying and one.before_take_off))]
+                self.found = tuple(check for check in found if check.ready or not (flying and check.before_take_off))
+                missing = [str(check) for check in self.found if not check.ready]
                 self._judge("; ".join(missing) or self._takeover_refused())
                 if missing and time.monotonic() - asked_s > _AGAIN_S and asking.done():
                     asked_s = time.monotonic()  # the autopilot may have started after its link
@@ -145,13 +145,9 @@ class _Switch:
             self.forget()
 
     def take(self, fields: Mapping[str, Any], channel: int) -> Request | None:
-        before_ms, self.now_ms = self.now_ms, int(fields["time_boot_ms"])
-        others_us, self.others_us = (
-            self.others_us,
-            tuple(
-                int(fields.get(f"chan{number}_raw") or 0) for number in range(1, _CHANNELS + 1) if number != channel
-            ),
-        )
+        before_ms, self.now_ms, others_us = self.now_ms, int(fields["time_boot_ms"]), self.others_us
+        others = (number for number in range(1, _CHANNELS + 1) if number != channel)
+        self.others_us = tuple(int(fields.get(f"chan{number}_raw") or 0) for number in others)
         if self.now_ms < before_ms - _RESTARTED_MS:  # the autopilot has started again
             self.healthy_ms = None
             self.forget()
@@ -180,32 +176,23 @@ class _Switch:
         return None if before is None else "watch" if up else "release"
 
 
+@dataclass(eq=False)
 class Triggers:
     """What is requested of one vehicle's service by a switch, a flight mode or a command of a ground station.
 
     Only a change counts: a switch that is already up when it is first received, or a mode that is already flown, does
     nothing, nor does a mode that sidelong has selected or that comes with a failsafe.
-
-    Args:
-        config: Which of them are obeyed.
-        system_id: The vehicle.
-        own_modes: The modes that sidelong selects.
-        own_id: System and component that sidelong speaks as.
     """
 
-    def __init__(
-        self,
-        config: ControlSection,
-        system_id: int,
-        own_modes: tuple[str, ...] = (),
-        own_id: tuple[int, int] = (0, 0),
-    ) -> None:
-        self._config, self.system_id, self._own_modes, self._own_id = config, system_id, own_modes, own_id
-        self._rc = _Switch()
-        self._unhealthy = False  # the receiver, as the autopilot reports
-        self._mode: str | None = None
-        self._chosen = 0  # heartbeats since the mode was selected; 0: it was not
-        self._commanded: tuple[float, Request] | None = None
+    _config: ControlSection  # which of them are obeyed
+    system_id: int
+    _own_modes: tuple[str, ...] = ()  # those that sidelong selects
+    _own_id: tuple[int, int] = (0, 0)  # system and component that sidelong speaks as
+    _rc: _Switch = field(default_factory=_Switch)
+    _unhealthy: bool = False  # the receiver, as the autopilot reports
+    _mode: str | None = None
+    _chosen: int = 0  # heartbeats since the mode was selected; 0: it was not
+    _commanded: tuple[float, Request] | None = None
 
     def take(self, message: Message) -> Request | None:
         config = self._config
@@ -227,12 +214,8 @@ class Triggers:
     def _mode_changed(self, fields: Mapping[str, Any], wanted: str) -> Request | None:
         mode = mode_name(*(int(fields[name]) for name in ("autopilot", "base_mode", "custom_mode")))
         before, self._mode = self._mode, mode
-        if (
-            mode.upper() != wanted.upper()
-            or mode in self._own_modes
-            or self._unhealthy
-            or int(fields.get("system_status") or 0) in FAILSAFE_STATES
-        ):
+        failing = self._unhealthy or int(fields.get("system_status") or 0) in FAILSAFE_STATES
+        if mode.upper() != wanted.upper() or mode in self._own_modes or failing:
             self._chosen = 0
         elif self._chosen or (before is not None and mode != before):
             self._chosen += 1
@@ -248,11 +231,8 @@ class Triggers:
         if to_system and not any(one[0] == to_system and to_component in (0, one[1]) for one in addressees):
             return None
         level = float(fields["param2"])
-        if (
-            int(fields["command"]) != DO_AUX_FUNCTION
-            or float(fields["param1"]) != function
-            or level not in (_LOW, _HIGH)
-        ):
+        asked = int(fields["command"]), float(fields["param1"])
+        if asked != (DO_AUX_FUNCTION, function) or level not in (_LOW, _HIGH):
             return None
         request: Request = "watch" if level == _HIGH else "release"
         before, self._commanded = self._commanded, (message.received_s, request)

@@ -16,7 +16,7 @@ import sidelong
 from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.recording import Recording
-from sidelong.app.flight.shell import FlyingAircraft, Life, fly
+from sidelong.app.flight.shell import FlyingAircraft, Life, Shell
 from sidelong.app.records.run_folder import RunFolder
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -44,7 +44,7 @@ def test_a_flight_that_is_stopped_while_the_vehicle_is_checked_takes_nothing_ove
             life.stopped.set()
             display = sidelong.Watch(folder.path, lambda _text: None)
             aircraft = FlyingAircraft(config, folder, recording, display, print, lambda: prepared(config))
-            return await fly([aircraft], None, life, print)
+            return await Shell([aircraft], None, life, print).fly()
 
     ended = asyncio.run(stopped())
     assert ended.summary.outcome == "interrupted"

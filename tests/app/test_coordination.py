@@ -67,8 +67,8 @@ def pair(monkeypatch):
     for name, home_above_m in (("a", 0.0), ("b", 20.0)):
         now_s = lambda name=name: clocks[name]  # noqa: E731
         others = lambda name=name: coordination.reported_by_others_s(name)  # noqa: E731
-        scale = coordination.mission_s
-        coordination.add(Participant(name, None, announced[name].append, now_s, home_above_m, others, scale))
+        clock = VehicleClockReader(name, now_s, others, coordination.mission_s)
+        coordination.add(Participant(name, None, announced[name].append, clock, home_above_m))
     return coordination, coordinator, journal, announced, noted, clocks
 
 

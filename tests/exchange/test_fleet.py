@@ -13,6 +13,7 @@ from sidelong.app.fleet.coordination import (
     FLEET_JOURNAL_TYPES,
     Coordination,
     Participant,
+    VehicleClockReader,
     compare_coordination,
     coordinator_of,
 )
@@ -83,9 +84,8 @@ class Fleet:
         flight.to_vehicle("COMMAND_LONG", command=511, param1=SYSTEM_TIME, param2=1e6)
         core = craft.make_core(plane)
         step = core.step
-        self.coordination.add(
-            Participant(name, core.controller, craft.waiting.append, lambda: flight.telemetry.now_s)
-        )
+        clock = VehicleClockReader(name, lambda: flight.telemetry.now_s)
+        self.coordination.add(Participant(name, core.controller, craft.waiting.append, clock))
         stepped = self.coordination.stepped(name)
 
         def received(event):

@@ -17,7 +17,7 @@ import numpy as np
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
-from sidelong.app.fleet.coordination import Coordination, Participant, coordinator_of
+from sidelong.app.fleet.coordination import Coordination, Participant, VehicleClockReader, coordinator_of
 from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.estimators.frames import LocalPlane
@@ -254,10 +254,8 @@ def _fleet(first: Settings, flown: Flown) -> tuple[list[Craft], Callable[[], Non
         craft = Craft(member.name, member.config, settings, plane, flown)
         craft.begins_s = craft.link_s + 20.0 * (count - number)  # the highest layer first
         craft.ready(in_fleet=True)
-        announced = Participant(
-            craft.name, craft.core.controller, craft.waiting.append, lambda one=craft: one.telemetry.now_s
-        )
-        coordination.add(announced)
+        clock = VehicleClockReader(craft.name, lambda one=craft: one.telemetry.now_s)
+        coordination.add(Participant(craft.name, craft.core.controller, craft.waiting.append, clock))
         craft.listeners.append(coordination.stepped(craft.name))
         craft.vehicle.listeners.append(
             lambda message, name=craft.name: (
