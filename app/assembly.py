@@ -133,14 +133,9 @@ class Prepared:
     make_planner: CheckedPlannerFactory
 
     def controller(self, plane: LocalPlane | None = None, home_deg: HomeDeg = None) -> StandoffController:
-        """Return the control step: first its surroundings, then the planner among them.
+        """Return the control step; without a plane, as in some logs, it has no fences and no ground.
 
-        Args:
-            plane: The local plane; None: none is known, as in some logs, and there are no fences and no ground.
-            home_deg: See ``ground_of``.
-
-        Raises:
-            InputError: A fence is not a valid polygon, or the elevation data is unusable.
+        Raises InputError if a fence is not a valid polygon, or the elevation data is unusable.
         """
         config, make = self.config, self.make_planner
         surroundings = Surroundings() if plane is None else surroundings_of(config, plane, home_deg)
@@ -184,7 +179,6 @@ def prepared(
 def controller_of(
     config: Config, plane: LocalPlane | None = None, home_deg: HomeDeg = None, kind: PlannerKind | None = None
 ) -> StandoffController:
-    """Return the control step of a configuration; see ``prepared`` and ``Prepared.controller``."""
     return prepared(config, kind=kind).controller(plane, home_deg)
 
 
@@ -192,9 +186,6 @@ def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None])
     """Compile in two processes at a time, which leave the machine code in the cache and take their memory with them.
 
     What one of them fails to compile is compiled in this process when it is first called.
-
-    Args:
-        announce: Receives a sentence with the share that is done, of the functions that most flights need.
     """
     announced = -1
     with ExitStack() as running:
@@ -305,12 +296,8 @@ def fences_of(config: Config, plane: LocalPlane) -> Fences:
 def with_vehicle_fences(config: Config, found: VehicleFences, every: bool) -> Config:
     """Return a configuration that keeps the fences of the vehicle, too.
 
-    Args:
-        found: What the vehicle stores.
-        every: Whether the autopilot demands to be inside all of its inclusion fences, or inside one.
-
-    Raises:
-        InputError: They are no polygons, or leave no room with those of the configuration or for the circle.
+    every: whether to be inside all of its inclusion fences, or inside one. Raises InputError where they are no
+    polygons, or leave no room with those of the configuration or for the circle.
     """
     corners = [corner for outline in (*found.inclusion, *found.exclusion) for corner in outline]
     if not corners:
@@ -400,13 +387,9 @@ def surroundings_of(
 
 
 def ground_of(config: Config, plane: LocalPlane, home_deg: HomeDeg) -> Ground | None:
-    """Return the ground about home, None where no elevation data is configured.
+    """Return the ground about home, or the plane's origin; None where no elevation data is configured.
 
-    Args:
-        home_deg: Latitude and longitude of home; None if it is not known: it is then taken at the plane's origin.
-
-    Raises:
-        InputError: The elevation data is unusable.
+    Raises InputError if that is unusable.
     """
     if config.terrain.folder is None:
         return None
@@ -440,13 +423,10 @@ MADE_UP_ROUTE = route_of(np.array([-300.0, 300.0]), np.zeros(2))
 
 
 def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None:
-    """Run what decides and follows a plan.
+    """Run what decides and follows a plan. The planner must not be flown afterwards.
 
-    Args:
-        planner: The planner, which must not be flown afterwards.
-        beyond_m: In the last decisions the target is this much farther away, out of the band, so that the planner
-            lays out a new circle as well.
-        with_route: Whether the target's route is known.
+    beyond_m: in the last decisions the target is this much farther away, out of the band, so that the planner lays
+    out a new circle as well.
     """
     if with_route and isinstance(planner, RoutePlanner):
         planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))

@@ -18,18 +18,13 @@ _STAGES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}  # FIRMWARE_VERSION_TY
 
 @dataclass(frozen=True, slots=True, order=True)
 class Release:
-    """A firmware release.
-
-    Attributes:
-        stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
-        commit: First digits of the source's commit, "" where it is not reported. Releases are compared without it.
-    """
+    """A firmware release; releases are compared without stage and commit."""
 
     major: int
     minor: int
     patch: int = 0
-    stage: str = field(default="", compare=False)
-    commit: str = field(default="", compare=False)
+    stage: str = field(default="", compare=False)  # dev, alpha, beta or rc; "" for an official release
+    commit: str = field(default="", compare=False)  # first digits of the source's commit, "" where it is not reported
 
     def __str__(self) -> str:
         return f"{self.major}.{self.minor}.{self.patch}" + (f"-{self.stage}" if self.stage else "")
@@ -70,16 +65,12 @@ class Purpose(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter as some releases have it.
-
-    Attributes:
-        unit: One unit of this parameter in units of ``key``, for example 0.01 for cm/s where ``key`` is in m/s.
-    """
+    """A parameter as some releases have it."""
 
     name: str  # its name in those releases
     purpose: Purpose
     key: str = ""  # what the rest of the program calls it: its name in the newest release. Empty: ``name``
-    unit: float = 1.0
+    unit: float = 1.0  # in units of ``key``, for example 0.01 for cm/s where ``key`` is in m/s
     since: Release = _OLDEST  # first release that has it
     until: Release | None = None  # first release that no longer has it, None: all later ones have it
     notes: Mapping[float, str] = field(default_factory=dict, hash=False)  # values that deserve a remark
@@ -113,13 +104,7 @@ class RequiredParameter:
 
 
 class ParameterTable:
-    """The parameters of one release, with the values that were read.
-
-    Args:
-        parameters: Those of all releases.
-        release: Release on board, None: not known.
-        read: Values by the autopilot's own names, in its own units; what is missing there, it did not report.
-    """
+    """The parameters of one release, with the values that were read: by its own names and in its own units."""
 
     def __init__(self, parameters: Iterable[Parameter], release: Release | None, read: Mapping[str, float]) -> None:
         every = tuple(parameters)
@@ -203,40 +188,18 @@ class SupportedReleases:
 class Autopilot(AutopilotDialect, Protocol):
     """One kind of autopilot. Parameter values are given by key, see ``Parameter``."""
 
-    mav_autopilot: int
-    """Its MAV_AUTOPILOT in a heartbeat, and its firmware type in a QGroundControl plan."""
-
-    key: str
-    """Its name in options and files."""
-
+    mav_autopilot: int  # in a heartbeat, and its firmware type in a QGroundControl plan
+    key: str  # its name in options and files
     releases: SupportedReleases
-    """The releases that can be flown."""
+    parameters: tuple[Parameter, ...]  # those that matter for the mission, one entry for each name and unit they had
+    packs_integers_bytewise: bool  # whether PARAM_VALUE carries the bytes of an integer where the float belongs
+    circles_refused: str  # why circles are not flown by command (``planner.guidance``), '' if they are
 
-    parameters: tuple[Parameter, ...]
-    """The parameters that matter for the mission, one entry for each name and unit they had."""
-
-    packs_integers_bytewise: bool
-    """Whether PARAM_VALUE carries the bytes of an integer where the float belongs."""
-
-    circles_refused: str
-    """Why circles are not flown by command (``planner.guidance``), '' if they are."""
-
-    def mode_name(self, base_mode: int, custom_mode: int) -> str:
-        """Return a flight mode as the autopilot's own documentation calls it."""
+    def mode_name(self, base_mode: int, custom_mode: int) -> str: ...  # as the autopilot's own documentation has it
+    def limits(self, values: Mapping[str, float]) -> Limits: ...
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
         """Return the parameters whose values prevent a mission, by key."""
 
     def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
-        """Return which failsafe of the data link the heartbeats of a ground station prevent.
-
-        Args:
-            values: The parameters.
-            station_id: System id of the station.
-
-        Returns:
-            Its parameters in words; '' if none is configured, or if it belongs to another station.
-        """
-
-    def limits(self, values: Mapping[str, float]) -> Limits:
-        """Return what the parameters allow."""
+        """Return in words which failsafe of the data link the heartbeats of a ground station (system id) prevent."""

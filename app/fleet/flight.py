@@ -32,14 +32,7 @@ from sidelong.sitl.settings import STARTS_M, TargetSettings
 
 
 class FleetFlight:
-    """The ``Coordinator`` of a shell.
-
-    Args:
-        folder: The folder of its run.
-        displays: The display of each aircraft, by its name.
-        note: Displays a text about all of them.
-        progress: Called with the value tables' progress.
-    """
+    """The ``Coordinator`` of a shell. displays: of each aircraft, by its name; progress: of the value tables."""
 
     def __init__(
         self,

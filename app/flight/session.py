@@ -161,15 +161,11 @@ class VehicleInputs:
     """What a vehicle reports before the control step runs: each message is decoded once, and checked once.
 
     A journal begins with the control step, whose own check therefore begins with its first event.
-
-    Attributes:
-        telemetry: The decoder, which the flight goes on with.
-        plausibility: The input check of this time.
-        listeners: Each is called with a message, its event and what of that passes the check; None: there is none.
     """
 
     def __init__(self, vehicle: VehicleMessages) -> None:
         self.telemetry, self.plausibility = Telemetry(vehicle.system_id), Plausibility()
+        # Each is called with a message, its event and what of that passes the check.
         self.listeners: list[Callable[[Message, Event | None, Event | None], object]] = []
         self._vehicle = vehicle
         self.listen()
@@ -241,10 +237,6 @@ class InputHealth:
 
     A fault that shows only while the aircraft turns (a frozen gimbal, a repeated range, a wrong frame or unit) is not
     found on the ground.
-
-    Args:
-        config: The mission; it names the sensors.
-        inputs: The vehicle's, decoded and checked.
     """
 
     def __init__(self, config: Config, inputs: VehicleInputs) -> None:
@@ -274,11 +266,11 @@ class InputHealth:
             self._health.changes(now_s, tracker.ranges, tracker.gimbals, door.input_faults)
 
     def checks(self) -> tuple[Check, ...]:
-        wrong = [(one.input, one.text) for one in self._health.reports if one.state in _BAD]
+        wrong = [(report.input, report.text) for report in self._health.reports if report.state in _BAD]
         if self._tracker.turns:
             yaw_error_rad = self._tracker.calibration.yaw_bias_rad
             wrong.append((Input.GIMBAL, f"the gimbal: {yaw_fault(yaw_error_rad)}; a flight corrects it"))
         if not wrong:
-            judged = ", ".join(one.input for one in self._health.reports) or "none received"
+            judged = ", ".join(report.input for report in self._health.reports) or "none received"
             return (Check("inputs", True, f"{judged}: fresh, and without contradiction"),)
         return tuple(Check(f"input {one}", False, text, before_take_off=one in _OF_PAYLOAD) for one, text in wrong)

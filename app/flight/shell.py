@@ -409,37 +409,20 @@ class FlightEnded:
 
 
 class Coordinator(Protocol):
-    """What several aircraft have in common: see :class:`sidelong.app.fleet.flight.FleetFlight`.
-
-    Attributes:
-        targets: Those of a simulation, and which of them each aircraft's payload sees first.
-        now_s: Mission time; -inf before the first clock is known.
-    """
+    """What several aircraft have in common: see :class:`sidelong.app.fleet.flight.FleetFlight`."""
 
     folder: FleetFolder  # the folder of the whole run
     targets: tuple[list[TargetSettings], list[int]]
     over: asyncio.Event  # set when the flight of all is over
 
     @property
-    def now_s(self) -> float: ...
-
-    def prepare(self) -> None:
-        """Compute for some seconds what the flight needs."""
-
-    def coordinated(self, aircraft: list[FlyingAircraft]) -> contextlib.AbstractAsyncContextManager[None]:
-        """Coordinate these aircraft inside the context."""
-
-    def stepped(self, one: FlyingAircraft) -> Stepped:
-        """Return what is called after each step of an aircraft's core."""
-
-    def lost(self, one: FlyingAircraft) -> None:
-        """Take that an aircraft's flight is over."""
-
-    def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]:
-        """Return mission time less an aircraft's own, s, and where it was."""
-
-    def asked(self) -> dict[str, Asked]:
-        """Return the requirements of each target, in mission time."""
+    def now_s(self) -> float: ...  # mission time; -inf before the first clock is known
+    def prepare(self) -> None: ...  # may compute for some seconds
+    def coordinated(self, aircraft: list[FlyingAircraft]) -> contextlib.AbstractAsyncContextManager[None]: ...
+    def stepped(self, one: FlyingAircraft) -> Stepped: ...  # what is called after each step of its core
+    def lost(self, one: FlyingAircraft) -> None: ...  # its flight is over
+    def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]: ...  # mission time less its own; its track
+    def asked(self) -> dict[str, Asked]: ...  # the requirements of each target, in mission time
 
 
 @dataclass(eq=False)

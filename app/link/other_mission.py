@@ -51,16 +51,10 @@ class OtherMission:
 
 
 async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSWER_S) -> OtherMission:
-    """Read the mission of another vehicle that is received on the links of this one.
+    """Read the mission of another vehicle (by its system id) that is received on the links of this one.
 
-    Args:
-        vehicle: The vehicle whose links are used; its ``run`` must be running.
-        system_id: MAVLink system id of the other one.
-        answer_s: How long to wait for each answer, s.
-
-    Raises:
-        LookupError: It is not received, does not answer, or has fewer than two way points; says so in words.
-        LinkError: A message cannot be sent.
+    Raises LookupError if it is not received, does not answer, or has fewer than two way points, LinkError if a
+    message cannot be sent.
     """
     with _received(vehicle, system_id) as received:
         wait_s = max(_HEARTBEAT_S, answer_s)

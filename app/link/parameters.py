@@ -85,10 +85,8 @@ class ParameterWatch:
     """Reports when another station sets a parameter that matters for the mission.
 
     Args:
-        table: the parameters as they were read.
         bytewise: whether the autopilot sends the bytes of an integer where the float belongs.
         own: what this mission has set itself, by name.
-        note: reports a sentence to the operator.
         changed: receives the values by key after each change.
     """
 

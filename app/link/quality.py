@@ -18,21 +18,16 @@ _CHANGED_S, _CHANGED_SHARE = 0.05, 0.2  # of a round trip that is news
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A link over the last 5 s. None: not known.
+    """A link over the last 5 s. None: not known."""
 
-    loss: of the frames towards us, 0..1; round_trip_s: median; rssi, remote_rssi: of a SiK radio, in its own units;
-    silent_s: since the last frame; received_bytes_s, sent_bytes_s: bytes per second. unanswered_s: since the last
-    answer to our questions, or since the first question: while it grows, nothing that is sent may arrive.
-    """
-
-    silent_s: float
-    loss: float | None
-    round_trip_s: float | None
+    silent_s: float  # since the last frame
+    loss: float | None  # of the frames towards us, 0 to 1
+    round_trip_s: float | None  # median
     received_bytes_s: float
     sent_bytes_s: float
-    rssi: int | None = None
+    rssi: int | None = None  # of a SiK radio, in its own units
     remote_rssi: int | None = None
-    unanswered_s: float = 0.0
+    unanswered_s: float = 0.0  # since the last answer, or the first question: what is sent may not arrive
 
 
 @dataclass(frozen=True, slots=True)

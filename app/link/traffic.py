@@ -32,10 +32,8 @@ class TrafficReader:
     """Reads messages of all senders; ``report`` returns each aircraft once a second.
 
     Args:
-        plane: The local plane.
         home_altitude_m: Altitude of the home that heights refer to, above mean sea level, m.
         own_ids: System ids of the own aircraft.
-        now_s: Returns the time of the reports, s.
         own: Returns the state and the height of the own aircraft, which its own transponder reports, too.
         ignored: Names of aircraft that are none to keep clear of, such as the target's beacon.
     """
@@ -63,9 +61,7 @@ class TrafficReader:
     def report(self, message: Message, member: str = "") -> Neighbour | None:
         """Return the aircraft that a message reports, None where it reports none or did so within the last second.
 
-        Args:
-            message: A message of any sender.
-            member: Name of the fleet's aircraft that sent it, if this program has yielded it.
+        member: name of the fleet's aircraft that sent it, if this program has yielded it.
         """
         fields, now_s, clear_m, climb_m_s = message.fields, self._now_s(), NEAR_COLLISION_M, 0.0
         is_own = message.system_id in self._own_ids

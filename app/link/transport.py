@@ -43,14 +43,9 @@ Receive = Callable[[bytes, Peer], bool]
 class Transport(Protocol):
     """One link's bytes."""
 
-    def start(self, receive: Receive) -> None:
-        """Begin to receive, in a thread. ``receive`` is called from there."""
-
-    def send(self, data: bytes) -> None:
-        """Send to whoever is at the other end, from any thread; what cannot be sent now is lost."""
-
-    def close(self) -> None:
-        """End it; safe to call more than once."""
+    def start(self, receive: Receive) -> None: ...  # begin to receive, in a thread; ``receive`` is called from there
+    def send(self, data: bytes) -> None: ...  # from any thread; what cannot be sent now is lost
+    def close(self) -> None: ...  # safe to call more than once
 
 
 def opened(url: str) -> Transport:
@@ -62,10 +57,9 @@ def opened(url: str) -> Transport:
         return UdpTransport(address, listening=scheme == "udpin")
     if scheme == "tcpin":
         return TcpServerTransport(address)
-    connect: Callable[[], _Stream] = partial(_tcp_connected, address)
     if scheme.startswith("serial"):
-        connect = partial(_serial_opened, *address, scheme == "serial_flowcontrol")
-    return _StreamTransport(connect, connect())
+        return _StreamTransport(partial(_serial_opened, *address, scheme == "serial_flowcontrol"))
+    return _StreamTransport(partial(_tcp_connected, address))
 
 
 class _Threaded(ABC):
@@ -131,11 +125,10 @@ class UdpTransport(_Threaded):
                     self._received(peer, time.monotonic())
 
     def _received(self, peer: tuple[str, int], now_s: float) -> None:
-        peers = {one: received_s for one, received_s in self._peers.items() if now_s - received_s < _SILENT_S} | {
-            peer: now_s
-        }
+        peers = {known: since_s for known, since_s in self._peers.items() if now_s - since_s < _SILENT_S}
+        peers[peer] = now_s
         while len(peers) > _PEERS_MAX:
-            del peers[min(peers, key=lambda one: peers[one])]
+            del peers[min(peers, key=peers.__getitem__)]
         self._peers = peers
 
 
@@ -243,15 +236,14 @@ def _flush(client: _Client) -> None:
 class _StreamTransport(_Threaded):
     """A stream of bytes on a file descriptor that may go and come again.
 
-    connect: returns the next connection, not blocking; may raise OSError. stream: the first one.
+    connect: returns the next connection, not blocking; may raise OSError.
     """
 
-    def __init__(self, connect: Callable[[], _Stream], stream: _Stream) -> None:
+    def __init__(self, connect: Callable[[], _Stream]) -> None:
         super().__init__()
-        self._lock = threading.Lock()
-        self._connect: Callable[[], _Stream] = connect
-        self._stream: _Stream | None = stream
-        self._unsent = b""
+        self._lock, self._unsent = threading.Lock(), b""
+        self._connect = connect
+        self._stream: _Stream | None = connect()
 
     def send(self, data: bytes) -> None:
         with self._lock:

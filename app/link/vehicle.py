@@ -63,7 +63,7 @@ class StatusTexts:
         fields = message.fields
         number, chunk = int(fields.get("id") or 0), int(fields.get("chunk_seq") or 0)
         text, severity = str(fields["text"]), int(fields["severity"])
-        for other in [one for one in self._arriving if one != number]:
+        for other in self._arriving.keys() - {number}:
             self._complete(self._arriving.pop(other))
         if not number:
             return self._complete(_Arriving(severity, message.received_s, {0: text}))
@@ -103,31 +103,18 @@ class Link(Protocol):
     system_id: int
     own_id: tuple[int, int]  # system and component id of this end
 
-    def messages(self) -> AsyncIterator[Message]:
-        """Yield the messages of the vehicle and its components, in order of arrival, until the link is closed."""
-
-    async def send(self, name: str, fields: Mapping[str, Any]) -> None:
-        """Send one message. Raises LinkError when it cannot be sent."""
+    def messages(self) -> AsyncIterator[Message]: ...  # of the vehicle and its components, until the link is closed
+    async def send(self, name: str, fields: Mapping[str, Any]) -> None: ...  # raises LinkError when it cannot
+    async def parameter(self, name: str) -> float | None: ...  # None where the vehicle has none of that name
+    async def set_parameter(self, name: str, value: float) -> bool: ...  # whether the vehicle accepted it
+    def reports(self) -> tuple[LinkReport, ...]: ...  # of each way to the vehicle, since the beginning
+    def recent(self) -> tuple[LinkReport, ...]: ...  # the same of the last seconds
+    async def close(self) -> None: ...  # safe to call more than once
 
     def serving(
         self, system_id: int, component_id: int
     ) -> contextlib.AbstractContextManager[Callable[[bytes], None]]:
         """Be another component, too: receive the commands to it, and yield what sends its frames."""
-
-    async def parameter(self, name: str) -> float | None:
-        """Return a parameter's value, or None where the vehicle has none of that name."""
-
-    async def set_parameter(self, name: str, value: float) -> bool:
-        """Set a parameter; return whether the vehicle accepted it."""
-
-    def reports(self) -> tuple[LinkReport, ...]:
-        """Return how each way to the vehicle has been since the beginning."""
-
-    def recent(self) -> tuple[LinkReport, ...]:
-        """Return how each way to the vehicle is now."""
-
-    async def close(self) -> None:
-        """End everything; safe to call more than once."""
 
 
 class LinkError(FlightError):
@@ -315,16 +302,13 @@ class VehicleTimeline:
 
     The least delayed message gives the offset of the clocks. A simulated vehicle's clock runs up to ``rate`` times as
     fast. Its latest stamps show its present rate. It may pause, so it is extrapolated only for a short time.
-
-    Args:
-        rate: seconds of the vehicle's clock per second of this computer's.
     """
 
     def __init__(self, rate: float = 1.0) -> None:
         self._rate = rate
-        real = rate == 1.0
-        self._window_s = _REAL_WINDOW_S if real else _SIMULATED_WINDOW_S
-        self._ahead_max_s = math.inf if real else _SIMULATED_AHEAD_MAX_S
+        simulated = rate != 1.0
+        self._window_s = _SIMULATED_WINDOW_S if simulated else _REAL_WINDOW_S
+        self._ahead_max_s = _SIMULATED_AHEAD_MAX_S if simulated else math.inf
         self._samples: deque[tuple[float, float]] = deque()  # (arrival, stamp)
 
     def on_report(self, message: Message) -> bool:
@@ -335,12 +319,7 @@ class VehicleTimeline:
         return True
 
     def on_message(self, stamp_s: float, arrived_s: float) -> None:
-        """Take a message of the vehicle.
-
-        Args:
-            stamp_s: its stamp, s on the vehicle's clock.
-            arrived_s: when it arrived, s on this computer's clock.
-        """
+        """Take a message of the vehicle by its stamp, and when it arrived by this computer's clock."""
         expected_s = self.vehicle_s(arrived_s)
         if expected_s is not None and abs(stamp_s - expected_s) > _JUMP_S:
             self._samples.clear()  # the autopilot has rebooted, or its clock was set
@@ -351,9 +330,7 @@ class VehicleTimeline:
     def vehicle_s(self, time_s: float, delay_s: float = 0.0) -> float | None:
         """Return the vehicle's time at a time of this computer, None before the first message.
 
-        Args:
-            time_s: s on this computer's clock.
-            delay_s: the shortest delay of a message of the vehicle, s of this computer's clock.
+        delay_s: the shortest delay of a message of the vehicle, by this computer's clock.
         """
         if not self._samples:
             return None

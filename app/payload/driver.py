@@ -79,12 +79,9 @@ class PayloadDriver(Protocol):
     identity: Identity
 
     @property
-    def damaged(self) -> int:
-        """Number of byte sequences that began like a frame and were none."""
-
+    def damaged(self) -> int: ...  # number of byte sequences that began like a frame and were none
     @property
-    def round_trip_s(self) -> float | None:
-        """Shortest recent time between a request and its reply, s; None before the first reply."""
+    def round_trip_s(self) -> float | None: ...  # shortest recent time between a request and its reply
 
     def restart(self, now_s: float) -> None:
         """Forget the connection's state: identification, streams and laser are requested again."""

@@ -54,17 +54,10 @@ def checked_payload_url(url: str) -> str:
 
 
 def read_payload(option: str, text: str) -> tuple[str, str | None]:
-    """Return kind and URL of a payload as the command line names it.
+    """Return kind and URL of a payload as the command line names it; the URL is None where no host is named.
 
-    Args:
-        option: the option, for the error.
-        text: ``siyi://``, ``siyi://HOST``, ``siyi://HOST:PORT``, ``siyi:///dev/NAME:BAUD`` or ``mavlink``.
-
-    Returns:
-        The kind; the URL, None where no host or device is named.
-
-    Raises:
-        InputError: the text has another form, or there is no such kind.
+    text: ``siyi://``, ``siyi://HOST``, ``siyi://HOST:PORT``, ``siyi:///dev/NAME:BAUD`` or ``mavlink``. Raises
+    InputError that begins with the option.
     """
     if text in (MAVLINK, f"{MAVLINK}://"):
         return MAVLINK, None
