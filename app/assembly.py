@@ -55,7 +55,7 @@ from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.viewpoint.course_hold import TargetCourse, courses_made_good_rad
 
 if TYPE_CHECKING:
-    from sidelong.app.link.other_mission import VehicleFences
+    from sidelong.app.link.stored import VehicleFences
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight
     from sidelong.mission.terrain.heights import FlightHeights
@@ -246,34 +246,25 @@ def winds_m_s(config: Config) -> list[float]:
 
 
 def planner_needs(config: Config, progress: Callable[[float], None]) -> PlannerNeeds:
-    return PlannerNeeds(
-        config.aircraft.aircraft(),
-        config.requirement.requirement(),
-        winds_m_s(config),
-        config.planner.lost_after_s,
-        progress,
-    )
+    aircraft, wanted = config.aircraft.aircraft(), config.requirement.requirement()
+    return PlannerNeeds(aircraft, wanted, winds_m_s(config), config.planner.lost_after_s, progress)
 
 
 def mission_controller_of(
     config: Config, controller: StandoffController, autopilot: Autopilot, plane: LocalPlane, home: Home
 ) -> MissionController:
     """Return the whole core of a flight: the control step, and its exchange with the autopilot."""
-    aircraft = config.aircraft
-    return MissionController(
-        controller,
-        autopilot,
-        ExchangeSettings(
-            plane,
-            home,
-            aircraft.aircraft(),
-            aircraft.height_m,
-            config.planner.tolerance_m,
-            clockwise=config.requirement.requirement().side.clockwise,
-            by_command=config.planner.guidance == "command",
-            cleared=controller.surroundings.levelled,
-        ),
+    settings = ExchangeSettings(
+        plane,
+        home,
+        config.aircraft.aircraft(),
+        config.aircraft.height_m,
+        config.planner.tolerance_m,
+        clockwise=config.requirement.requirement().side.clockwise,
+        by_command=config.planner.guidance == "command",
+        cleared=controller.surroundings.levelled,
     )
+    return MissionController(controller, autopilot, settings)
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:
@@ -370,10 +361,8 @@ def surroundings_of(
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
-    over, field = (
-        FlightHeights(ground, rules),
-        SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m),
-    )
+    over = FlightHeights(ground, rules)
+    field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
     warm_up_over(ground, _track_of(config), over, field)
 
     def hidden(heights: Heights, flown_m: float | None, target_m: Pair, velocity_m_s: Pair) -> Sight:

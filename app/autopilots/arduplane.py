@@ -29,6 +29,8 @@ _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
 _FAILSAFE = "without heartbeats of that system, which is not sidelong's, the failsafe takes the aircraft"
+_LINK_LOST = {0.0: "losing the link does nothing: it keeps circling", 1.0: _FAILSAFE, 2.0: _FAILSAFE, 3.0: _FAILSAFE}
+_IN_FAILSAFE = {1.0: "in a failsafe it flies home", 2.0: "in a failsafe it glides"}
 _V4_5, _V4_7 = Release(4, 5), Release(4, 7)
 _CENTI = 0.01
 _ITEMS_IN_EVERY_TAKE_OFF = 8 | 32  # of ARMING_MIS_ITEMS: the take-off item; rally points are not mission items
@@ -45,27 +47,10 @@ _PARAMETERS = (
     Parameter("WP_RADIUS", Purpose.CIRCLE),
     Parameter("MAV_GCS_SYSID", Purpose.GROUND_STATION, since=_V4_7),
     Parameter("SYSID_MYGCS", Purpose.GROUND_STATION, "MAV_GCS_SYSID", until=_V4_7),
-    Parameter(
-        "FS_GCS_ENABL",
-        Purpose.GROUND_STATION,
-        notes={
-            0.0: "losing the link does nothing: it keeps circling",
-            1.0: _FAILSAFE,
-            2.0: _FAILSAFE,
-            3.0: _FAILSAFE,
-        },
-    ),
-    Parameter(
-        "FS_LONG_ACTN",
-        Purpose.GROUND_STATION,
-        notes={1.0: "in a failsafe it flies home", 2.0: "in a failsafe it glides"},
-    ),
+    Parameter("FS_GCS_ENABL", Purpose.GROUND_STATION, notes=_LINK_LOST),
+    Parameter("FS_LONG_ACTN", Purpose.GROUND_STATION, notes=_IN_FAILSAFE),
     Parameter("ARMING_MIS_ITEMS", Purpose.MISSION_ITEMS),
-    Parameter(
-        "FENCE_ENABLE",
-        Purpose.FENCE,
-        notes={1.0: "a fence is active: what leaves it ends the mission"},
-    ),
+    Parameter("FENCE_ENABLE", Purpose.FENCE, notes={1.0: "a fence is active: what leaves it ends the mission"}),
     Parameter("FENCE_OPTIONS", Purpose.FENCE, since=_V4_5),
 )
 
@@ -105,18 +90,8 @@ class ArduPlane:
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
         # Whatever is put at 0 is silently replaced by home: put home there.
-        return (
-            MissionItem(
-                _mav.MAV_CMD_NAV_WAYPOINT,
-                _mav.MAV_FRAME_GLOBAL,
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-                *e7((home.latitude_deg, home.longitude_deg)),
-                home.altitude_m,
-            ),
-        )
+        place = *e7((home.latitude_deg, home.longitude_deg)), home.altitude_m
+        return (MissionItem(_mav.MAV_CMD_NAV_WAYPOINT, _mav.MAV_FRAME_GLOBAL, 0.0, 0.0, 0.0, 0.0, *place),)
 
     def tail(self, home: Home) -> tuple[MissionItem, ...]:
         return ()
@@ -139,19 +114,10 @@ class ArduPlane:
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
         # Only COMMAND_INT is supported, the sign of the radius is ignored, and it is stored in whole metres. Without
         # the flag it is refused in any other mode, so it cannot override a pilot or another station.
-        return VehicleCommand(
-            _mav.MAV_CMD_DO_REPOSITION,
-            (
-                _SPEED_UNCHANGED,
-                float(_mav.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE if take_over else 0),
-                float(max(1, round(abs(order.signed_radius_m)))),
-                float(order.signed_radius_m < 0.0),
-            ),
-            _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-            order.x,
-            order.y,
-            order.height_m,
-        )
+        flags = float(_mav.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE if take_over else 0)
+        radius_m, anticlockwise = float(max(1, round(abs(order.signed_radius_m)))), float(order.signed_radius_m < 0.0)
+        params, frame = (_SPEED_UNCHANGED, flags, radius_m, anticlockwise), _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+        return VehicleCommand(_mav.MAV_CMD_DO_REPOSITION, params, frame, order.x, order.y, order.height_m)
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
         if not isinstance(report, PositionTargetReported):

@@ -32,22 +32,19 @@ _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
 _ACCEPTANCE_M = 10.0  # NAV_ACC_RAD; an item's own is not heeded
 _METRES_PER_DEGREE = 111_000.0
 _V1_14 = Release(1, 14)
+_LINK_LOST = {
+    0.0: "losing the link does nothing: it keeps circling",
+    1.0: "losing the link holds the aircraft where it is",
+    2.0: "losing the link holds it, then flies it home",
+    3.0: "losing the link lands it",
+}
 _PARAMETERS = (
     Parameter("FW_AIRSPD_TRIM", Purpose.AIRSPEED),
     Parameter("FW_AIRSPD_MIN", Purpose.AIRSPEED),
     Parameter("FW_AIRSPD_MAX", Purpose.AIRSPEED),
     Parameter("FW_R_LIM", Purpose.BANK_LIMIT),
     Parameter("NAV_LOITER_RAD", Purpose.CIRCLE),
-    Parameter(
-        "NAV_DLL_ACT",
-        Purpose.GROUND_STATION,
-        notes={
-            0.0: "losing the link does nothing: it keeps circling",
-            1.0: "losing the link holds the aircraft where it is",
-            2.0: "losing the link holds it, then flies it home",
-            3.0: "losing the link lands it",
-        },
-    ),
+    Parameter("NAV_DLL_ACT", Purpose.GROUND_STATION, notes=_LINK_LOST),
     Parameter("COM_DL_LOSS_T", Purpose.GROUND_STATION),
     Parameter("MIS_TKO_LAND_REQ", Purpose.MISSION_ITEMS, since=_V1_14),
     Parameter("GF_ACTION", Purpose.FENCE),
@@ -128,14 +125,8 @@ class Px4:
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
         # DO_REPOSITION ignores the radius. Frames other than 5 are answered with a result that crashes MAVSDK 4.1.
-        return VehicleCommand(
-            _mav.MAV_CMD_DO_ORBIT,
-            (order.signed_radius_m, math.nan, 0.0, math.nan),
-            _mav.MAV_FRAME_GLOBAL_INT,
-            order.x,
-            order.y,
-            order.altitude_m,
-        )
+        params, frame = (order.signed_radius_m, math.nan, 0.0, math.nan), _mav.MAV_FRAME_GLOBAL_INT
+        return VehicleCommand(_mav.MAV_CMD_DO_ORBIT, params, frame, order.x, order.y, order.altitude_m)
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
         if not isinstance(report, OrbitReported):

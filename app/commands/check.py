@@ -118,7 +118,7 @@ def check(
 async def _with_fences(settings: Config, url: str) -> Config:
     """Return the configuration with the fences of the vehicle at a URL, as a launch flies it."""
     from sidelong.app.flight.session import connected, with_fences  # noqa: PLC0415  # a check needs no link else
-    from sidelong.app.link.parameters import read_table  # noqa: PLC0415
+    from sidelong.app.link.stored import read_table  # noqa: PLC0415
 
     async with connected(settings.link.model_copy(update={"urls": [url]}), console.print) as session:
         parameters = await read_table(session.vehicle, session.autopilot, session.release)

@@ -22,7 +22,7 @@ from sidelong.app.flight.preflight import Check, SourceRates, checks, describe_u
 from sidelong.app.flight.session import InputHealth, connected, with_fences
 from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
-from sidelong.app.link.parameters import read_table
+from sidelong.app.link.stored import read_table
 from sidelong.app.link.transport import checked_url
 from sidelong.app.link.vehicle import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
 from sidelong.app.payload.registry import KIND_NAMES, read_payload

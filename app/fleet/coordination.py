@@ -414,22 +414,19 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
 
     for name, config in configs.items():
         _warm_up(judge(name, config.aircraft.aircraft(), config.requirement.requirement()))
-    return FleetCoordinator(
-        [
-            FleetMember(
-                member.name,
-                member.config.aircraft.aircraft(),
-                tracker_settings(member.config.sensors, member.config.planner.lost_after_s),
-                member.config.aircraft.height_m,
-                member.target,
-                reserve=member.reserve,
-                endurance_s=math.inf if member.relieve_after_min is None else 60.0 * member.relieve_after_min,
-            )
-            for member in members
-        ],
-        [FleetTarget(name, asked) for name, asked in fleet.asked.items()],
-        judge,
-    )
+    flying = [
+        FleetMember(
+            member.name,
+            member.config.aircraft.aircraft(),
+            tracker_settings(member.config.sensors, member.config.planner.lost_after_s),
+            member.config.aircraft.height_m,
+            member.target,
+            reserve=member.reserve,
+            endurance_s=math.inf if member.relieve_after_min is None else 60.0 * member.relieve_after_min,
+        )
+        for member in members
+    ]
+    return FleetCoordinator(flying, [FleetTarget(name, asked) for name, asked in fleet.asked.items()], judge)
 
 
 def _warm_up(planner: TeamPlanner) -> None:

@@ -101,12 +101,8 @@ class FleetFlight:
     @contextlib.contextmanager
     def _journal(self) -> Iterator[JournalWriter]:
         first = self._aircraft[0]
-        header = Header(
-            program=f"sidelong {version('sidelong')}",
-            config=self._fleet.model_dump(mode="json"),
-            plane=first.flight.plane,
-            seeds={"simulation": self._fleet.simulation.seed},
-        )
+        config, seeds = self._fleet.model_dump(mode="json"), {"simulation": self._fleet.simulation.seed}
+        header = Header(f"sidelong {version('sidelong')}", config, first.flight.plane, seeds)
         with beginning(self.folder.path):
             journal = JournalWriter(self.folder.journal, header, first.trouble)
         with journal:
@@ -173,19 +169,9 @@ class FleetFlight:
 def _reported(found: Neighbour, member: bool) -> ForeignAircraftReported:
     """Return the event for the coordinator. member: the aircraft belongs to the fleet."""
     state = found.state
-    return ForeignAircraftReported(
-        found.name,
-        state.time_s,
-        state.east_m,
-        state.north_m,
-        found.height_m,
-        state.course_rad,
-        state.ground_speed_m_s,
-        member,
-        state.curvature_per_m,
-        found.climb_m_s,
-        found.clear_m,
-    )
+    place_m, velocity = (state.east_m, state.north_m, found.height_m), (state.course_rad, state.ground_speed_m_s)
+    path = state.curvature_per_m, found.climb_m_s
+    return ForeignAircraftReported(found.name, state.time_s, *place_m, *velocity, member, *path, found.clear_m)
 
 
 def simulated_targets(fleet: FleetFile) -> tuple[list[TargetSettings], list[int]]:

@@ -29,18 +29,10 @@ from sidelong.app.flight.payload_input import PayloadRunner, check_route, give_r
 from sidelong.app.flight.preflight import SourceRates, check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.session import InputHealth, Session, with_fences
-from sidelong.app.flight.streams import (
-    OneTask,
-    StreamKeeper,
-    TerrainServer,
-    announcing,
-    ask_for_streams,
-    wants_few,
-)
+from sidelong.app.flight.streams import OneTask, StreamKeeper, TerrainServer, announcing, ask_for_streams, wants_few
 from sidelong.app.link.message import Message
-from sidelong.app.link.other_mission import VehicleFences, read_fences
-from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.quality import RoundTripWatch
+from sidelong.app.link.stored import ParameterWatch, VehicleFences, read_fences, read_table, temporary_parameters
 from sidelong.app.link.traffic import TrafficReader
 from sidelong.app.link.vehicle import (
     LinkError,
@@ -473,19 +465,16 @@ class Flight:
             return None
         from sidelong.app.camera.runner import CameraRunner, Here  # noqa: PLC0415  # an extra
 
+        places, point = self._camera, None if self._payload is None else self._payload.point
+        here = Here("sidelong" if places.record is None else places.record.parent.name, plane, home.altitude_m)
+        own = config.camera, self._vehicle, self.controller.tracker, self._target_height_m, self._display.note
         return CameraRunner(
-            config.camera,
-            self._vehicle,
-            self.controller.tracker,
-            self._target_height_m,
-            self._display.note,
-            Here(
-                "sidelong" if self._camera.record is None else self._camera.record.parent.name, plane, home.altitude_m
-            ),
-            source=self._camera.simulated,
-            point=None if self._payload is None else self._payload.point,
-            clicks=self._camera.simulated is not None,
-            record=self._camera.record,
+            *own,
+            here,
+            source=places.simulated,
+            point=point,
+            clicks=places.simulated is not None,
+            record=places.record,
             show=self._display.film,
         )
 

@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import fields as fields_of
+from functools import partial
+from typing import Any, Protocol
 
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
-from sidelong.app.link.reports import VehicleReports
-from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import LinkError, Vehicle, failsafe_of
+from sidelong.app.link.telemetry import ARMED_FLAG, AUTOPILOT_COMPONENT, Telemetry, mode_name
+from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleMessages, failsafe_of
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
 from sidelong.mission.core import events
+from sidelong.mission.exchange import reports
 from sidelong.mission.exchange.mission_controller import UNSEEN, InboundEvent, MissionController, Output
-from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
-from sidelong.mission.exchange.reports import ShutdownRequested, TimerExpired
+from sidelong.mission.exchange.outbox import MISSION, SendMessage, TakeoverFailed
+from sidelong.mission.upload.mission_item import MissionItem
 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
@@ -116,7 +119,7 @@ class ControlLoop:
 
     def stop(self) -> None:
         """Start nothing new, and end the loop when what is under way has ended."""
-        self.put(ShutdownRequested(self._telemetry.now_s, self.link_s))
+        self.put(reports.ShutdownRequested(self._telemetry.now_s, self.link_s))
 
     def received(self, message: Message) -> None:
         self._received_s = time.monotonic()
@@ -139,7 +142,7 @@ class ControlLoop:
                 for output in outputs:
                     self._handle(output)
                 self._stepped(event, outputs)
-                if isinstance(event, ShutdownRequested):
+                if isinstance(event, reports.ShutdownRequested):
                     self._end()
                 self._set_timer()
                 if outputs or type(event) not in UNSEEN:
@@ -198,7 +201,7 @@ class ControlLoop:
 
     def _expire(self) -> None:
         self._timer = None
-        self.put(TimerExpired(self._telemetry.now_s, self.link_s))
+        self.put(reports.TimerExpired(self._telemetry.now_s, self.link_s))
 
     async def _watch_link(self) -> None:
         # Silence has no time stamp of the vehicle, so it is measured on the wall clock.
@@ -248,3 +251,69 @@ class FlightDisplay(Display, Protocol):
 
     def film(self, picture: Callable[[], bytes]) -> None:
         """Receive a picture of the camera: what returns its marks as a line of JSON, and then itself as JPEG."""
+
+
+Fields = Mapping[str, Any]
+_Decoder = Callable[[Fields, float, float], reports.VehicleReport | events.ModeReported | None]
+# Reports of whole numbers alone: their fields, 0 for an extension that the sender does not have.
+_NUMBERS: dict[str, tuple[Any, ...]] = {
+    "MISSION_CURRENT": (reports.MissionCurrentReported, "seq", "total", "mission_id"),
+    "MISSION_COUNT": (reports.MissionCountReported, "count", "opaque_id"),
+    "MISSION_REQUEST": (reports.MissionItemRequested, "seq"),
+    "MISSION_REQUEST_INT": (reports.MissionItemRequested, "seq"),
+    "MISSION_ACK": (reports.MissionAcknowledged, "type", "opaque_id"),
+    "COMMAND_ACK": (reports.CommandAcknowledged, "command", "result"),
+    "POSITION_TARGET_GLOBAL_INT": (reports.PositionTargetReported, "lat_int", "lon_int"),
+}
+_UNASKED = {"MISSION_CURRENT", "POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_STATUS", "CURRENT_MODE"}
+
+
+class VehicleReports:
+    """Reports of the exchange: from the autopilot only, answers only those that are for us."""
+
+    def __init__(self, vehicle: VehicleMessages) -> None:
+        self._vehicle = vehicle
+        self._mode = ""
+        self._decoders: dict[str, _Decoder] = {
+            name: partial(_numbers, kind, names) for name, (kind, *names) in _NUMBERS.items()
+        } | {"MISSION_ITEM_INT": _mission_item, "ORBIT_EXECUTION_STATUS": _orbit, "CURRENT_MODE": self._current_mode}
+
+    def report(
+        self, message: Message, time_s: float, link_s: float
+    ) -> reports.VehicleReport | events.ModeReported | None:
+        """Return what a message reports, None if nothing. time_s: the vehicle's clock, link_s: when it came."""
+        decoder = self._decoders.get(message.name)
+        if decoder is None or message.component_id != AUTOPILOT_COMPONENT or time_s == -math.inf:
+            return None
+        if message.name not in _UNASKED and not self._vehicle.is_for_us(message):
+            return None
+        if message.fields.get("mission_type", MISSION) != MISSION:
+            return None
+        return decoder(message.fields, time_s, link_s)
+
+    def _current_mode(self, fields: Fields, time_s: float, link_s: float) -> events.ModeReported | None:
+        heartbeat = self._vehicle.latest.get("HEARTBEAT")
+        if heartbeat is None:
+            return None
+        base_mode = int(heartbeat.fields["base_mode"])
+        mode = mode_name(int(heartbeat.fields["autopilot"]), base_mode, int(fields["custom_mode"]))
+        if mode == self._mode:
+            return None  # it is sent often, so that a change is seen at once
+        self._mode = mode
+        return events.ModeReported(time_s, mode, bool(base_mode & ARMED_FLAG))
+
+
+def _numbers(
+    kind: Callable[..., reports.VehicleReport], names: list[str], fields: Fields, time_s: float, link_s: float
+) -> reports.VehicleReport:
+    return kind(time_s, link_s, *(int(fields.get(name) or 0) for name in names))
+
+
+def _mission_item(fields: Fields, time_s: float, link_s: float) -> reports.MissionItemReported:
+    values: dict[str, Any] = {field.name: fields[field.name] for field in fields_of(MissionItem)}
+    values.update({name: math.nan for name, value in values.items() if value is None})
+    return reports.MissionItemReported(time_s, link_s, int(fields["seq"]), MissionItem(**values))
+
+
+def _orbit(fields: Fields, time_s: float, link_s: float) -> reports.OrbitReported:
+    return reports.OrbitReported(time_s, link_s, int(fields["x"]), int(fields["y"]), float(fields["radius"]))

@@ -17,7 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.streams import announcing
 from sidelong.app.link.message import Message
-from sidelong.app.link.other_mission import read_mission
+from sidelong.app.link.stored import read_mission
 from sidelong.app.link.transport import Peer, Transport, opened
 from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleTimeline
 from sidelong.app.payload.driver import AircraftPose, DriverSettings, Measured
@@ -189,18 +189,9 @@ class PayloadInput:
 
 
 def _pose(attitude: Mapping[str, Any], position: Mapping[str, Any]) -> AircraftPose:
-    return AircraftPose(
-        attitude["roll"],
-        attitude["pitch"],
-        attitude["yaw"],
-        position["lat"] * 1e-7,
-        position["lon"] * 1e-7,
-        position["alt"] * 1e-3,
-        position["relative_alt"] * 1e-3,
-        position["vx"] * 1e-2,
-        position["vy"] * 1e-2,
-        -position["vz"] * 1e-2,
-    )
+    place = position["lat"] * 1e-7, position["lon"] * 1e-7, position["alt"] * 1e-3, position["relative_alt"] * 1e-3
+    velocity_m_s = position["vx"] * 1e-2, position["vy"] * 1e-2, -position["vz"] * 1e-2
+    return AircraftPose(attitude["roll"], attitude["pitch"], attitude["yaw"], *place, *velocity_m_s)
 
 
 def driver_of(

@@ -22,9 +22,9 @@ from sidelong.app.flight.preflight import Check, autopilot_of, check_release
 from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
 from sidelong.app.link.mavsdk_link import SETTLING_S, STATION_ID, MavsdkLink
 from sidelong.app.link.message import Message
-from sidelong.app.link.other_mission import VehicleFences, read_fences
 from sidelong.app.link.raw_links import FrameListener, opened_links, opened_url
 from sidelong.app.link.signing import KeyInUse
+from sidelong.app.link.stored import VehicleFences, read_fences
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, AUTOPILOT_INVALID, Telemetry
 from sidelong.app.link.transport import Transport
 from sidelong.app.link.vehicle import LinkError, Vehicle, VehicleMessages, release_of

@@ -129,28 +129,20 @@ class SimulatedVehicles:
             camera=camera,
             terrain=None if first.terrain.folder is None else Path(first.terrain.folder),
         )
-        self.settings = RunSettings(
-            tuple(
-                replace(
-                    one,
-                    flavour=Flavour(config.simulation.autopilot),
-                    airspeed_m_s=config.aircraft.airspeed_m_s,
-                    stations=(f"127.0.0.1:{port}",),
-                    truth=truth,
-                    looks_at=seen,
-                )
-                for one, config, port, truth, seen in zip(
-                    in_a_row(common, len(configs)),
-                    configs,
-                    ports,
-                    truths or [None] * len(configs),
-                    looks_at or [0] * len(configs),
-                    strict=True,
-                )
-            ),
-            simulation.speed,
-            signing_key_file=first.link.signing_key_file,
+        count = len(configs)
+        own = ports, truths or [None] * count, looks_at or [0] * count
+        vehicles = tuple(
+            replace(
+                vehicle,
+                flavour=Flavour(config.simulation.autopilot),
+                airspeed_m_s=config.aircraft.airspeed_m_s,
+                stations=(f"127.0.0.1:{port}",),
+                truth=truth,
+                looks_at=seen,
+            )
+            for vehicle, config, port, truth, seen in zip(in_a_row(common, count), configs, *own, strict=True)
         )
+        self.settings = RunSettings(vehicles, simulation.speed, signing_key_file=first.link.signing_key_file)
         self._what = "the simulated vehicle" if len(configs) == 1 else "the simulation of the vehicles"
         self._on_end = on_end
         self._process: asyncio.subprocess.Process

@@ -51,21 +51,8 @@ async def announcing(work: Coroutine[Any, Any, None], what: str, note: Callable[
 _SLOW_BAUD = 57_600
 _AGAIN_S = 10.0
 _SLOWED_SHARE, _SLOWED_EVERY_S = 0.5, 30.0
-RATES_HZ = {
-    1: 1.0,
-    2: 1.0,
-    24: 2.0,
-    30: 20.0,
-    33: 10.0,
-    42: 5.0,
-    87: 2.0,
-    168: 1.0,
-    193: 2.0,
-    230: 2.0,
-    231: 1.0,
-    360: 2.0,
-    436: 10.0,
-}
+RATES_HZ = {1: 1.0, 2: 1.0, 24: 2.0, 30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 193: 2.0, 230: 2.0}
+RATES_HZ |= {231: 1.0, 360: 2.0, 436: 10.0}
 """SYS_STATUS, SYSTEM_TIME, GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT,
 WIND, EKF_STATUS_REPORT, ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
 FEW_HZ = RATES_HZ | {1: 0.2, 2: 0.2, 24: 1.0, 30: 8.0, 33: 5.0, 42: 3.0, 87: 1.0, 168: 0.5, 193: 1.0}

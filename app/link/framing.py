@@ -18,10 +18,7 @@ class Framer:
     """
 
     def __init__(
-        self,
-        headers: Sequence[bytes],
-        length_of: Callable[[bytes], int | None],
-        is_intact: Callable[[bytes], bool],
+        self, headers: Sequence[bytes], length_of: Callable[[bytes], int | None], is_intact: Callable[[bytes], bool]
     ) -> None:
         self.damaged = 0
         self._headers = tuple(headers)

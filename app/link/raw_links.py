@@ -243,14 +243,10 @@ class RawLinks:
         self._own = own
         self._on_frame, self._on_trouble = on_frame or (lambda _data: None), on_trouble
         self._lock = key.locked if key is not None else threading.Lock()
+        signings = [None if key is None else LinkSigning(key.key, key.times, k, own) for k in range(len(transports))]
         self._links = [
-            _Link(
-                url,
-                transport,
-                LinkSigning(key.key, key.times, index, own) if key is not None else None,
-                LinkQuality(now_s),
-            )
-            for index, (url, transport) in enumerate(transports)
+            _Link(url, transport, signing, LinkQuality(now_s))
+            for (url, transport), signing in zip(transports, signings, strict=True)
         ]
         self.urls = [url for url, _ in transports]
         self._merger = LinkMerger(len(self._links))

@@ -124,10 +124,7 @@ class TrafficReader:
 
 
 def _velocity_m_s(state: AircraftState) -> tuple[float, float]:
-    return (
-        state.ground_speed_m_s * math.sin(state.course_rad),
-        state.ground_speed_m_s * math.cos(state.course_rad),
-    )
+    return (state.ground_speed_m_s * math.sin(state.course_rad), state.ground_speed_m_s * math.cos(state.course_rad))
 
 
 def _curvature_per_m(before: AircraftState, now_s: float, course_rad: float, speed_m_s: float) -> float:

@@ -180,17 +180,9 @@ class PayloadSession:
             missing.append("no range arrives: the laser is off, or nothing reflects within its reach")
         if self._consistency.fault:
             missing.append(self._consistency.fault)
-        return PayloadStatus(
-            self._driver.identity,
-            range_hz,
-            angles_hz,
-            self._driver.round_trip_s,
-            self._driver.damaged,
-            self._range,
-            self._angles,
-            tuple(missing),
-            self._consistency.ratio,
-        )
+        driver, latest = self._driver, (self._range, self._angles)
+        link = range_hz, angles_hz, driver.round_trip_s, driver.damaged
+        return PayloadStatus(driver.identity, *link, *latest, tuple(missing), self._consistency.ratio)
 
     def _supervise(self, now_s: float) -> None:
         identity = self._driver.identity

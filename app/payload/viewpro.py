@@ -69,24 +69,13 @@ class ViewproDriver(FramedDriver):
         if not self._due["aircraft"].is_due(now_s):
             return ()
         course_rad = math.atan2(pose.velocity_east_m_s, pose.velocity_north_m_s)
-        data = struct.pack(
-            ">B7xHHHH3xHBiiihhHh",
-            _ATTITUDE_AND_POSITION,
-            _angle(pose.roll_rad),
-            _angle(-pose.pitch_rad),
-            _angle(pose.yaw_rad),
-            0,
-            _angle(course_rad),
-            _POSITION_KNOWN,
-            round(pose.latitude_deg * 1e7),
-            round(pose.longitude_deg * 1e7),
-            round(pose.altitude_m * 1e3),
-            round(pose.velocity_north_m_s * 100.0),
-            round(pose.velocity_east_m_s * 100.0),
-            0,
-            round(-pose.velocity_up_m_s * 100.0),
-        )
-        return (self._frame(_AIRCRAFT, data),)
+        roll, pitch, yaw, course = map(_angle, (pose.roll_rad, -pose.pitch_rad, pose.yaw_rad, course_rad))
+        place = round(pose.latitude_deg * 1e7), round(pose.longitude_deg * 1e7), round(pose.altitude_m * 1e3)
+        velocity_m_s = pose.velocity_north_m_s, pose.velocity_east_m_s, -pose.velocity_up_m_s
+        north, east, down = (round(each_m_s * 100.0) for each_m_s in velocity_m_s)
+        angles, velocity = (roll, pitch, yaw, 0, course), (north, east, 0, down)
+        known = _ATTITUDE_AND_POSITION, *angles, _POSITION_KNOWN
+        return (self._frame(_AIRCRAFT, struct.pack(">B7xHHHH3xHBiiihhHh", *known, *place, *velocity)),)
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the commands that turn the gimbal, in its mode of following the aircraft's yaw."""

@@ -14,8 +14,8 @@ from sidelong.app.flight.preflight import Check, SourceRates, check_takeover, ch
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.streams import ask_for_streams, wants_few
 from sidelong.app.link.message import Message
-from sidelong.app.link.parameters import read_table
 from sidelong.app.link.raw_links import DO_AUX_FUNCTION
+from sidelong.app.link.stored import read_table
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, FAILSAFE_STATES, mode_name
 from sidelong.app.link.vehicle import home_of, is_flying
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Generic, Protocol, TypeVar
 
+from sidelong.app.flight.loop import VehicleReports
 from sidelong.app.link.frames import OWN_ID, Packer
 from sidelong.app.link.message import Message
-from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import VehicleMessages
 from sidelong.estimators.frames import LocalPlane

@@ -16,8 +16,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import load_config
 from sidelong.app.flight.streams import ask_for_streams, is_slow, wants_few
 from sidelong.app.link.message import Message
-from sidelong.app.link.other_mission import fences_of, mission_of, read_fences, read_mission
-from sidelong.app.link.parameters import read_parameters
+from sidelong.app.link.stored import fences_of, mission_of, read_fences, read_mission, read_parameters
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.estimators.frames import LocalPlane
 from sidelong.sitl.protocol.transfer import Item
@@ -100,8 +99,8 @@ def asked(flavour, loss, ask):
 @pytest.mark.parametrize("flavour", list(Flavour))
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, loss, monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
-    monkeypatch.setattr("sidelong.app.link.parameters._IDLE_S", 0.2)
+    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._IDLE_S", 0.2)
     names = NAMES[flavour]
     values, simulation, link = asked(flavour, loss, lambda vehicle: read_parameters(vehicle, [*names, "NO_SUCH"]))
     assert values == {name: simulation.vehicle.parameters[name] for name in names}
@@ -110,8 +109,8 @@ def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, 
 
 
 def test_parameters_of_a_vehicle_that_pauses_are_not_reported_as_absent(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
-    monkeypatch.setattr("sidelong.app.link.parameters._IDLE_S", 0.05)
+    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._IDLE_S", 0.05)
     names = NAMES[Flavour.ARDUPLANE]
 
     async def ask(vehicle):
@@ -124,7 +123,7 @@ def test_parameters_of_a_vehicle_that_pauses_are_not_reported_as_absent(monkeypa
 
 
 def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
 
     async def ask(vehicle):
         vehicle.link._simulation.vehicle.parameters.set("NAV_DLL_ACT", -1)
@@ -234,7 +233,7 @@ def test_mission_that_jumps_back_indefinitely_is_a_lap():
 
 
 def test_another_vehicle_that_is_not_received_has_no_mission(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.other_mission._HEARTBEAT_S", 0.05)
+    monkeypatch.setattr("sidelong.app.link.stored._HEARTBEAT_S", 0.05)
     with pytest.raises(LookupError, match="system 9 is not received"):
         asked(Flavour.PX4, 0.0, lambda vehicle: read_mission(vehicle, 9, answer_s=0.01))
 

@@ -11,7 +11,7 @@ from sidelong.app.assembly import controller_of, winds_m_s, with_vehicle_fences
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import planner_in_fleet
-from sidelong.app.link.other_mission import VehicleFences
+from sidelong.app.link.stored import VehicleFences
 from sidelong.app.planners import value_cache
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane

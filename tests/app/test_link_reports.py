@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sidelong.app.link.reports import VehicleReports
+from sidelong.app.flight.loop import VehicleReports
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.exchange.reports import CommandAcknowledged, MissionAcknowledged
 from tests.messages import message

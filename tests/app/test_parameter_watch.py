@@ -3,7 +3,7 @@
 import struct
 
 from sidelong.app.autopilots.autopilot import Parameter, ParameterTable, Purpose
-from sidelong.app.link.parameters import ParameterWatch
+from sidelong.app.link.stored import ParameterWatch
 from tests.messages import message
 
 PARAMETERS = (Parameter("WP_LOITER_RAD", Purpose.CIRCLE), Parameter("AIRSPEED_CRUISE", Purpose.AIRSPEED))

@@ -11,7 +11,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_name
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_release, checks
-from sidelong.app.link.parameters import read_table, temporary_parameters
+from sidelong.app.link.stored import read_table, temporary_parameters
 from sidelong.app.link.vehicle import Vehicle, release_of
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
@@ -28,8 +28,8 @@ OF = {Flavour(one.key): one for one in AUTOPILOTS}
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
-    monkeypatch.setattr("sidelong.app.link.parameters._IDLE_S", 0.05)
+    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._IDLE_S", 0.05)
 
 
 def asked(flavour, release, ask, change=lambda _parameters: None):
