@@ -254,7 +254,8 @@ class FlightDisplay(Display, Protocol):
 
 
 Fields = Mapping[str, Any]
-_Decoder = Callable[[Fields, float, float], reports.VehicleReport | events.ModeReported | None]
+_Report = reports.VehicleReport | events.ModeReported
+_Decoder = Callable[[Fields, float, float], _Report | None]
 # Reports of whole numbers alone: their fields, 0 for an extension that the sender does not have.
 _NUMBERS: dict[str, tuple[Any, ...]] = {
     "MISSION_CURRENT": (reports.MissionCurrentReported, "seq", "total", "mission_id"),
