@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from sidelong.app.flight.flight import StoppedClock
-from sidelong.app.flight.streams import StreamKeeper
+from sidelong.app.flight.streams import StreamKeeper, announcing
 from sidelong.mission.core.events import HealthChanged
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 
@@ -82,6 +82,21 @@ def test_rate_that_another_station_has_lowered_is_requested_again(flight):
     assert kept.requests == 1
     (text,) = kept.noted
     assert "position 2.0 times a second, before it was 10.0" in text
+
+
+def test_error_of_background_work_is_announced_and_ends_nothing_else():
+    async def flown() -> list[str]:
+        noted: list[str] = []
+
+        async def film() -> None:
+            await asyncio.sleep(0)
+            raise OSError("the stream is gone")
+
+        await asyncio.gather(announcing(film(), "the camera", noted.append), turns(3))
+        return noted
+
+    (text,) = asyncio.run(flown())
+    assert text.startswith("the camera: internal error, OSError('the stream is gone')")
 
 
 def test_duration_goes_on_by_this_computer_while_the_vehicle_clock_stands_still():
