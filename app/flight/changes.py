@@ -31,8 +31,6 @@ GIMBAL = "gimbal"
 
 @dataclass(eq=False)
 class MissionChanges:
-    """Changes of one flight, which go to the control loop (``_put``)."""
-
     _config: Config
     _controller: StandoffController
     _now_s: Callable[[], float]
@@ -99,8 +97,6 @@ class MissionChanges:
 
 @dataclass(eq=False)
 class PanLimitInput:
-    """Pan limits of one flight, driven by its snapshots."""
-
     _configured_deg: float | None  # aircraft.pan_limit_deg, which has precedence
     _reported: Callable[[], tuple[float, float] | None]  # least and greatest yaw off the nose, rad
     _changes: MissionChanges
@@ -108,7 +104,6 @@ class PanLimitInput:
     _is_settled: bool = False
 
     def show(self, snapshot: Present) -> None:
-        """Plan for the limits, once they are known and the target is watched."""
         if snapshot.phase is Phase.YIELDED:
             self._is_settled = snapshot.pan_limit_rad < math.pi  # a change on its way is refused
         if self._is_settled or snapshot.phase is not Phase.WATCHING or self._changes.is_busy:

@@ -84,8 +84,6 @@ class _Ready:
 
 @dataclass(frozen=True, slots=True)
 class CameraPlaces:
-    """Where the video of a configured camera comes from and goes to."""
-
     simulated: str | None = None  # of a simulated vehicle, whose operator clicks the target; None: as configured
     record: Path | None = None  # the file in the run folder; None: nowhere
 
@@ -545,7 +543,6 @@ class Flight:
             stopped.update(self._telemetry.now_s, time.monotonic())
 
     def moments(self, truth: Truth | None) -> Sequence[Moment]:
-        """Return what the flight is judged by, since watching began: by the truth where that is known."""
         return self._collector.moments(truth, self._telemetry.plane, self._start_s)[0]
 
     def summary(self, outcome: str, truth: Truth | None) -> Summary:
@@ -660,7 +657,6 @@ class AlarmWatch:
 
     @property
     def status(self) -> VehicleStatus:
-        """The vehicle's status as received last, with its alarms and its endurance."""
         return replace(
             self._known,
             endurance_s=self.left_s,

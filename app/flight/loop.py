@@ -131,7 +131,6 @@ class ControlLoop:
             self._queue.put_nowait(report)
 
     async def run(self) -> None:
-        """Run until stopped; the outcome gives the reason."""
         self._vehicle.listeners.append(self.received)
         helpers = [asyncio.create_task(self._watch_link()), asyncio.create_task(self._executor.run())]
         try:

@@ -87,8 +87,6 @@ _DELAY_MAX_S = 0.5
 
 @dataclass(eq=False)
 class PayloadRunner:
-    """Moves bytes between a payload and its session."""
-
     _url: str
     _session: PayloadSession
     _rate: float  # seconds of the driver's clock per second of this computer's

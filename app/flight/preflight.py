@@ -49,8 +49,6 @@ _ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only 
 
 @dataclass(frozen=True, slots=True)
 class SourceRate:
-    """How often a range or gimbal source speaks."""
-
     kind: str  # range, gimbal or target
     source: Source  # who sends
     rate_hz: float  # messages per second of the vehicle's clock
@@ -206,7 +204,6 @@ class Check:
 
     @property
     def words(self) -> str:
-        """What was found, and the way out when it is not ready."""
         return self.found + (f"; {self.remedy}" if self.remedy and not self.ready else "")
 
     def __str__(self) -> str:
@@ -405,7 +402,6 @@ def _limit_checks(
 
 
 def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:
-    """Require the field of view of a camera that reports the target's place in its image."""
     if IMAGE_TRACKER not in vehicle.latest:
         return ()
     known = [name for name in ("CAMERA_FOV_STATUS", "CAMERA_INFORMATION") if name in vehicle.latest]
@@ -414,7 +410,6 @@ def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:
 
 
 def _source_checks(config: Config, vehicle: Vehicle, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
-    """Require laser and gimbal messages, unless a beacon or the camera reports the target's position."""
     received = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
     usable = {kind: [rate for rate in of_kind if _is_usable(config, rate)] for kind, of_kind in received.items()}
     paired = bool(usable["range"] and usable["gimbal"])
@@ -445,7 +440,6 @@ def _is_usable(config: Config, rate: SourceRate) -> bool:
 
 
 def _rate_check(config: Config, kind: str, rates: list[SourceRate], remedy: str) -> Check:
-    """Require a source that is used; of others, state why they are not."""
     usable = [str(rate) for rate in rates if _is_usable(config, rate)]
     others = [
         f"{rate}, not used: {why}" if (why := why_unused(config, kind, rate.source)) else f"received: {rate}"

@@ -126,7 +126,6 @@ class Recording:
         self.begun = True
 
     def write(self, record: InboundEvent | Output) -> None:
-        """Write an event or an output of the core, once the journal is open."""
         if self._journal is not None:
             self._journal.write(record)
 
@@ -164,7 +163,6 @@ class ClockRate:
 
     @property
     def mean(self) -> float:
-        """What it was since the first look."""
         return self._elapsed_s[0] / self._elapsed_s[1] if self._elapsed_s[1] else 1.0
 
 

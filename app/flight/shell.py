@@ -202,7 +202,6 @@ class SimulatedVehicles:
         self._on_end(f"{self._what} has ended: {why.rstrip('.')}; nothing flies any more.")
 
     async def ended(self) -> str:
-        """Wait until the process has ended, and return the reason."""
         await self._process.wait()
         assert self._process.stderr is not None
         text = (await self._process.stderr.read()).decode(errors="replace").strip()
@@ -341,8 +340,6 @@ _FLEET_WITHIN_M = 100_000.0
 
 @dataclass(eq=False)
 class FlyingAircraft:
-    """One aircraft, from its connection to its summary."""
-
     config: Config  # its configuration; without link URLs a vehicle is simulated
     folder: RunFolder  # its run folder
     recording: Recording  # its records
@@ -388,8 +385,6 @@ class FlyingAircraft:
 
 @dataclass(frozen=True, slots=True)
 class FlightEnded:
-    """How a flight ended."""
-
     folder: RunFolder | FleetFolder  # where its records are
     summary: Summary | FleetSummary  # what was flown
     reason: Exception | None  # the error to report and to exit with, None after a regular end

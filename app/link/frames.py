@@ -75,7 +75,6 @@ class FrameSplitter(Framer):
         super().__init__((bytes((_MARKER_V1,)), bytes((_MARKER_V2,))), _size, _whole)
 
     def split(self, data: bytes) -> list[Frame]:
-        """Return the frames that ``data`` completes, in order."""
         return [Frame(frame) for frame in self.feed(data)]
 
 

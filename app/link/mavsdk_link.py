@@ -217,7 +217,6 @@ class MavsdkLink:
 
     @contextlib.contextmanager
     def serving(self, system_id: int, component_id: int) -> Iterator[Callable[[bytes], None]]:
-        """Be another component, too: receive the commands to it, and yield what sends its frames."""
         served = system_id, component_id
         self._links.served.add(served)
         try:

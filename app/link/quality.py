@@ -81,7 +81,6 @@ class LinkQuality:
         self._rssi: tuple[int, int] | tuple[None, None] = (None, None)
 
     def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
-        """Count a frame that came in: its system and component, sequence number and bytes."""
         self.received_s = now_s
         if self.received_since_s is None:
             self.received_since_s = now_s
@@ -110,7 +109,6 @@ class LinkQuality:
         self._rssi = (rssi, remote_rssi)
 
     def measured(self, now_s: float) -> Measured:
-        """Return what was measured over the last 5 s."""
         self._second(now_s)
         return self._measured(self._seconds, now_s)
 

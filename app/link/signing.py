@@ -75,8 +75,6 @@ class SigningKey:
 
 
 class Refusal(StrEnum):
-    """Why a frame is not let in."""
-
     UNSIGNED = "unsigned"
     WRONG_KEY = "signed with another key"
     OLD = "replayed or too old"
@@ -97,7 +95,6 @@ class SigningTimes:
 
     @property
     def sent(self) -> int:
-        """The last time sent."""
         return self._sent[0]
 
     @sent.setter
@@ -111,7 +108,6 @@ class SigningTimes:
         return other
 
     def next(self, now: int) -> int:
-        """Return the time for the next frame out."""
         self.sent = max(self.sent + 1, now)
         return self.sent
 

@@ -107,7 +107,6 @@ async def read_items(
 
 @contextlib.contextmanager
 def _received(vehicle: Vehicle, system_id: int) -> Iterator[asyncio.Queue[Message]]:
-    """Collect the messages of a vehicle's autopilot that concern its missions."""
     received: asyncio.Queue[Message] = asyncio.Queue()
 
     def on_message(message: Message) -> None:

@@ -245,7 +245,6 @@ class Telemetry:
     # -- the payload ---------------------------------------------------------------------------------------
 
     def _note_unusable(self, kind: str, source: Source, why: str) -> None:
-        """Count a message of the payload that holds no reading."""
         self.unusable[kind, source, why] += 1
 
     def _distance_sensor(self, message: Message) -> Event | None:

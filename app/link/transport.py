@@ -41,8 +41,6 @@ Receive = Callable[[bytes, Peer], bool]
 
 
 class Transport(Protocol):
-    """One link's bytes."""
-
     def start(self, receive: Receive) -> None: ...  # begin to receive, in a thread; ``receive`` is called from there
     def send(self, data: bytes) -> None: ...  # from any thread; what cannot be sent now is lost
     def close(self) -> None: ...  # safe to call more than once

@@ -29,8 +29,6 @@ _KEPT = 50
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A text of the autopilot."""
-
     text: str  # the text, without control characters
     severity: int  # MAV_SEVERITY: 0 emergency to 7 debug
     received_s: float  # when its last chunk came
@@ -74,7 +72,6 @@ class StatusTexts:
         return self._complete(self._arriving.pop(number))
 
     def matching(self, pattern: re.Pattern[str], since_s: float) -> tuple[str, ...]:
-        """Return the whole texts since then in which a pattern is found, each once."""
         texts = (one.text for one in self._texts if one.received_s >= since_s and pattern.search(one.text))
         return tuple(dict.fromkeys(texts))
 
@@ -408,7 +405,6 @@ def reported_pan_limits_rad(vehicle: Vehicle) -> tuple[float, float] | None:
 
 
 async def _requested(vehicle: Vehicle, name: str, message_id: int, **address: int) -> Message | None:
-    """Return a message that is requested of the autopilot, or of another address."""
     request: dict[str, Any] = address | {"command": _REQUEST_MESSAGE, "confirmation": 0, "param1": float(message_id)}
     request |= {f"param{i}": 0.0 for i in range(2, 8)}
     for _ in range(_REQUESTS):

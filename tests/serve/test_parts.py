@@ -573,8 +573,8 @@ def test_a_vehicle_with_another_system_id_is_obeyed(tmp_path, monkeypatch):
 
 
 def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, monkeypatch):
-    async def flown(aircraft, *_rest):
-        folder, recording = aircraft[0].folder, aircraft[0].recording
+    async def flown(shell):
+        folder, recording = shell._aircraft[0].folder, shell._aircraft[0].recording
         shown.append(resident.status.records)
         folder.journal.symlink_to("/dev/full")
         recording.begin(LocalPlane(47.4, 8.5), (47.4, 8.5))
@@ -582,7 +582,7 @@ def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, m
         raise FlightError("the link is lost")
 
     shown: list[str] = []
-    monkeypatch.setattr("sidelong.app.serve.resident.fly", flown)
+    monkeypatch.setattr("sidelong.app.serve.resident.Shell.fly", flown)
     resident = Resident(Config(), tmp_path, lambda _text: None)
     resident._wanted = True
     asyncio.run(resident._watch_once(None))

@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.config import config_from
 from sidelong.app.errors import FlightError
-from sidelong.app.flight.shell import Life
 from sidelong.app.serve import resident as service
 from sidelong.app.serve.resident import Resident, State
 from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
@@ -84,8 +83,7 @@ class Watching:
     def __init__(self):
         self.begun = self.lasting = 0
 
-    async def __call__(self, *given):
-        (life,) = (one for one in given if isinstance(one, Life))
+    async def fly(self, life):
         self.begun, self.lasting = self.begun + 1, self.lasting + 1
         await life.stopped.wait()
         self.lasting -= 1
@@ -108,7 +106,7 @@ async def serving(vehicle, out, monkeypatch, **control):
 
     watching = Watching()
     monkeypatch.setattr(Resident, "_prepare", prepared)
-    monkeypatch.setattr(service, "fly", watching)
+    monkeypatch.setattr(service.Shell, "fly", lambda shell: watching.fly(shell._life))
     config = config_from({"link": {"url": vehicle.url}, "control": control}, "test")
     resident, stopped = Resident(config, out / "runs", lambda _text: None), asyncio.Event()
     running = asyncio.create_task(resident.run(stopped, out / "serve.sock"))
