@@ -52,12 +52,14 @@ COMMANDS = {
 
 
 _NO_NUMBER = "this is not a number; give one without a unit and with a decimal point, such as 1200 or 4.5"
+_OTHERWISE = {
+    "--fidelity": "every study flies the closed loop; leave it out",
+    "--track": "write the name of the track behind that of its file, FILE#NAME",
+}
 _EXTRAS = {"matplotlib": "report", "scipy": "study"}  # a flight needs neither
 
 
 class _Commands(TyperGroup):
-    """The commands, each loaded when it is called."""
-
     def list_commands(self, ctx: Any) -> list[str]:
         return list(COMMANDS)
 
@@ -82,11 +84,7 @@ class _Commands(TyperGroup):
 
 
 def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
-    """Return the lines of ``--help`` for arguments and options, by group.
-
-    Returns:
-        (name, help) of each argument and option, by the group's title, in the order of their definition.
-    """
+    """Return (name, help) of each argument and option, by the group's title, in the order of their definition."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for one in command.get_params(context):
         record = one.get_help_record(context)
@@ -96,13 +94,19 @@ def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
     return groups
 
 
-def _as_key(option: str) -> str | None:
-    """Return the key of the configuration, as ``section.key``, that is named like an option, None if none is."""
+def _instead(option: str) -> str:
+    """Return what takes the place of an unknown option, such as a key of its name, as a sentence; '' if nothing."""
     from sidelong.app.config import Config  # noqa: PLC0415  # only for an option that does not exist
 
+    if option in _OTHERWISE:
+        return f"{option}: {_OTHERWISE[option]}."
     name = option.lstrip("-").replace("-", "_")
-    keys = ((section, key) for section, kind in Config() for key in type(kind).model_fields)
-    return next((f"{section}.{key}" for section, key in keys if f"{key}_".startswith(f"{name}_")), None)
+    keys = [(section, key) for section, kind in Config() for key in type(kind).model_fields]
+    named = [(key != name, section, key) for section, key in keys if f"{key}_".startswith(f"{name}_")]
+    if not option.startswith("--") or not named:
+        return ""
+    _, section, key = min(named)
+    return f"{option} is a key of the configuration: give --set {section}.{key}=VALUE."
 
 
 class _Command(TyperCommand):
@@ -118,9 +122,8 @@ class _Command(TyperCommand):
             return super().make_context(*arguments, **options)
         except typer.TyperException as error:
             option = getattr(error, "option_name", "")
-            key = _as_key(option) if option.startswith("--") else None
-            if key is not None:
-                raise InputError(f"{option} is a key of the configuration: give --set {key}=VALUE.") from error
+            if instead := _instead(option):
+                raise InputError(instead) from error
             text = error.format_message().replace("Value error, ", "").rstrip(".")
             text = text.replace("Input should be a valid number, unable to parse string as a number", _NO_NUMBER)
             raise InputError(f"{text}; see sidelong {self.name} --help.") from error
@@ -175,20 +178,15 @@ def _options(
 
 
 def main() -> NoReturn:
-    """Run the command line and end the process with the exit code of :func:`run`."""
     heed_interrupts()
     sys.unraisablehook = handle_next
     exit_process(run())
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run one command and print an error as one sentence.
+    """Run one command (None: of the process) and print an error as one sentence.
 
-    Args:
-        arguments: The command and its arguments; None for those of the process.
-
-    Returns:
-        The exit code: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted.
+    Returns the exit code: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted.
     """
     try:
         try:

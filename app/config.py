@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
@@ -21,7 +21,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import ErrorDetails
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM
@@ -29,7 +28,6 @@ from sidelong.app.network import NetworkAddress
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, checked_payload_url
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from sidelong.app.records.text_file import read_toml
-from sidelong.app.sharing.contact import is_contact
 from sidelong.mission.core.feasibility import in_words
 from sidelong.mission.core.plan import ClimbRates
 from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG, Aircraft, Requirement, Side, widest_radius_m
@@ -70,12 +68,11 @@ def validated(kind: type[Model], values: Any, name: str) -> Model:
 
 
 def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
-    """Return the first problem as one sentence that names the field, what is wrong, and the nearest that is right."""
+    """Return the first problem as one sentence that names the field and what is wrong."""
     problem = error.errors()[0]
     where = ".".join(f"{part!s:.40}" for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        known = _known_keys(kind, problem["loc"])
-        return f"unknown key {where}; known there: {', '.join(known)}{_meant(kind, str(problem['loc'][-1]), known)}."
+        return f"unknown key {where}; known there: {', '.join(_known_keys(kind, problem['loc']))}."
     if problem["type"] == "value_error":
         return f"{where + ': ' if where else ''}{_cut(str(problem['ctx']['error']))}."
     if problem["type"] == "missing":
@@ -84,33 +81,11 @@ def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
     if problem["type"] in ("model_type", "dict_type"):
         return f"{given}: a table belongs there; write [{where}], and its keys below."
     message = problem["msg"][0].lower() + problem["msg"][1:]
-    return f"{given}: {message}{_nearest(problem)}."
-
-
-def _meant(kind: type[BaseModel], key: str, known: list[str]) -> str:
-    """Return which key is probably meant by an unknown one, '' if none is like it."""
-    tables = [name for name in kind.model_fields if key in _known_keys(kind, (name, key))]
-    alike = get_close_matches(key, known, n=1)
-    if tables:
-        return f"; {key} belongs to [{tables[0]}]"
-    return f"; the nearest is {alike[0]}" if alike else ""
+    return f"{given}: {message}."
 
 
 def _cut(text: str, longest: int = 400) -> str:
     return text if len(text) <= longest else text[:longest] + "..."
-
-
-def _nearest(problem: ErrorDetails) -> str:
-    """Return the nearest valid value in words, '' where there is no such thing."""
-    bounds = problem.get("ctx", {})
-    for bound in ("ge", "le"):
-        if bound in bounds:
-            return f"; the nearest valid value is {bounds[bound]:g}"
-    if problem["type"] == "literal_error":
-        choices = [choice.strip("' ") for choice in bounds["expected"].replace(" or ", ",").split(",")]
-        alike = get_close_matches(str(problem["input"]), choices, n=1)
-        return f"; the nearest is {alike[0]!r}" if alike else ""
-    return ""
 
 
 def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
@@ -124,6 +99,7 @@ def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[
 
 DEMONSTRATION = "demo"  # the target of a launch without a configuration
 MAX_AIRCRAFT = 8  # of a fleet
+_CONTACT = re.compile(r"adsb:[0-9a-f]{6}|ais:[0-9]{9}", re.IGNORECASE)
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 # The automatic radius gives a 22 s orbit, the best value for recorded targets, if the range band has room for it.
 # _BANK_RESERVE is the margin to the bank limit.
@@ -135,24 +111,7 @@ LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge
 Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
 
 
-def _brackets_counted(polygons: Any) -> Any:
-    """Refuse a polygon where a list of polygons belongs: one pair of brackets too few."""
-    match polygons:
-        case [[int() | float(), *_], *_] | [int() | float(), *_]:
-            raise ValueError(
-                "one pair of brackets is missing; a list of polygons looks like "
-                "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53]]]"
-            )
-    return polygons
-
-
-Polygons = Annotated[list[Polygon], Field(max_length=100), BeforeValidator(_brackets_counted)]
-
-
-def _filter_offered(name: Any) -> Any:
-    if name == "ukf":
-        raise ValueError("the unscented filter (ukf) was removed; use imm (the default) or ekf")
-    return name
+Polygons = Annotated[list[Polygon], Field(max_length=100)]
 
 
 def _known_side(words: str) -> str:
@@ -171,7 +130,7 @@ class AircraftSection(Section):
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
-    pan_limit_deg: float | None = Field(None, ge=PAN_LIMIT_MIN_DEG, le=180)
+    pan_limit_deg: float | None = Field(None, ge=PAN_LIMIT_MIN_DEG, le=180, examples=[135.0])
     """Pan limit of the gimbal to each side of the nose; below 180, figures of eight are flown; none: as reported."""
     height_m: float = Field(100.0, ge=_HEIGHT_MIN_M, le=3000)
     """Height of the circle above the reference in height_above, m."""
@@ -194,7 +153,6 @@ class AircraftSection(Section):
         )
 
     def rates(self) -> ClimbRates:
-        """Return how it climbs and descends."""
         return ClimbRates(self.airspeed_m_s, self.climb_m_s, self.descent_m_s)
 
 
@@ -246,7 +204,9 @@ class PlannerSection(Section):
     """mission: plans are uploaded as mission items; command (not on PX4): the circle is moved by single commands."""
     tolerance_m: float = Field(15.0, ge=1, le=200)
     """How far the flown line of a transition may leave the planned one, m."""
-    winds_m_s: list[Annotated[float, Field(gt=0, le=30)]] = Field(default_factory=list, max_length=8)
+    winds_m_s: list[Annotated[float, Field(gt=0, le=30)]] = Field(
+        default_factory=list, max_length=8, examples=[[4.0, 8.0]]
+    )
     """Steady winds to be prepared for with value tables of their own, m/s; the nearest one is used."""
     lost_after_s: float = Field(60.0, ge=1, le=3600)
     """The circle is held when the target has been unseen for this long, s."""
@@ -271,17 +231,17 @@ class SensorsSection(Section):
     """Standard deviation of the gimbal's yaw and pitch, degrees."""
     latency_s: float = Field(0.0, ge=0, le=5)
     """Delay between a measurement and its time stamp by the payload, as far as it is known, s."""
-    gimbal_latency_s: float | None = Field(None, ge=-1, le=5)
+    gimbal_latency_s: float | None = Field(None, ge=-1, le=5, examples=[0.5])
     """The same for the gimbal alone, as an earlier flight's summary states it; none: latency_s, s."""
-    range_latency_s: float | None = Field(None, ge=-1, le=5)
+    range_latency_s: float | None = Field(None, ge=-1, le=5, examples=[0.1])
     """The same for the laser alone; none: latency_s, s."""
     latency_sigma_s: float = Field(0.7, ge=0, le=3)
     """1-sigma prior of a further delay of gimbal and laser, estimated in flight; 0: none is estimated, s."""
-    range_component: int | None = Field(None, ge=0, le=255)
+    range_component: int | None = Field(None, ge=0, le=255, examples=[154])
     """MAVLink component of the laser; detected automatically if not given."""
-    gimbal_component: int | None = Field(None, ge=0, le=255)
+    gimbal_component: int | None = Field(None, ge=0, le=255, examples=[154])
     """MAVLink component of the gimbal; detected automatically if not given."""
-    gimbal_frame: Literal["earth", "vehicle", "body"] | None = None
+    gimbal_frame: Literal["earth", "vehicle", "body"] | None = Field(None, examples=["earth"])
     """Reference of the gimbal's angles if its frame flags are wrong: north, heading or airframe."""
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the gimbal relative to the autopilot: forward, right, down, m."""
@@ -293,7 +253,7 @@ class SensorsSection(Section):
     """1-sigma prior of the gimbal's pitch bias; 0: no bias is estimated, degrees."""
     range_bias_sigma_m: float = Field(0.3, ge=0, le=50)
     """1-sigma prior of the laser's range bias; 0: no bias is estimated, m."""
-    filter: Annotated[Literal["imm", "ekf"], BeforeValidator(_filter_offered)] = "imm"
+    filter: Literal["imm", "ekf"] = "imm"
     """Motion model of the target filter."""
     target_kind: Literal["unknown", "walker", "cyclist", "car", "boat", "animal"] = "unknown"
     """Kind of target, if known: sets the process noise of the filter."""
@@ -306,9 +266,11 @@ class PayloadSection(Section):
 
     kind: PayloadName = MAVLINK
     """Protocol of the payload; mavlink: it sends MAVLink itself, or the autopilot forwards its messages."""
-    url: Annotated[str, AfterValidator(checked_payload_url)] | None = None
+    url: Annotated[str, AfterValidator(checked_payload_url)] | None = Field(
+        None, examples=["udp://192.168.144.25:37260"]
+    )
     """Its address (udp://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD); none: its factory address."""
-    range_unit_m: float | None = Field(None, gt=0, le=10)
+    range_unit_m: float | None = Field(None, gt=0, le=10, examples=[0.1])
     """Unit of the range it sends, m; none: the unit in its manual."""
     flip_yaw: bool = False
     """Whether its yaw has the opposite sign to its manual."""
@@ -318,7 +280,7 @@ class PayloadSection(Section):
     """Age of a range when the payload sends it, s; the default is half the period of a laser of 10 Hz."""
     angles_delay_s: float = Field(0.0, ge=0, le=2)
     """Age of the angles when the payload sends them, s."""
-    angles_relative_to: Literal["vehicle", "body", "earth"] | None = None
+    angles_relative_to: Literal["vehicle", "body", "earth"] | None = Field(None, examples=["vehicle"])
     """Frame of its angles: heading and horizon (vehicle), airframe (body), north (earth); none: as it reports."""
     point_gimbal: bool = False
     """Whether sidelong points the gimbal at the target: by the vehicle, or by the payload's own protocol."""
@@ -331,7 +293,7 @@ SIMULATED_VIDEO = "video://"
 class CameraSection(Section):
     """A gimbal camera without a laser, whose picture sidelong tracks itself (package extra video)."""
 
-    source: str | None = None
+    source: str | None = Field(None, examples=["rtsp://192.168.144.25:8554/main.264"])
     """Video: rtsp://HOST/PATH, udp://HOST:PORT, /dev/videoN, a file; video://: simulated; none: no camera."""
     view_deg: float = Field(60.0, gt=1, lt=170)
     """Horizontal field of view without zoom, degrees."""
@@ -363,21 +325,21 @@ class CameraSection(Section):
 class LinkSection(Section):
     """The link to the autopilot."""
 
-    url: str | None = None
+    url: str | None = Field(None, examples=["udpin://0.0.0.0:14540"])
     """MAVSDK URL (udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600); none: simulate."""
-    urls: list[str] = Field(default_factory=list)
+    urls: list[str] = Field(default_factory=list, examples=[["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]])
     """Several links to one vehicle, instead of url: the better one is used, another when that fails."""
-    system_id: int | None = Field(None, ge=1, le=255)
+    system_id: int | None = Field(None, ge=1, le=255, examples=[1])
     """MAVLink system id of the vehicle, if several share the link; none: the only one."""
-    signing_key_file: Path | None = None
+    signing_key_file: Path | None = Field(None, examples=["vehicle.key"])
     """Key of MAVLink signing, a file only you can read (sidelong sign makes one); none: nothing is signed."""
     heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)
     """How long to wait for the autopilot's first heartbeat, s."""
-    few_messages: bool | None = None
+    few_messages: bool | None = Field(None, examples=[True])
     """Request only the messages that the mission needs; none: on a serial line of 57,600 baud or less."""
-    take_over_from: list[str] = Field(default_factory=list)
+    take_over_from: list[str] = Field(default_factory=list, examples=[["RTL"]])
     """Further modes from which sidelong may take over a flying aircraft: RTL, LAND and so on, failsafe."""
-    role: Literal["companion", "ground"] | None = None
+    role: Literal["companion", "ground"] | None = Field(None, examples=["companion"])
     """What sidelong is on the link; none: companion for serve, else ground station unless one is received locally."""
     set_parameters: bool = False
     """Temporarily change conflicting autopilot parameters; restore them at the end."""
@@ -391,13 +353,15 @@ class LinkSection(Section):
 class FencesSection(Section):
     """Where the aircraft may fly: polygons of [latitude, longitude] in degrees, heights above home in m."""
 
-    keep_in: Polygons = Field(default_factory=list)
+    keep_in: Polygons = Field(
+        default_factory=list, examples=[[[[47.4, 8.5], [47.42, 8.5], [47.42, 8.53], [47.4, 8.53]]]]
+    )
     """The aircraft stays inside the union of these."""
-    keep_out: Polygons = Field(default_factory=list)
+    keep_out: Polygons = Field(default_factory=list, examples=[[[[47.405, 8.51], [47.41, 8.51], [47.41, 8.52]]]])
     """The aircraft stays outside each of these."""
-    floor_m: float | None = Field(None, ge=0)
+    floor_m: float | None = Field(None, ge=0, examples=[60.0])
     """Least height above home, m."""
-    ceiling_m: float | None = Field(None, ge=0)
+    ceiling_m: float | None = Field(None, ge=0, examples=[150.0])
     """Greatest height above home, m."""
     margin_m: float = Field(20.0, ge=0, le=500)
     """Kept from every fence, for the error of the flown line, m."""
@@ -412,7 +376,7 @@ class FencesSection(Section):
 class TerrainSection(Section):
     """The ground. Without elevation data it is taken as flat and at the height of home."""
 
-    folder: str | None = None
+    folder: str | None = Field(None, examples=["dem"])
     """Folder of SRTM .hgt tiles or GeoTIFF files, or one such file."""
     sigma_m: float = Field(4.0, gt=0, le=100)
     """Standard deviation of its heights against that at home, m."""
@@ -433,12 +397,16 @@ def _address(*schemes: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def is_contact(beacon: str) -> bool:
+    """Return whether a beacon is a contact of the vehicle's own ADS-B or AIS receiver."""
+    return beacon.lower().startswith(("adsb:", "ais:"))
+
+
 def _beacon(text: str) -> str:
-    """Return the beacon. Raises ValueError that shows what one looks like."""
     if not is_contact(text):
-        if text.lower().startswith(("adsb:", "ais:")):
-            raise ValueError(f"{text!r:.80} is not a contact; give one like adsb:4B1234 or ais:211234560")
         NetworkAddress.read(text, ("udp",))
+    elif not _CONTACT.fullmatch(text):
+        raise ValueError(f"{text!r:.80} is not a contact; give one like adsb:4B1234 or ais:211234560")
     return text
 
 
@@ -451,15 +419,15 @@ def _not_empty(file: Any) -> Any:
 class RouteSection(Section):
     """The route that the target is expected to follow. Off the route, sidelong plans as without one."""
 
-    file: Annotated[Path, BeforeValidator(_not_empty)] | None = None
+    file: Annotated[Path, BeforeValidator(_not_empty)] | None = Field(None, examples=["ferry.gpx"])
     """Route file: .gpx, .geojson, .kml, .cot, or .csv with lat,lon."""
-    system_id: int | None = Field(None, ge=1, le=255)
+    system_id: int | None = Field(None, ge=1, le=255, examples=[7])
     """MAVLink system id of the target: its mission, once read, takes the place of the file; left out: none."""
     lap: bool = False
     """Whether the last way point connects to the first one."""
     tolerance_m: float = Field(10.0, ge=1, le=200)
     """One standard deviation of the target's lateral offset from the route, m."""
-    speed_m_s: float | None = Field(None, gt=0, le=50)
+    speed_m_s: float | None = Field(None, gt=0, le=50, examples=[5.0])
     """Expected speed along the route, m/s; left out: unknown."""
     direction: Literal["forward", "backward", "either"] = "either"
     """Direction in which the target follows the way points."""
@@ -472,15 +440,15 @@ class RouteSection(Section):
 class SharingSection(Section):
     """External outputs (CoT, FOLLOW_TARGET, NMEA), and a beacon that the target carries."""
 
-    cot: Annotated[str, _address("udp", "tcp", "tls")] | None = None
+    cot: Annotated[str, _address("udp", "tcp", "tls")] | None = Field(None, examples=["tls://tak.example.org:8089"])
     """Cursor on target (CoT), target and aircraft, to udp://, tcp:// or tls://HOST:PORT; none: not sent."""
-    cot_certificate_file: Path | None = None
+    cot_certificate_file: Path | None = Field(None, examples=["client.pem"])
     """For TLS: client certificate (PEM); none: the server requires none."""
-    cot_key_file: Path | None = None
+    cot_key_file: Path | None = Field(None, examples=["client.key"])
     """For TLS: its key (PEM, without a password); none: in the certificate's file."""
-    cot_authority_file: Path | None = None
+    cot_authority_file: Path | None = Field(None, examples=["authority.pem"])
     """For TLS: certificate authority of the server (PEM); none: the authorities the system trusts."""
-    cot_server_name: str | None = None
+    cot_server_name: str | None = Field(None, examples=["takserver"])
     """For TLS: the name in the server's certificate; none: the host's."""
     cot_type: str = Field("a-n-G", pattern=_COT_TYPE)
     """Type of the target in the CoT schema: a-n-G is a neutral thing on the ground."""
@@ -492,15 +460,15 @@ class SharingSection(Section):
     """Call sign of the aircraft."""
     cot_team: str = Field("Cyan", min_length=1, max_length=40)
     """Team of the aircraft, by its colour."""
-    follow_target: Annotated[str, _address("udp")] | None = None
+    follow_target: Annotated[str, _address("udp")] | None = Field(None, examples=["udp://192.168.1.20:14555"])
     """FOLLOW_TARGET of the target, for another autopilot's follow mode, to udp://HOST:PORT; none: not sent."""
     follow_target_system_id: int = Field(240, ge=1, le=255)
     """MAVLink system id that FOLLOW_TARGET is sent with (ArduPilot: FOLL_SYSID)."""
-    nmea: Annotated[str, _address("udp")] | None = None
+    nmea: Annotated[str, _address("udp")] | None = Field(None, examples=["udp://192.168.1.30:14401"])
     """The target as a GPS receiver's NMEA sentences (RMC, GGA), to udp://HOST:PORT; none: not sent."""
-    beacon: Annotated[str, AfterValidator(_beacon)] | None = None
+    beacon: Annotated[str, AfterValidator(_beacon)] | None = Field(None, examples=["udp://0.0.0.0:6969"])
     """A beacon: udp://ADDRESS:PORT (MAVLink, CoT, NMEA), or a contact, adsb:ICAO or ais:MMSI; none: no beacon."""
-    beacon_name: str | None = None
+    beacon_name: str | None = Field(None, examples=["ranger 7"])
     """Its system id, uid, call sign or, for NMEA, address; none: the only one received."""
     beacon_sigma_m: float = Field(5.0, gt=0, le=200)
     """Standard deviation of its position, each axis, if it does not report it, m."""
@@ -509,11 +477,11 @@ class SharingSection(Section):
 class ControlSection(Section):
     """What starts, resumes and ends a watch of sidelong serve, besides its commands."""
 
-    rc_channel: int | None = Field(None, ge=1, le=18)
+    rc_channel: int | None = Field(None, ge=1, le=18, examples=[9])
     """RC channel of a switch (RC_CHANNELS): up watches or resumes, down releases; none: no switch."""
-    flight_mode: str | None = Field(None, min_length=1, max_length=20)
+    flight_mode: str | None = Field(None, min_length=1, max_length=20, examples=["LOITER"])
     """Flight mode by name (LOITER, CIRCLE) whose selection starts or resumes a watch; none: no mode does."""
-    aux_function: int | None = Field(None, ge=1, le=65535)
+    aux_function: int | None = Field(None, ge=1, le=65535, examples=[300])
     """Function number of MAV_CMD_DO_AUX_FUNCTION (ArduPilot: 300, Scripting1): high watches, low releases; none."""
     disk_budget_mb: float = Field(4000.0, ge=10, le=10_000_000)
     """Space for run folders, MB; before a watch and while it lasts the oldest other ones are deleted beyond it."""
@@ -528,13 +496,13 @@ class DisplaySection(Section):
     """Address that it is served at; any other than loopback asks for a token."""
     port: int = Field(8420, ge=0, le=65535)
     """Its port; 0: any free one."""
-    certificate_file: Path | None = None
+    certificate_file: Path | None = Field(None, examples=["cert.pem"])
     """Certificate (PEM) to serve it over TLS; none: without."""
-    key_file: Path | None = None
+    key_file: Path | None = Field(None, examples=["key.pem"])
     """Key of that certificate (PEM)."""
-    map_file: Path | None = None
+    map_file: Path | None = Field(None, examples=["area.mbtiles"])
     """Map below the tracks: raster tiles (.mbtiles, .pmtiles), or a picture with map_bounds."""
-    map_bounds: tuple[float, float, float, float] | None = None
+    map_bounds: tuple[float, float, float, float] | None = Field(None, examples=[[47.3, 8.4, 47.5, 8.6]])
     """Bounds of that picture: south, west, north, east, degrees."""
 
     units: Literal["metric", "nautical", "imperial"] = "metric"
@@ -562,7 +530,7 @@ class SimulationSection(Section):
     """Steady wind, m/s."""
     wind_from_deg: float = Field(270.0, ge=0, le=360)
     """Where the wind comes from, degrees clockwise from north."""
-    home: LatLon | None = None
+    home: LatLon | None = Field(None, examples=[[36.59, -84.24]])
     """Home position, [latitude, longitude] in degrees; none: that of the autopilot's own simulator."""
 
 
@@ -641,10 +609,7 @@ def _fitting_radius_m(aircraft: AircraftSection, requirement: RequirementSection
 
 
 def room_warning(config: Config) -> str | None:
-    """Return in a sentence that the circle leaves too little room in the band, None where it does not.
-
-    None too where the configuration cannot be flown: that error names what to change.
-    """
+    """Return in a sentence that the circle leaves too little room in the band, None where it does not."""
     radius_m, near_m, far_m = config.aircraft.radius_m, config.requirement.range_min_m, config.requirement.range_max_m
     widest_m = widest_radius_m(near_m, far_m)
     if radius_m <= 1.05 * widest_m or unflyable(config):
@@ -712,7 +677,6 @@ def setting_notes(config: Config) -> tuple[str, ...]:
 
 
 def _changed_keys(section: Section) -> list[str]:
-    """Return the keys of a section whose values are not the defaults."""
     return [key for key, value in section if value != type(section).model_fields[key].default]
 
 
@@ -736,7 +700,6 @@ def unflyable(config: Config) -> str:
 
 
 def check_flyable(config: Config) -> None:
-    """Raise InputError, naming the field and the way out, when the mission cannot be flown."""
     if reasons := unflyable(config):
         raise InputError(f"infeasible: {reasons}.")
 
@@ -751,9 +714,8 @@ def check_alone(config: Config) -> None:
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:
-    """Return the configuration of a TOML file (or the defaults), with ``overrides`` by section and key on top.
+    """Return the configuration of a TOML file (or the defaults), with ``overrides`` on top, but for those of None.
 
-    Overrides of None are ignored, so that command-line options can be passed as they are.
     Raises InputError naming the file and the field.
     """
     values: dict[str, Any] = {}

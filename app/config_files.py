@@ -23,21 +23,16 @@ class NamedTarget(Protocol):
 
 
 def check_single(config: Config) -> list[str]:
-    """Raise InputError where one aircraft cannot fly this configuration: before any connection or computation.
-
-    Returns:
-        Notes on its files.
-    """
+    """Return notes on the files; raise InputError where one aircraft cannot fly this configuration."""
     check_alone(config)
     check_flyable(config)
     return check_files(config)
 
 
 def check_files(config: Config, targets: Sequence[NamedTarget] = ()) -> list[str]:
-    """Raise InputError, which names the field, if a file or mode cannot be used or a fence is no polygon.
+    """Return what of the tracks and routes is not used, in words.
 
-    Returns:
-        What of the tracks and routes is not used, in words.
+    Raises InputError, which names the field, if a file or mode cannot be used or a fence is no polygon.
     """
     notes = []
     for field, check in _checks(config, targets):

@@ -74,7 +74,7 @@ def test_a_flight_with_a_live_map_starts_with_files_of_our_names_in_its_folder_a
     (workspace / "mission.toml").write_text("[planner]\nname = 'paper'\n[sensors]\nfilter = 'ekf'\n")
     # As the installed script does it.
     script = "from sidelong.app.__main__ import main; main()"
-    options = ["launch", "mission.toml", "--duration", "5", "--speed", "20", "--view", "--set"]
+    options = ["launch", "mission.toml", "--duration", "5", "--set", "simulation.speed=20", "--view", "--set"]
     done = subprocess.run(
         [installed, "-P", "-c", script, *options, f"display.port={free_port()}"],
         cwd=workspace,
@@ -99,7 +99,7 @@ def test_a_flight_needs_no_library_of_the_extras(tmp_path):
         command = [sys.executable, "-P", "-c", script, *arguments]  # the checkout, whose kernels are compiled
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240.0, check=False)
 
-    flown = run("launch", "--duration", "5", "--speed", "20")
+    flown = run("launch", "--duration", "5", "--set", "simulation.speed=20")
     assert (flown.returncode, "completed" in flown.stdout) == (0, True), flown.stdout + flown.stderr
     (folder,) = (tmp_path / "runs").iterdir()
     assert run("replay", str(folder), "--verify").returncode == 0

@@ -48,9 +48,6 @@ def camera(
             help=f"Point the gimbal by its own protocol ({', '.join(KIND_NAMES[1:])}), not by the gimbal manager.",
         ),
     ] = None,
-    stream: Annotated[
-        str | None, typer.Option(metavar="udp://HOST:PORT", help="Send the video there as MPEG-TS.")
-    ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) with a [camera].")] = None,
     duration: Annotated[
         float | None, typer.Option(min=0.5, help="End after this long, s; without it when interrupted.")
@@ -63,7 +60,7 @@ def camera(
 
     For example:
       sidelong camera rtsp://192.168.144.25:8554/main.264 --connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
-      sidelong camera /dev/video0 --connect udpin://0.0.0.0:14540 --stream udp://127.0.0.1:5600
+      sidelong camera /dev/video0 --connect udpin://0.0.0.0:14540 --set camera.stream=udp://127.0.0.1:5600
     """
     kind, url = (None, None) if payload is None else read_payload("--payload", payload)
     settings = load_config(
@@ -71,7 +68,7 @@ def camera(
         changed_keys(
             set_,
             {
-                "camera": {"source": source, "stream": stream},
+                "camera": {"source": source},
                 "link": {"urls": connect or None},
                 "payload": {"kind": kind, "url": url},
             },
@@ -135,7 +132,6 @@ async def _track(settings: Config, duration_s: float | None) -> None:
 
 
 async def _report(runner: CameraRunner) -> None:
-    """Print what is tracked, until cancelled."""
     while True:
         await asyncio.sleep(_STATUS_EVERY_S)
         latest = runner.camera.latest

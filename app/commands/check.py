@@ -116,7 +116,6 @@ def check(
 
 
 async def _with_fences(settings: Config, url: str) -> Config:
-    """Return the configuration with the fences of the vehicle at a URL, as a launch flies it."""
     from sidelong.app.flight.session import connected, with_fences  # noqa: PLC0415  # a check needs no link else
     from sidelong.app.link.stored import read_table  # noqa: PLC0415
 
@@ -128,11 +127,7 @@ async def _with_fences(settings: Config, url: str) -> Config:
 
 
 def _checked(settings: Config) -> tuple[dict[str, Any], str]:
-    """Print what one aircraft can do.
-
-    Returns:
-        The values for the JSON summary, and why the requirement cannot be met, '' if it can.
-    """
+    """Print what one aircraft can do; return the JSON summary, and why the requirement is not met, '' if it is."""
     reasons = unflyable(settings)
     print_notes((room_warning(settings), reach_warning(settings)))
     values: dict[str, Any] = {"planner": settings.planner.name, "prediction": None}

@@ -16,16 +16,14 @@ from sidelong.app.commands.options import ConfigOption
 from sidelong.app.commands.output import checked_file, say, share_progress, warn_of_log, writing
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.records.export import MISSIONS, Format
+from sidelong.app.records.export import MISSIONS, FlownTrack, Format, Mission
 from sidelong.app.records.export import export as write
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.klv import KlvLog, UasMetadata
-from sidelong.app.records.log import open_log
-from sidelong.app.records.log_context import LogContext
+from sidelong.app.records.log import LogContext, open_log
 from sidelong.app.records.mcap import LAYOUT, McapLog, McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.records.text_file import whole_file
-from sidelong.app.records.track import FlownTrack, Mission
 from sidelong.app.report.sources import FlightRecord, Sink, feed, read_flight
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
@@ -69,7 +67,7 @@ def _in_words(source: Path) -> Iterator[None]:
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:
     """Write a run folder or log in a format and print the file's name. Raises InputError.
 
-    The tracks of all aircraft of a fleet go into one file, formats of one aircraft into each aircraft's folder.
+    The tracks of a fleet's aircraft go into one file, formats of one aircraft into each aircraft's folder.
     """
     fleet = FleetFolder(source)
     sources = {"": source}

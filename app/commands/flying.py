@@ -33,10 +33,7 @@ _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 def fly_recorded(
     settings: Config, duration_s: float, out: Path, quiet: bool, address: PageAddress | None
 ) -> FlightEnded:
-    """Fly the aircraft of a configuration, or of a fleet file, to the end; address: of the live map.
-
-    Raises Interrupted where it was ended before anything was commanded.
-    """
+    """Fly an aircraft or a fleet to the end; address: of the live map. Raises Interrupted before any command."""
     try:
         return run(_recorded(settings, duration_s, out, quiet, address))
     except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
@@ -135,10 +132,9 @@ async def _displayed(
 
 
 def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
-    """Report what keeps a few simulated flights of a configuration from the requirement; ``check`` flies more.
+    """Report what keeps a few simulated flights from the requirement; ``check`` flies more.
 
-    Before the code is compiled for the first time, and with figures of eight, this would take up to a minute:
-    ``check`` is then recommended instead.
+    This is left out where it would take up to a minute: before the first compilation, and with figures of eight.
     """
     from sidelong.app.study.prediction import predict  # noqa: PLC0415  # only once the options are checked
     from sidelong.app.study.study import is_compiled  # noqa: PLC0415  # likewise

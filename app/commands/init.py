@@ -1,8 +1,7 @@
 """``sidelong init``: a configuration file to begin with, every key explained.
 
-Presets are common airframes by their published parameter files, and payloads by their factory addresses. The range
-band goes with the radius: about ten radii to Dmax is what the transitions between circles need. Roll rate and height
-are left at the defaults; a preset is where to begin, the aircraft's own figures come first.
+Presets are airframes by their published parameter files, and payloads by their factory addresses. Transitions between
+circles need about ten radii to Dmax. Roll rate and height are the defaults: the aircraft's own figures come first.
 """
 
 from __future__ import annotations
@@ -77,10 +76,7 @@ _SERIAL = "serial:///dev/ttyUSB0:115200"
 def _payload(
     about: str, kind: str, source: str, url: str = "", pan_limit_deg: float | None = None, has_laser: bool = True
 ) -> Preset:
-    """Return a payload's protocol and its address as delivered; without a laser, the range comes from flat ground.
-
-    pan_limit_deg: None if it pans all around, or its manual gives no limit.
-    """
+    """Return a payload's protocol and factory address; pan_limit_deg: None if it pans all around or is unknown."""
     values: Values = {"payload": {"kind": kind, "url": url or kind_by_name(kind).url}}
     if not has_laser:
         values |= {"terrain": {"flat": True}, "simulation": {"laser": False}}
@@ -109,52 +105,6 @@ PAYLOAD_PRESETS = {
 
 _WIDTH = 112
 _LIMITS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
-# What a key that is not set, or an empty list, would look like.
-_EXAMPLES = {
-    "control.rc_channel": 9,
-    "control.flight_mode": '"LOITER"',
-    "control.aux_function": 300,
-    "sensors.gimbal_latency_s": "0.5",
-    "sensors.range_latency_s": "0.1",
-    "sensors.range_component": "154",
-    "sensors.gimbal_frame": '"earth"',
-    "sensors.gimbal_component": "154",
-    "payload.url": '"udp://192.168.144.25:37260"',
-    "payload.range_unit_m": "0.1",
-    "payload.angles_relative_to": '"vehicle"',
-    "link.system_id": "1",
-    "link.url": '"udpin://0.0.0.0:14540"',
-    "link.urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
-    "link.few_messages": "true",
-    "link.take_over_from": '["RTL"]',
-    "link.role": '"companion"',
-    "camera.source": '"rtsp://192.168.144.25:8554/main.264"',
-    "link.signing_key_file": '"vehicle.key"',
-    "planner.winds_m_s": "[4.0, 8.0]",
-    "aircraft.pan_limit_deg": "135.0",
-    "fences.keep_in": "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]",
-    "fences.keep_out": "[[[47.405, 8.51], [47.410, 8.51], [47.410, 8.52]]]",
-    "fences.floor_m": "60.0",
-    "fences.ceiling_m": "150.0",
-    "terrain.folder": '"dem"',
-    "route.file": '"ferry.gpx"',
-    "route.system_id": "7",
-    "route.speed_m_s": "5.0",
-    "display.certificate_file": '"cert.pem"',
-    "display.key_file": '"key.pem"',
-    "display.map_file": '"area.mbtiles"',
-    "display.map_bounds": "[47.3, 8.4, 47.5, 8.6]",
-    "sharing.cot": '"tls://tak.example.org:8089"',
-    "sharing.cot_certificate_file": '"client.pem"',
-    "sharing.cot_key_file": '"client.key"',
-    "sharing.cot_authority_file": '"authority.pem"',
-    "sharing.cot_server_name": '"takserver"',
-    "sharing.follow_target": '"udp://192.168.1.20:14555"',
-    "sharing.nmea": '"udp://192.168.1.30:14401"',
-    "sharing.beacon": '"udp://0.0.0.0:6969"',
-    "sharing.beacon_name": '"ranger 7"',
-    "simulation.home": "[36.59, -84.24]",
-}
 _FLEET_EXAMPLES = {
     "urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
     "autopilot": '"px4"',
@@ -199,7 +149,6 @@ def init(
 
 
 def _check_preset(preset: str | None, fleet: int | None) -> None:
-    """Raise InputError for a preset that is not known, two of one kind, or a payload for a fleet."""
     names = [] if preset is None else preset.split(",")
     for name in names:
         if name not in PRESETS and name not in PAYLOAD_PRESETS:
@@ -234,7 +183,7 @@ def _lines(presets: Mapping[str, Preset], fleet: int | None) -> Iterator[str]:
         yield from _comment(kind.__doc__ or "")
         yield f"[{section}]"
         for key, field in kind.model_fields.items():
-            yield from _entry(f"{section}.{key}", key, field, values.get(section, {}).get(key))
+            yield from _entry(key, field, values.get(section, {}).get(key))
 
 
 def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
@@ -249,7 +198,7 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
         yield f'name = "aircraft-{number + 1}"'
         for key, field in AircraftSection.model_fields.items():
             if number == 0:
-                yield from _entry(f"aircraft.{key}", key, field, own.get(key))
+                yield from _entry(key, field, own.get(key))
             elif key in own:
                 yield f"{key} = {toml(own[key])}"
         for key in ("url", "urls", "system_id", "autopilot", "reserve", "target"):
@@ -265,15 +214,14 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
         yield f"{key} = {toml(field.default)}" if field.default is not None else f"# {key} = {_FLEET_EXAMPLES[key]}"
 
 
-def _entry(path: str, key: str, field: FieldInfo, chosen: Any) -> Iterator[str]:
+def _entry(key: str, field: FieldInfo, chosen: Any) -> Iterator[str]:
     default = field.get_default(call_default_factory=True, validated_data={})
-    example = _EXAMPLES.get(path)
     parts = [field.description or "", limits_in_words(field)]
     if chosen is not None and default not in (None, chosen):
         parts.append(f"Default {toml(default)}.")
     yield from _comment(" ".join(filter(None, parts)))
     if chosen is None and default in (None, []):
-        yield f"# {key} = {example}"
+        yield f"# {key} = {toml((field.examples or [None])[0])}"
     else:
         yield f"{key} = {toml(default if chosen is None else chosen)}"
 

@@ -90,10 +90,11 @@ def launch(
         ),
     ] = None,
     target: Annotated[
-        str | None, _SIMULATION(help="Simulated target: a built-in motion or a track (.gpx, .csv, .kml, .geojson).")
-    ] = None,
-    track: Annotated[
-        str | None, _SIMULATION(metavar="NAME", help="Which of several tracks in the file of --target to use.")
+        str | None,
+        _SIMULATION(
+            metavar="MOTION|FILE[#NAME]",
+            help="Simulated target: a built-in motion or a track (.gpx, .csv, .kml, .geojson); of several that NAME.",
+        ),
     ] = None,
     target_speed: TargetSpeedOption = None,
     airspeed: AirspeedOption = None,
@@ -101,7 +102,6 @@ def launch(
     duration: Annotated[
         float, _MISSION(min=1.0, max=1e6, help="Watch this long, s of the vehicle's time.")
     ] = _DURATION_S,
-    speed: Annotated[float | None, _SIMULATION(help="Simulated time over wall time [10; with --payload 4].")] = None,
     seed: Annotated[int | None, _SIMULATION(help="Seed of the simulation's noise.")] = None,
     side: Annotated[
         str | None, _MISSION(help="Watch from left or right of its motion, either, or bearings like 120-200.")
@@ -125,8 +125,8 @@ def launch(
 ) -> None:
     """Fly: circle to one side of the target and relocate the circle as the target moves.
 
-    Without --connect, this command starts a simulated vehicle and target. They run about ten times faster than real
-    time.
+    Without --connect, this command starts a simulated vehicle and target. They run ten times faster than real time,
+    or as --set simulation.speed has it.
 
     For example:
       sidelong launch
@@ -139,10 +139,6 @@ def launch(
       sidelong launch mission.toml --set link.system_id=2 --set sharing.cot=udp://127.0.0.1:6969
     """
     checked_output(json)
-    if track is not None:
-        if target is None:
-            raise InputError("--track: names a track in the file of --target; give --target FILE, too.")
-        target = f"{target}#{track}"
     video, payload_kind, payload_url = _payload_keys(payload)
     overrides: Overrides = {
         "camera": {"source": video},
@@ -151,7 +147,6 @@ def launch(
         "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
         "simulation": {
             "target": target if target or config or connect else DEMONSTRATION,
-            "speed": speed,
             "seed": seed,
             "autopilot": autopilot,
         },
@@ -176,11 +171,11 @@ def launch(
         flown = settings = load_config(config, overrides)
     with shielded_output():  # from the first line that is printed
         address = _map_address(view, silent, flown)
-        _check_simulated(flown, {"--target": target, "--speed": speed, "--seed": seed, "--autopilot": autopilot})
+        _check_simulated(flown, {"--target": target, "--seed": seed, "--autopilot": autopilot})
         if settings is None:
             _check_fleet(several)
         else:
-            flown = _checked(settings, speed, payload_url)
+            flown = _checked(settings, overrides["simulation"].get("speed"), payload_url)
         check_space(out, duration, 1 if settings is not None else len(several.aircraft), warn)
         # The flight modules take a second to load; report a wrong option first.
         from sidelong.app.commands.flying import fly_recorded  # noqa: PLC0415
@@ -197,7 +192,6 @@ def launch(
 
 
 def _checked(settings: Config, speed: float | None, payload_url: str | None) -> Config:
-    """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
     settings = _with_simulated_camera(_with_simulated_payload(settings, speed, payload_url))
     print_notes(check_single(settings))
     _check_input(settings)
@@ -223,7 +217,6 @@ def _payload_keys(payload: str | None) -> tuple[str | None, str | None, str | No
 
 
 def _with_simulated_camera(settings: Config) -> Config:
-    """Return the settings with what a rendered camera needs."""
     if settings.camera.source is None or not settings.is_simulated:
         return settings
     changed: dict[str, Any] = {"simulation": {"speed": 1.0}}  # pictures are made in real time
@@ -235,10 +228,7 @@ def _with_simulated_camera(settings: Config) -> Config:
 
 
 def _with_simulated_payload(settings: Config, speed: float | None, url: str | None) -> Config:
-    """Return the settings with the simulation slowed down for a payload with a driver, unless a speed is given.
-
-    Raises InputError where a simulated vehicle is given the address of a payload.
-    """
+    """Slow the simulation down for a payload with a driver, unless a speed is given."""
     kind = settings.payload.kind
     if kind == MAVLINK or settings.link.connections:
         return settings
@@ -246,7 +236,7 @@ def _with_simulated_payload(settings: Config, speed: float | None, url: str | No
         raise InputError(f"--payload {url}: a simulated vehicle has a simulated payload; give {kind}:// alone.")
     if speed is not None:
         if speed > _DRIVER_SPEED_MAX:
-            warn(f"--speed {speed:g}: above {_DRIVER_SPEED_MAX:g}, readings by {kind} come with wrong times.")
+            warn(f"simulation.speed = {speed:g}: above {_DRIVER_SPEED_MAX:g}, readings by {kind} get wrong times.")
         return settings
     slower = {"speed": min(settings.simulation.speed, _DRIVER_SPEED_MAX)}
     return with_values(settings, {"simulation": slower}, "command line")

@@ -66,17 +66,17 @@ SetOption = Annotated[
 ]
 
 
-def changed_keys(given: Sequence[str] | None, overrides: Overrides | None = None) -> Overrides:
-    """Return values by section and key: those of ``overrides``, and on top those of ``--set``.
-
-    A value is read as TOML where it is valid TOML (a list, a number, true or false), else as text. Raises InputError.
-    """
-    changes = {section: dict(keys) for section, keys in (overrides or {}).items()}
-    for one in given or ():
-        key, equals, text = one.partition("=")
+def changed_keys(given: Sequence[str] | None, *overrides: Overrides) -> Overrides:
+    """Return values by section and key: ``overrides``, then ``--set``, whose values are TOML, else text."""
+    changes: Overrides = {}
+    for one in overrides:
+        for section, keys in one.items():
+            changes.setdefault(section, {}).update((key, value) for key, value in keys.items() if value is not None)
+    for words in given or ():
+        key, equals, text = words.partition("=")
         section, dot, name = key.partition(".")
         if not (equals and dot and name):
-            raise InputError(f"--set {one}: write it as SECTION.KEY=VALUE, for example requirement.side=right.")
+            raise InputError(f"--set {words}: write it as SECTION.KEY=VALUE, for example requirement.side=right.")
         try:
             value = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:

@@ -30,8 +30,8 @@ _WIDE = 400  # characters, more than any table
 class _Standard:
     """The current standard output, or standard error on request.
 
-    Shielded, it never raises: if the reader closes the pipe or the disk is full, all further output is dropped.
-    ``lost`` then holds the reason. A character that the encoding lacks is always printed as ``?``.
+    Shielded, it never raises: if the reader closes the pipe or the disk is full, further output is dropped, and
+    ``lost`` holds the reason. A character that the encoding lacks is printed as ``?``.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,6 @@ def shielded_output() -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Print a warning on standard error; the work continues."""
     with contextlib.suppress(OSError):
         print(f"sidelong: {text}", file=sys.stderr)
 
@@ -146,10 +145,7 @@ def writing(path: Path, option: str, what: str = "file") -> Iterator[None]:
 
 
 def checked_output(path: Path | None) -> None:
-    """Complain about an output file that cannot be written before the work begins, not after.
-
-    When the summary goes to standard output, everything else goes to standard error.
-    """
+    """Complain about an output file that cannot be written before the work begins; - moves other output to stderr."""
     if str(path) == "-":
         standard.to_stderr = True
     else:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.table import Table
@@ -51,7 +51,7 @@ from sidelong.app.fleet.fleet_file import FleetFile, planner_in_fleet
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
-from sidelong.app.view.address import PageAddress, page_address
+from sidelong.app.view.address import page_address
 from sidelong.app.view.frames import SPEED_MAX, Frames
 from sidelong.app.view.panel import clock
 from sidelong.app.view.state import StateEncoder
@@ -62,8 +62,15 @@ from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 
-_Wanted = tuple[Path | None, Overrides]
-"""The configuration in place of the flight's own, and values that differ from it."""
+
+class _Asked(NamedTuple):
+    """How a recording is replayed. config, changes: in place of the flight's own configuration, and of its values."""
+
+    config: Path | None
+    changes: Overrides
+    truth: Truth | None
+    verify: bool
+    quiet: bool
 
 
 def replay(
@@ -103,57 +110,55 @@ def replay(
     changes = changed_keys(set_, {"planner": {"name": planner}})
     with_values(Config(), {"planner": {"name": planner}}, "--planner")  # a wrong name is reported as of this option
     log = recording(log)
-    if view and verify:
-        raise InputError("--verify compares, --view shows; give one of them.")
+    if verify and (view or what_if):
+        raise InputError("--verify compares with the flight; give it without --view and --what-if.")
     judged_by = None if truth is None else read_truth(truth)  # a wrong file is reported before any computation
     shown = with_values(Config(), {"display": changes.pop("display", {})}, "--set").display
     address = page_address(view, shown)
+    asked = _Asked(config, changes, judged_by, verify, quiet)
     fleet = FleetFolder(log)
     if fleet.journal.is_file():
         if view or config is not None:
             raise InputError(
                 f"{log} is the run of a fleet; give one aircraft's folder in it with --view or --config."
             )
-
-        def replayed(folder: RunFolder) -> Summary:
-            return _replay_run(folder, judged_by, (None, changes), verify, quiet)
-
-        write_json(json, _replay_fleet(fleet, replayed, verify))
+        write_json(json, _replay_fleet(fleet, asked))
         return
     folder = RunFolder.open(log) if log.is_dir() else None
-    if verify and folder is None:
-        raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
+    if folder is None and (verify or what_if):
+        option, holds = ("--verify", "decisions") if verify else ("--what-if", "statement of how it was flown")
+        raise InputError(f"{log}: {option} needs a run folder of ours; a log holds no {holds}.")
     frames = None if address is None else Frames()
-    if what_if is not None and folder is None:
-        raise InputError(f"{log}: --what-if needs a run folder of ours, which states how the flight was flown.")
-    if what_if is not None and verify:
-        raise InputError("--verify compares with the flight, --what-if flies on; give one of them.")
+    flown_on = None if what_if is None else _WhatIf(changed_keys(what_if), from_)
     if folder is None:
         settings = load_config(config, changes)  # a wrong --set is reported before any computation
         check_flyable(settings)
-        settings = settings if frames is None else load_config(config)
-        result = _replay_log(log, judged_by, settings, quiet, frames)
+        # A page shows the decisions without other values, and those with them alongside.
+        flown = settings if frames is None else load_config(config)
+        result = _replay_log(log, flown, judged_by, quiet, frames)
     else:
-        # A page shows the flown decisions, and those with other values alongside.
-        flown_on = None if what_if is None else _WhatIf(changed_keys(what_if, {}), from_)
-        result = _replay_run(folder, judged_by, (config, changes), verify, quiet, frames, flown_on)
-        if flown_on is not None:
-            _print_both(result, flown_on.summary)
-            write_json(json, {"flown": result.as_json(), "what_if": flown_on.summary.as_json()})
-            if address is not None and frames is not None:
-                _show(log, folder, frames, (config, {}), address, view_speed, flown_on.frames)
-            return
-    console.print(result.table())
-    write_json(json, result.as_json())
-    if address is not None and frames is not None:
-        _show(log, folder, frames, (config, changes), address, view_speed)
+        flown = settings = _flown(folder, asked)
+        result = _replay_run(folder, asked, frames, flown_on)
+    if flown_on is None:
+        console.print(result.table())
+        write_json(json, result.as_json())
+    else:
+        _print_both(result, flown_on.summary)
+        write_json(json, {"flown": result.as_json(), "what_if": flown_on.summary.as_json()})
+    if address is None or frames is None:
+        return
+    name, other = f"replay of {log.name}", None if flown_on is None else flown_on.frames
+    if not frames.times_s:
+        raise InputError(f"{name}: there is nothing to show, it contains no position of the vehicle.")
+    if settings != flown:
+        other = Frames()
+        _replay_log(log, settings, None, True, other)
+    from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
+
+    serve_replay(frames, other, flown, address, name, view_speed, say, _film(folder))
 
 
-def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary], verify: bool) -> dict[str, Any]:
-    """Replay each aircraft of a fleet's run, then the coordinator's messages to them; return what ``--json`` writes.
-
-    Raises FlightError if the coordinator's output differs from the flight's.
-    """
+def _replay_fleet(folder: FleetFolder, asked: _Asked) -> dict[str, Any]:
     from sidelong.app.fleet.coordination import (  # noqa: PLC0415
         FLEET_JOURNAL_TYPES,
         compare_coordination,
@@ -169,13 +174,13 @@ def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary],
             console.print(f"{member.name}: it did not fly")
             continue
         console.print(f"{member.name}:")
-        summary = replayed(own)
+        summary = _replay_run(own, asked)
         console.print(summary.table())
         aircraft.append({"name": member.name, **summary.as_json()})
     if not aircraft:
         raise InputError(f"{folder.path} holds no flight of an aircraft.")
     compared = None
-    if verify:
+    if asked.verify:
         with share_progress(folder.path.name) as progress:
             journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES, progress)
             steps = compare_coordination(coordinator_of(fleet, table_progress(console.print)), journal)
@@ -186,53 +191,35 @@ def _replay_fleet(folder: FleetFolder, replayed: Callable[[RunFolder], Summary],
     return {"aircraft": aircraft, "coordinator_commands_compared": compared}
 
 
-def _show(
-    log: Path,
-    run: RunFolder | None,
-    frames: Frames,
-    wanted: _Wanted,
-    address: PageAddress,
-    speed: float,
-    what_if: Frames | None = None,
-) -> None:
-    """Serve the replay's page until the operator closes it, with what other values would have come to."""
-    (config, changes), name = wanted, f"replay of {log.name}"
-    if not frames.times_s:
-        raise InputError(f"{name}: there is nothing to show, it contains no position of the vehicle.")
-    journal = None if run is None else JournalReader(run.journal, JOURNAL_TYPES)
-    flown = load_config(config) if config is not None or journal is None else journalled_config(journal)
-    changed = _changed(flown, config, changes)
-    if journal is None and changed != flown:
-        what_if = Frames()
-        _replay_log(log, None, changed, True, what_if)
-    from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
+def _film(run: RunFolder | None) -> Any:
+    """Return what shows a flight's video on the page, None if there is none that can be shown."""
+    if run is None or not run.video.is_file():
+        return None
+    try:
+        from sidelong.app.camera.video import VideoReplay  # noqa: PLC0415  # an extra
 
-    film = None
-    if run is not None and run.video.is_file():
-        try:
-            from sidelong.app.camera.video import VideoReplay  # noqa: PLC0415  # an extra
+        return VideoReplay(run.video).shown
+    except (ImportError, OSError, ValueError) as error:
+        say(f"{run.video} cannot be shown: {error}")
+        return None
 
-            film = VideoReplay(run.video).shown
-        except (ImportError, OSError, ValueError) as error:
-            say(f"{run.video} cannot be shown: {error}")
-    serve_replay(frames, what_if, flown, address, name, speed, say, film)
+
+def _flown(folder: RunFolder, asked: _Asked) -> Config:
+    """Return the configuration of a flight, or the one in its place."""
+    if asked.config is not None:
+        return load_config(asked.config)
+    return journalled_config(JournalReader(folder.journal, JOURNAL_TYPES))
 
 
 def _changed(flown: Config, config: Path | None, changes: Overrides) -> Config:
-    """Return the configuration with other values.
-
-    Raises:
-        InputError: It cannot be flown; that of a flight is accepted unchanged.
-    """
+    """Return the configuration with other values, which have to be flyable; that of a flight is accepted as it is."""
     settings = with_values(flown, changes, "--set")
     if config is not None or settings != flown:
         check_flyable(settings)
     return settings
 
 
-def _replay_log(
-    path: Path, truth: Truth | None, settings: Config, quiet: bool, frames: Frames | None = None
-) -> Summary:
+def _replay_log(path: Path, settings: Config, truth: Truth | None, quiet: bool, frames: Frames | None) -> Summary:
     from sidelong.app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
     from sidelong.app.records.log import open_log  # noqa: PLC0415
 
@@ -259,19 +246,13 @@ def _replay_log(
 
 
 def _replay_run(
-    folder: RunFolder,
-    truth: Truth | None,
-    wanted: _Wanted,
-    verify: bool,
-    quiet: bool,
-    frames: Frames | None = None,
-    what_if: _WhatIf | None = None,
+    folder: RunFolder, asked: _Asked, frames: Frames | None = None, what_if: _WhatIf | None = None
 ) -> Summary:
-    config, changes = wanted
+    truth, verify, quiet = asked.truth, asked.verify, asked.quiet
     with share_progress(folder.path.name) as progress:
         journal = JournalReader(folder.journal, JOURNAL_TYPES, progress)
-        flown = load_config(config) if config is not None else journalled_config(journal)
-        settings = _changed(flown, config, changes)
+        flown = _flown(folder, asked)
+        settings = _changed(flown, asked.config, asked.changes)
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
         plane = journal.header.plane
@@ -279,10 +260,9 @@ def _replay_run(
         judged = _Judged(settings, controller, quiet or verify, of_a_flight=True)
         if what_if is not None:
             judged.wanted_s = what_if.from_s
-        compares = verify or (settings == flown and not quiet)
+        compares = settings == flown and (verify or not quiet)
         # Nothing depends on the exchange but what it sends, and that only a comparison reads.
-        repeats = settings == flown and compares
-        mission = _exchange_of(settings, controller, journal.header) if repeats else None
+        mission = _exchange_of(settings, controller, journal.header) if compares else None
         steps = JournalReplay(controller, mission, compares=compares)
         replayed = steps.run(journal)
         if frames is not None:
@@ -316,12 +296,7 @@ def _replay_run(
 
 
 class _WhatIf:
-    """Flies a recorded flight on with other values. ``fly`` sets ``summary`` and ``frames``.
-
-    Args:
-        changes: The other values.
-        from_s: When it leaves the recording, s since watching began.
-    """
+    """Flies a recorded flight on with other values, from a time of the watch; sets ``summary`` and ``frames``."""
 
     summary: Summary
     frames: Frames
@@ -354,7 +329,6 @@ class _WhatIf:
 
 
 def _print_both(flown: Summary, what_if: Summary) -> None:
-    """Print both summaries in columns."""
     table = Table("", "as flown", "what if", box=None, pad_edge=False)
     others = dict(what_if.rows())
     for name, value in flown.rows():

@@ -45,10 +45,7 @@ def report(
 def write_report(
     run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
 ) -> None:
-    """Write the page, and the figures if asked for; of a fleet's run a page about each aircraft too.
-
-    Raises InputError naming the file that is at fault.
-    """
+    """Write the page, and the figures if asked for; of a fleet's run a page about each aircraft too."""
     checked_file("--out", out)
     if not os.access(out if out.exists() else out.parent, os.W_OK):
         raise InputError(f"{out}: cannot be written; give another file to --out.")

@@ -40,7 +40,10 @@ _NEAR_SHARE = 0.02  # turns at the ends of rows are always near one another
 def route(
     file: Annotated[
         Path,
-        typer.Argument(help="Route: .gpx, .geojson, .kml, .kmz, .csv, .plan, .waypoints; with --from to be written."),
+        typer.Argument(
+            metavar="FILE[#NAME]",
+            help="Route: .gpx, .geojson, .kml, .kmz, .csv, .plan, .waypoints; its line NAME; with --from written.",
+        ),
     ],
     source: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="Make FILE of the target's path in this run or log.")
@@ -49,7 +52,6 @@ def route(
     tolerance: Annotated[
         float, typer.Option(min=1.0, max=200.0, help="Standard deviation of the target's lateral offset, m.")
     ] = 10.0,
-    track: Annotated[str | None, typer.Option(metavar="NAME", help="Which of several lines of FILE to use.")] = None,
     png: Annotated[Path | None, typer.Option(help="Draw the route into this file.")] = None,
     json: JsonOption = None,
 ) -> None:
@@ -68,7 +70,7 @@ def route(
     if source is not None:
         checked_file("route", file)
         _write_from(source, file)
-    points = read_route(file if track is None else Path(f"{file}#{track}"))
+    points = read_route(file)
     plane = LocalPlane(float(points.first[0]), float(points.second[0])) if points.geodetic else LocalPlane(0.0, 0.0)
     east_m, north_m = points.in_plane(plane)
     try:
@@ -144,7 +146,6 @@ def _near_parts(found: Route) -> tuple[float, float]:
 
 
 def _write_from(source: Path, file: Path) -> None:
-    """Write the estimated path of a flight's target as a route. Raises InputError."""
     from shapely import LineString  # noqa: PLC0415  # only needed here
 
     writer = _WRITERS.get(file.suffix.lower())
@@ -189,7 +190,6 @@ _WRITERS = {".csv": _csv, ".geojson": _geojson, ".gpx": _gpx}
 
 
 def _draw(found: Route, east_m: np.ndarray, north_m: np.ndarray, file: Path) -> None:
-    """Draw a route with its way points, start and direction. Raises InputError."""
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415  # an extra
     except ImportError as error:

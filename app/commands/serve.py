@@ -78,14 +78,13 @@ def serve(
 
 
 def say_plain(text: str) -> None:
-    """Print a line of the log."""
     say(plain(text))
 
 
 class ServicePage:
     """The live map of a service, from its start to its end: it shows the state, and begins and ends watches.
 
-    A service goes on without a map that cannot be served; each watch tries again, for its network may come up later.
+    The service goes on if it cannot be served; each watch tries again, for its network may come up later.
     """
 
     def __init__(self, settings: Config, address: PageAddress, stack: contextlib.AsyncExitStack) -> None:
@@ -112,7 +111,6 @@ class ServicePage:
         self.draw()
 
     def log(self, text: str) -> None:
-        """Print a line of the log, and show it on the page."""
         say_plain(text)
         self._view.received(self._view, None, "note", text)
 
@@ -129,7 +127,6 @@ class ServicePage:
 
     @contextlib.asynccontextmanager
     async def decorate(self, display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
-        """Show a watch."""
         await self.open()
         self._view.adopt(display)
         self._view.show_stage("taking over", "the watch begins")

@@ -81,10 +81,7 @@ class KeySetup:
     # -- the two things to do ------------------------------------------------------------------------------
 
     def give(self, timeout_s: float) -> bool:
-        """Set the key up; return whether the vehicle refuses on this very link what is unsigned.
-
-        Raises InputError where this must not be done now, FlightError when the vehicle does not take the key.
-        """
+        """Set the key up; return whether this link refuses what is unsigned. Raises InputError, FlightError."""
         system_id = self._checked(timeout_s)
         setup = dialect.MAVLink_setup_signing_message(
             system_id, _AUTOPILOT, self._key.key.for_setup(), signing_time(time.time())

@@ -18,8 +18,10 @@ from sidelong.app.commands.options import (
     AIRCRAFT,
     OUTPUT,
     AirspeedOption,
+    Overrides,
     RadiusOption,
     SetOption,
+    TargetSpeedOption,
     changed_keys,
     panel,
 )
@@ -28,7 +30,6 @@ from sidelong.app.commands.output import (
     checked_file,
     checked_output,
     console,
-    latitude_longitude_deg,
     print_whole,
     runs_progress,
     write_json,
@@ -81,6 +82,7 @@ _OF_BENCHMARK = {"benchmark", "targets", "planner", "controller", "runs", "jobs"
 # What does not belong to the command that flies one run again.
 _OF_WHOLE = {"planner", "run", "sweep", "store", "export", "report", "json", "jobs", "scheduler"}
 _AIRSPEED_M_S = 5.0, 60.0  # of the simulated vehicle
+_SCHEDULER = re.compile(r"[a-z]+://.+:\d+")
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
 
@@ -113,25 +115,16 @@ def study(
     ] = False,
     airspeed: AirspeedOption = None,
     radius: RadiusOption = None,
-    target_speed_max: Annotated[
-        float | None,
-        AIRCRAFT(
-            help="Highest speed of the target, m/s, half the airspeed by default; "
-            "recorded ones whose 95th percentile is above are skipped."
-        ),
-    ] = None,
-    autopilot: Annotated[
-        str | None,
-        AIRCRAFT(help="The simulated autopilot that flies: arduplane (default) or px4."),
-    ] = None,
+    target_speed: TargetSpeedOption = None,
+    autopilot: Annotated[str, AIRCRAFT(help="The simulated autopilot that flies: arduplane or px4.")] = "arduplane",
     sweep: Annotated[
         list[str] | None,
         _COMPARISON(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
     ] = None,
     duration: Annotated[
-        float | None, _TARGETS(help="Longest run, s; default 1200, or a recorded target's whole track.")
+        float | None,
+        _TARGETS(min=10.0, max=86400.0, help="Longest run, s; default 1200, or a recorded target's whole track."),
     ] = None,
-    fidelity: Annotated[str | None, typer.Option(hidden=True)] = None,  # noqa: ARG001  # refused where it is given
     fleet: Annotated[
         int,
         AIRCRAFT(
@@ -142,7 +135,6 @@ def study(
         Path | None, AIRCRAFT(help="Compare the default planner with and without this elevation data (folder).")
     ] = None,
     set_: SetOption = None,
-    home: Annotated[str | None, AIRCRAFT(metavar="LAT,LON", help="Position of the study on the terrain.")] = None,
     jobs: Annotated[int | None, _COMPUTATION(min=1, help="Processes; by default one for each core.")] = None,
     scheduler: Annotated[
         str | None, _COMPUTATION(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
@@ -159,69 +151,55 @@ def study(
     Band 100 to 500 m, left side; noisy laser and gimbal. The whole program flies: input checks, filter, planner and
     mission exchange. lvfg, park and orbit are guidance laws of the literature, which steer an aircraft directly. The
     side is that of the course that the target made good over requirement.course_horizon_s, once it has moved 10 m.
-    Recorded tracks are smoothed over 2.5 s.
+    Recorded tracks are smoothed over 2.5 s. --target-speed is half the airspeed unless it is given; recorded targets
+    whose 95th percentile is above it are skipped.
 
     On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).
 
     For example:
       sidelong study --runs 50 --planner predictive --planner paper --report study.html
-      sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
+      sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed 5
       sidelong study --targets tracks --routes --planner predictive
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
       sidelong study --autopilot px4 --set simulation.wind_speed_m_s=4 --set study.noise_draws=3
       sidelong study --fleet 2 --runs 50
-      sidelong study --terrain dem --home 36.59,-84.24 --runs 50
+      sidelong study --terrain dem --set simulation.home=[36.59,-84.24] --runs 50
       sidelong study --benchmark --json benchmark.json
       sidelong study --benchmark --planner controller --controller "python examples/controller.py"
       sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
     given = _given(context)
-    _check_controller(planner, controller, store)
+    _check_options(given, fleet)
     if benchmark:
-        other = next((words[0] for name, words in given.items() if name not in _OF_BENCHMARK), None)
-        if other is not None:
-            raise InputError(f"--benchmark: fixes targets, aircraft and noise; leave out {other}.")
         _benchmark(Benchmark(targets, planner, controller or "", runs), jobs, json)
         return
-    _check_effect(given, fleet)
-    _check_places(export, report, store, scheduler)
-    values = configured(load_config(config)) if config is not None else {}
-    for section, field, value in (
-        ("aircraft", "airspeed_m_s", airspeed),
-        ("aircraft", "radius_m", radius),
-        ("requirement", "target_speed_max_m_s", target_speed_max),
-    ):
-        if value is not None:
-            values.setdefault(section, {})[field] = value
-    own = _own_values(values, set_, targets is not None)
+    values, home_deg = _values(config, set_, airspeed, radius, target_speed)
+    own = _own_values(values, targets is not None)
     sweeps = [parsed_sweep(words) for words in sweep or ()]
-    airspeed_m_s = values.get("aircraft", {}).get("airspeed_m_s", 10.0)
-    _check_values(None if "aircraft.airspeed_m_s" in dict(sweeps) else airspeed_m_s, target_speed_max, duration)
+    if "aircraft.airspeed_m_s" not in dict(sweeps):
+        _check_speeds(values.get("aircraft", {}).get("airspeed_m_s", 10.0), target_speed)
     base = StudySettings(
-        planners=_planners(planner, controller),
+        planners=tuple(dict.fromkeys(planner or (*MISSION_PLANNERS, *((CONTROLLER,) if controller else ())))),
         runs=20 if runs is None else runs,
         seed=seed,
         duration_s=1200.0 if duration is None else duration,
-        autopilot=autopilot or "arduplane",
+        autopilot=autopilot,
         controller=controller or "",
         **own,
     )
     if terrain is not None:
-        base = replace(base, planners=(PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
+        base = replace(base, planners=(PREDICTIVE,), hills=_hills(terrain, home_deg))
         if "study.terrain" not in dict(sweeps):
             sweeps.append(parsed_sweep("study.terrain=known,ignored"))
     found = designs(base, values, sweeps, console.print)
-    if fleet > 1 and any(one.settings.aircraft().has_pan_limit for one in found):
-        raise InputError("aircraft.pan_limit_deg: a fleet plans for no pan limits; leave it out.")
     if terrain is not None or fleet > 1:
         _check_side("--fleet" if terrain is None else "--terrain", found)
     found = _recorded(found, targets, runs, math.inf if duration is None else duration, routes)
     found = _only(found, run)
     workers = on_processes(jobs) if scheduler is None else on_cluster(scheduler, console.print)
     if fleet > 1:
-        together = with_values(found[0].settings.config, {"requirement": {"fleet_size": fleet}}, "--fleet")
-        _fly_fleet(replace(found[0].settings, config=together), len(found), planner, workers, json)
+        _fly_fleet(found[0].settings, fleet, workers, json)
         return
     with contextlib.closing(ResultStore(store)) as kept:
         whole = Study(found, kept)
@@ -254,40 +232,23 @@ def _given(context: typer.Context) -> dict[str, list[str]]:
     return found
 
 
-def _planners(chosen: list[str] | None, controller: str | None) -> tuple[str, ...]:
-    known, own = (*MISSION_PLANNERS, *LAWS, CONTROLLER), (CONTROLLER,) if controller else ()
-    for name in chosen or ():
-        if name not in known:
-            raise InputError(f"--planner: there is no {name!r}; known: {', '.join(known)}.")
-    return tuple(dict.fromkeys(chosen or (*MISSION_PLANNERS, *own)))
-
-
-def _hills(terrain: Path, home: str | None, planners: list[str] | None, fleet: int) -> StudyTerrain:
-    if fleet > 1 or (planners and set(planners) != {PREDICTIVE}):
-        raise InputError("--terrain flies one aircraft by the default planner; leave out --fleet and other planners.")
-    home_deg = latitude_longitude_deg("--home", home)
+def _hills(terrain: Path, home_deg: tuple[float, float] | None) -> StudyTerrain:
     if home_deg is None:
-        raise InputError("--terrain needs a place within the elevation data; give --home LAT,LON.")
+        raise InputError("--terrain needs a place within the elevation data; give --set simulation.home=[LAT,LON].")
     from sidelong.app.study.closed_loop import hills_of  # noqa: PLC0415  # compiled code takes a second to load
 
     return hills_of(elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg))
 
 
-def _fly_fleet(
-    settings: StudySettings, designs: int, planners: list[str] | None, workers: Workers, json: Path | None
-) -> None:
-    if planners:
-        names = ", ".join(FleetPlannerName)
-        raise InputError(f"--fleet compares the planners of fleets ({names}); leave out --planner.")
-    if designs > 1:
-        raise InputError("--fleet flies one design; leave out --sweep.")
+def _fly_fleet(settings: StudySettings, aircraft: int, workers: Workers, json: Path | None) -> None:
+    together = with_values(settings.config, {"requirement": {"fleet_size": aircraft}}, "--fleet")
+    settings = replace(settings, config=together)
     with runs_progress(len(FleetPlannerName) * len(settings.numbers)) as advance:
         flown = fly_fleets(settings, table_of(settings), workers, advance)
     for name, reason in settings.skipped:
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
-        size = settings.config.requirement.fleet_size
-        console.print(f"{size} aircraft on each target, {settings.layer_m:g} m of height apart")
+        console.print(f"{aircraft} aircraft on each target, {settings.layer_m:g} m of height apart")
         console.print(study_parts(settings))
         print_whole(fleet_table(flown))
     write_json(json, fleet_json(settings, flown))
@@ -305,7 +266,6 @@ def _benchmark(benchmark: Benchmark, jobs: int | None, json: Path | None) -> Non
 
 
 def _fly(study: Study, workers: Workers, batches: int) -> None:
-    """Fly the runs that are missing in the store, in this many batches or more."""
     missing = study.missing()
     if missing < study.total:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
@@ -345,8 +305,6 @@ def _recorded(
 ) -> tuple[Design, ...]:
     """Give the designs recorded targets, if there are any, which no design may find too fast."""
     if targets is None:
-        if routes:
-            raise InputError("--routes: routes are read next to recorded tracks; give --targets DIR.")
         return found
     slowest_m_s = min(one.settings.requirement().target_speed_max_m_s for one in found)
     read = recorded_targets(targets, slowest_m_s, *((route_next_to,) if routes else ()))
@@ -374,30 +332,44 @@ def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design,
     return tuple(replace(design, settings=replace(design.settings, only=only)) for design in found)
 
 
-def _check_values(airspeed_m_s: float | None, target_speed_max_m_s: float | None, duration_s: float | None) -> None:
-    """Complain about options by their names. airspeed_m_s: None where it is swept."""
-    if airspeed_m_s is not None:
-        if not _AIRSPEED_M_S[0] <= airspeed_m_s <= _AIRSPEED_M_S[1]:
-            least, greatest = _AIRSPEED_M_S
-            raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from {least:g} to {greatest:g} m/s.")
-        if target_speed_max_m_s is not None and not 0.0 <= target_speed_max_m_s < airspeed_m_s:
-            raise InputError(
-                f"--target-speed-max: {target_speed_max_m_s:g} m/s is not from 0 to below the airspeed, "
-                f"{airspeed_m_s:g}."
-            )
-    if duration_s is not None and not 10.0 <= duration_s <= 86400.0:
-        raise InputError(f"--duration: {duration_s:g} s is not from 10 s to a day.")
-
-
-def _own_values(values: dict[str, dict[str, Any]], given: list[str] | None, is_recorded: bool) -> dict[str, Any]:
-    """Put values of ``--set`` into those of the configuration; return those of section ``study`` but for its lag."""
-    changes, known = changed_keys(given), SHAPING | {"study": (*_OWN_KEYS, "lag_s")}
+def _values(
+    config: Path | None,
+    given: list[str] | None,
+    airspeed_m_s: float | None,
+    radius_m: float | str | None,
+    target_speed_m_s: float | None,
+) -> tuple[Overrides, tuple[float, float] | None]:
+    """Return what shapes the study, by section and key, and the home position, latitude and longitude in degrees."""
+    known = SHAPING | {"study": (*_OWN_KEYS, "lag_s"), "simulation": (*SHAPING["simulation"], "home")}
+    changes = changed_keys(given)
     for section, keys in changes.items():
         for key in keys:
             if key not in known.get(section, ()):
                 of_section = f"{section}.{', '.join(known[section])}" if section in known else ", ".join(known)
                 raise InputError(f"--set {section}.{key} shapes no study; known: {of_section}.")
-        values.setdefault(section, {}).update(keys)
+    mission = load_config(config)
+    home = changes.get("simulation", {}).pop("home", None)
+    of_options: Overrides = {
+        "aircraft": {"airspeed_m_s": airspeed_m_s, "radius_m": radius_m},
+        "requirement": {"target_speed_max_m_s": target_speed_m_s},
+    }
+    values = changed_keys(None, {} if config is None else configured(mission), of_options, changes)
+    return values, with_values(mission, {"simulation": {"home": home}}, "--set").simulation.home
+
+
+def _check_speeds(airspeed_m_s: float, target_speed_max_m_s: float | None) -> None:
+    """Raise InputError, which names the option, for a speed that no study flies."""
+    least, greatest = _AIRSPEED_M_S
+    if not least <= airspeed_m_s <= greatest:
+        raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from {least:g} to {greatest:g} m/s.")
+    if target_speed_max_m_s is not None and not 0.0 <= target_speed_max_m_s < airspeed_m_s:
+        raise InputError(
+            f"--target-speed: {target_speed_max_m_s:g} m/s is not from 0 to below the airspeed, {airspeed_m_s:g}."
+        )
+
+
+def _own_values(values: Overrides, is_recorded: bool) -> dict[str, Any]:
+    """Take the values of section ``study``, but for its lag, out of those that shape the study."""
     own: dict[str, Any] = {key: values["study"].pop(key) for key in _OWN_KEYS if key in values.get("study", {})}
     for key, value in own.items():
         try:
@@ -411,41 +383,50 @@ def _own_values(values: dict[str, dict[str, Any]], given: list[str] | None, is_r
     return own
 
 
-def _check_effect(given: dict[str, list[str]], fleet: int) -> None:
-    """Raise InputError for an option that would have no effect."""
-    autopilot = given.get("autopilot", [""])[-1]
-    if autopilot and autopilot not in LAG_S:
-        raise InputError(f"--autopilot: there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}.")
-    useless = {
-        "fidelity": (True, "every study flies the closed loop; leave it out"),
-        "home": ("terrain" not in given, "it places the study on elevation data; give --terrain with it"),
-        "jobs": ("scheduler" in given, "the workers of --scheduler compute; leave it out"),
-        **dict.fromkeys(("export", "report", "store"), (fleet > 1, "--fleet prints a table; give --json instead")),
-    }
-    for name, (applies, words) in useless.items():
+def _check_options(given: dict[str, list[str]], fleet: int) -> None:
+    """Raise InputError for an option that is wrong, has no effect, or names a file that cannot be written."""
+    autopilot, scheduler = (given.get(name, [""])[-1] for name in ("autopilot", "scheduler"))
+    planners, known = given.get("planner", [])[1::2], (*MISSION_PLANNERS, *LAWS, CONTROLLER)
+    unknown = ", ".join(sorted({*planners} - {*known}))
+    not_in_benchmark = next((words[0] for name, words in given.items() if name not in _OF_BENCHMARK), "")
+    own_alone = CONTROLLER in planners and "controller" not in given
+    wrong = (
+        ("planner", unknown, f"there is no {unknown!r}; known: {', '.join(known)}"),
+        ("planner", own_alone, "controller flies your own program; give its command by --controller"),
+        (
+            "store",
+            "controller" in given,
+            "a program may change, so nothing is stored; leave out --controller",
+        ),
+        ("benchmark", not_in_benchmark, f"fixes targets, aircraft and noise; leave out {not_in_benchmark}"),
+        ("autopilot", autopilot not in LAG_S, f"there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}"),
+        ("routes", "targets" not in given, "routes are read next to recorded tracks; give --targets DIR"),
+        ("terrain", fleet > 1, "flies one aircraft; leave out --fleet"),
+        ("terrain", {*planners} - {PREDICTIVE}, "flies the default planner; leave out other planners"),
+        (
+            "planner",
+            fleet > 1,
+            f"--fleet compares those of fleets, {', '.join(FleetPlannerName)}; leave it out",
+        ),
+        ("sweep", fleet > 1, "--fleet flies one design; leave it out"),
+        ("jobs", "scheduler" in given, "the workers of --scheduler compute; leave it out"),
+        ("scheduler", not _SCHEDULER.fullmatch(scheduler), f"{scheduler!r} is no address such as tcp://HOST:8786"),
+        *((one, fleet > 1, "--fleet prints a table; give --json instead") for one in ("export", "report", "store")),
+    )
+    for name, applies, words in wrong:
         if applies and name in given:
             raise InputError(f"{given[name][0]}: {words}.")
-
-
-def _check_controller(planners: list[str] | None, controller: str | None, store: Path | None) -> None:
-    if planners and CONTROLLER in planners and not controller:
-        raise InputError("--planner controller flies your own program; give its command by --controller.")
-    if controller is not None and store is not None:
-        raise InputError("--store: results of a program that may change are not stored; leave out --controller.")
+    for name, suffix in (("export", ".csv"), ("report", ".html"), ("store", "")):
+        if name in given:
+            option, file = given[name]
+            if not file.lower().endswith(suffix):
+                raise InputError(f"{file}: {option} writes {suffix}; give it such a file name.")
+            checked_file(option, Path(file))
 
 
 def _check_side(option: str, found: tuple[Design, ...]) -> None:
     wanted = [one.settings.requirement() for one in found]
     if any(one.either_side or one.sector is not None for one in wanted):
         raise InputError(f"{option} watches from one side; set requirement.side to left or right.")
-
-
-def _check_places(export: Path | None, report: Path | None, store: Path | None, scheduler: str | None) -> None:
-    """Complain about a file that cannot be written, or not in that format, before the work begins."""
-    for option, file, suffixes in (("--export", export, (".csv",)), ("--report", report, (".html",))):
-        if file is not None and file.suffix.lower() not in suffixes:
-            raise InputError(f"{file}: {option} writes {', '.join(suffixes)}; give it such a file name.")
-        checked_file(option, file)
-    checked_file("--store", store)
-    if scheduler is not None and not re.fullmatch(r"[a-z]+://.+:\d+", scheduler):
-        raise InputError(f"--scheduler: {scheduler!r} is no address such as tcp://HOST:8786.")
+    if option == "--fleet" and any(one.settings.aircraft().has_pan_limit for one in found):
+        raise InputError("aircraft.pan_limit_deg: a fleet plans for no pan limits; leave it out.")

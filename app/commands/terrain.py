@@ -10,8 +10,7 @@ from rich.table import Table
 
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.errors import InputError
-from sidelong.app.terrain.elevation_data import Coverage, ElevationData
-from sidelong.app.terrain.raster import Bounds
+from sidelong.app.terrain.elevation_data import Bounds, Coverage, ElevationData
 
 
 def terrain(

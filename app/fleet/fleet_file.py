@@ -21,6 +21,7 @@ from sidelong.app.config import (
     RouteSection,
     Section,
     SensorsSection,
+    SharingSection,
     check_flyable,
     height_outside,
     validated,
@@ -30,7 +31,6 @@ from sidelong.app.payload.registry import MAVLINK
 from sidelong.app.planners.planner_kind import PlannerKind, Predictive
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.records.text_file import read_toml
-from sidelong.app.sharing.cot import PLAIN_CALLSIGN
 from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.plan import Planner
 from sidelong.mission.core.requirement import Requirement, Side
@@ -74,6 +74,7 @@ LAYER_M = 60.0
 """Difference of heights where none are given: two aircraft are 50 m apart then wherever they fly."""
 MAX_TARGETS = 4
 
+_OWN_NAME = SharingSection.model_fields["cot_callsign"].default  # the target's name, on others' displays
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
 
 
@@ -256,7 +257,7 @@ class FleetFile(Config):
             # Each target once on others' displays, all aircraft by their names; follow modes listen to one sender.
             entries: dict[str, Any] = {"cot_own_callsign": one.name} if len(self.aircraft) > 1 else {}
             if len(self.target) > 1:
-                entries["cot_callsign"] = PLAIN_CALLSIGN  # each uses its own name
+                entries["cot_callsign"] = _OWN_NAME
             if one is not next(other for other in self.aircraft if not other.reserve):
                 entries |= {"follow_target": None, "nmea": None}
             yield Member(

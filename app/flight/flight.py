@@ -46,7 +46,7 @@ from sidelong.app.link.vehicle import (
     vehicle_status,
 )
 from sidelong.app.planners.registry import planner_by_name
-from sidelong.app.sharing.follow import AltitudeAt
+from sidelong.app.sharing.outputs import AltitudeAt
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarms, Endurance, battery_is_low, describe_battery, time_to_s

@@ -13,16 +13,23 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.config import CameraSection, SharingSection
+from sidelong.app.config import CameraSection, SharingSection, is_contact
 from sidelong.app.flight.streams import OneTask
 from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.app.network import NetworkAddress
-from sidelong.app.sharing.beacon import BeaconInput
-from sidelong.app.sharing.contact import ContactBeacon, is_contact
-from sidelong.app.sharing.cot import CotNames, CotOutput
-from sidelong.app.sharing.follow import AltitudeAt, FollowTargetOutput, NmeaOutput
-from sidelong.app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
+from sidelong.app.sharing.beacon import BeaconInput, ContactBeacon
+from sidelong.app.sharing.outputs import (
+    AltitudeAt,
+    CotNames,
+    CotOutput,
+    DatagramSender,
+    FollowTargetOutput,
+    NmeaOutput,
+    Sender,
+    StreamSender,
+    tls_context,
+)
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane

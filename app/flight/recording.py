@@ -16,9 +16,9 @@ from typing import TypeVar, get_args
 from sidelong.app.config import Config, config_from
 from sidelong.app.errors import InputError
 from sidelong.app.link.vehicle import Link
-from sidelong.app.records.appender import Appender
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter
 from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.records.text_file import Appender
 from sidelong.app.records.tlog import TlogClock, TlogWriter
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Event, StepOutput

@@ -14,8 +14,7 @@ from sidelong.app.config import LinkSection
 from sidelong.app.link.message import Message
 from sidelong.app.link.raw_links import UNREAD
 from sidelong.app.link.vehicle import LinkError, Vehicle
-from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.raster import Posts
+from sidelong.app.terrain.elevation_data import ElevationData, Posts
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import HealthChanged
 from sidelong.mission.core.inputs import Input, InputState

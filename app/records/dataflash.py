@@ -1,9 +1,7 @@
 """ArduPilot's DataFlash log (.bin): entries of fixed length behind two header bytes and a type, no checksums.
 
-pymavlink's reader gives up what follows damage, so only its table of field formats is used. Here every place that
-could begin an entry is judged by what follows: an entry is followed when it ends at another header or at the end of
-the file. An entry that is not followed is whole as well, because damage follows it, unless a followed
-one begins inside it.
+pymavlink's reader gives up what follows damage, so only its table of field formats is used. Here an entry is whole if
+another header or the end of the file follows it, or if damage does and no such entry begins inside it.
 """
 
 from __future__ import annotations
@@ -70,7 +68,6 @@ def _text(characters: bytes, errors: str = "strict") -> str:
 
 
 def _kinds(data: mmap | bytes) -> dict[int, _Kind]:
-    """Return the types that the file defines, by their numbers."""
     kinds: dict[int, _Kind] = {}
     for found in re.finditer(re.escape(MAGIC), data):
         if found.start() + _FORMAT_BYTES <= len(data):
@@ -102,11 +99,7 @@ def _entries(data: mmap | bytes, kinds: dict[int, _Kind]) -> Iterator[tuple[int,
 
 
 def read_dataflash(path: Path, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Entry]:
-    """Yield the entries of the wanted names in order of time, in the units that pymavlink gives them.
-
-    Damage to an entry costs that entry, damage to a definition its type. Raises OSError when the file cannot be
-    read.
-    """
+    """Yield the whole entries of the wanted names in order of time, in the units of pymavlink. Raises OSError."""
     with mapped(path) as data:
 
         def read() -> Iterator[tuple[float, Entry]]:
@@ -120,7 +113,6 @@ def read_dataflash(path: Path, wanted: Collection[str], progress: Progress = uns
 
 
 def dataflash_contents(path: Path) -> Counter[str]:
-    """Return how many entries of each name the file has."""
     with mapped(path) as data:
         kinds = _kinds(data)
         return Counter(kinds[one].name if one in kinds else "FMT" for _, one in _entries(data, kinds))
@@ -143,9 +135,8 @@ _LOCKED_YAW_IN_EARTH_FRAME = 4 | 8 | 16 | 64
 class ArdupilotMessages(Translator):
     """A position takes its velocity from the first core of the EKF, else from GPS.
 
-    The range of a mount's own rangefinder becomes a DISTANCE_SENSOR of custom orientation. The log repeats it until
-    the mount has measured again, and some drivers write decimetres: the unit is that which agrees with the height and
-    the pitch of the line of sight.
+    A mount's own ranges become DISTANCE_SENSOR of custom orientation, each once although the log repeats it. Some
+    drivers write decimetres: the unit is that which agrees with height and pitch.
     """
 
     def __init__(self) -> None:

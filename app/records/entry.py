@@ -32,12 +32,7 @@ class Entry(NamedTuple):
 
 
 def in_order(entries: Iterator[tuple[float, Entry]], progress: Progress) -> Iterator[Entry]:
-    """Yield the entries of a log in order of time, stretch by stretch, without those whose time stamp is damaged.
-
-    Args:
-        entries: with the share of the file that is read.
-        progress: called with that share.
-    """
+    """Yield the entries, given with the share of the file that is read, in order of time, stretch by stretch."""
     while stretch := list(islice(entries, _STRETCH)):
         progress(stretch[-1][0])
         for flight in _flights([entry for _, entry in stretch]):
@@ -59,10 +54,9 @@ def _flights(entries: list[Entry]) -> Iterator[list[Entry]]:
 
 
 def _sorted(entries: list[Entry]) -> list[Entry]:
-    """Return the entries of a stretch of a log in order of time, without those whose time stamp is damaged.
+    """Return the entries of a stretch in order of time, without those whose time stamp is damaged.
 
-    These logs have no checksums: a damaged stamp shows only in standing alone or with few, a minute or more from all
-    others.
+    There are no checksums: a damaged stamp stands alone or with few, a minute or more from all others.
     """
     ordered = sorted((entry for entry in entries if entry.time_us >= 0), key=lambda entry: entry.time_us)
     jumps = np.diff(np.array([entry.time_us for entry in ordered], float), prepend=0.0) > _JUMP_US
@@ -91,10 +85,9 @@ def global_position(
 class Translator:
     """Turns entries in order of time into the messages the autopilot would send; ``makers`` go by the entries' names.
 
-    A clock that was set counts from 1970. Its stamps are reduced to the 32 bits of milliseconds that MAVLink has, in
-    such a way that they do not wrap within the flight.
-    A maker that learns when the vehicle's clock was zero, in seconds since 1970, sets ``_boot_s``; until then the
-    messages' received_s counts from boot.
+    Stamps that count from 1970 are reduced to the 32 bits of MAVLink's milliseconds, without a wrap within the
+    flight. A maker sets ``_boot_s`` to when the vehicle's clock was zero, s since 1970; until then received_s counts
+    from boot.
     """
 
     def __init__(self, makers: Mapping[str, Callable[[Entry], Made]]) -> None:
@@ -107,15 +100,14 @@ class Translator:
         return frozenset(self._makers)
 
     def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:
-        """Yield the messages; entries that lack a field (another version) or make no sense are passed over.
-
-        TypeError: a damaged definition may make text of a number.
-        """
+        """Yield the messages; entries that lack a field (another version) or make no sense are passed over."""
         for entry in entries:
             if self._base_us is None:
                 self._base_us = entry.time_us - _FIRST_US if entry.time_us >= _WRAP_US else 0
             boot_ms = (entry.time_us - self._base_us) % _WRAP_US * 1e-3
-            with suppress(KeyError, ValueError, ArithmeticError, TypeError):
+            with suppress(
+                KeyError, ValueError, ArithmeticError, TypeError
+            ):  # TypeError: text by a damaged definition
                 for name, fields in self._makers[entry.name](entry):
                     if any(_ABSURD < abs(value) < math.inf for value in fields.values() if isinstance(value, float)):
                         continue  # damaged: no unit here makes a flight's number that great

@@ -7,18 +7,121 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from sidelong.app.errors import InputError
-from sidelong.app.records.track import ROUTE_POINTS, FlownTrack, PositionTrack, ring
 from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.route.route import Route
+from sidelong.mission.upload.fences import Outline
 from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, plan_file
 from sidelong.mission.upload.mission_item import MissionItem, e7
+
+_RING_CORNERS = 72
+ROUTE_POINTS = 2000  # of a route in a file
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Items without a home item, the fences (outlines in the plane), and the MAV_AUTOPILOT."""
+
+    items: Sequence[MissionItem]
+    airspeed_m_s: float
+    mav_autopilot: int
+    keep_in: Sequence[Outline] = ()
+    keep_out: Sequence[Outline] = ()
+
+
+class TrackPoint(NamedTuple):
+    """height_m: above the sea or, if home's altitude is unknown, above home; empty for a target, on the ground."""
+
+    time_s: float
+    latitude_deg: float
+    longitude_deg: float
+    height_m: tuple[float, ...]
+
+
+class PositionTrack(NamedTuple):
+    """A line that was travelled; kind: "aircraft" or "target"."""
+
+    kind: str
+    name: str
+    places: list[TrackPoint]
+
+
+@dataclass(frozen=True, slots=True)
+class FlownTrack:
+    """Tracks in order of time, in ``plane``.
+
+    circles: (since, circle). booted: when the vehicle's clock was zero. home_altitude_m: above the sea; None:
+    unknown. label: the aircraft's name, where there are several; targets: of each estimate the target's name,
+    likewise.
+    """
+
+    name: str
+    plane: LocalPlane
+    aircraft: Sequence[PositionReading]
+    estimates: Sequence[TargetEstimate] = ()
+    circles: Sequence[tuple[float, Circle]] = ()
+    mission: Mission | None = None
+    booted: datetime | None = None
+    home_altitude_m: float | None = None
+    label: str = ""
+    targets: Sequence[str] = ()
+    route: Route | None = None
+
+    def named(self, what: str) -> str:
+        return f"{self.label} {what}" if self.label else what
+
+    def of_targets(self) -> dict[str, list[TargetEstimate]]:
+        """Return the estimates by what they are of: "target" or its name."""
+        found: dict[str, list[TargetEstimate]] = {}
+        for estimate, name in zip(self.estimates, self.targets or [""] * len(self.estimates), strict=True):
+            found.setdefault(name or "target", []).append(estimate)
+        return found
+
+    def tracks(self) -> Iterator[PositionTrack]:
+        """Yield the aircraft's track, then those of the targets that were seen."""
+        base_m = self.home_altitude_m or 0.0
+        flown = [
+            TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), (round(base_m + one.height_m, 3),))
+            for one in self.aircraft
+        ]
+        yield PositionTrack("aircraft", self.named("aircraft"), flown)
+        for name, estimates in self.of_targets().items():
+            places = [TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), ()) for one in estimates]
+            yield PositionTrack("target", self.named(name), places)
+
+    def at(self, time_s: float) -> datetime | None:
+        """Return the time of day at a time of the vehicle's clock."""
+        return None if self.booted is None else self.booted + timedelta(seconds=time_s)
+
+    def utc(self, time_s: float) -> str | None:
+        """Return a time of the vehicle's clock as ISO 8601 in UTC, to the millisecond."""
+        moment = self.at(time_s)
+        return None if moment is None else moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+
+    def degrees(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """Return (latitude, longitude), rounded to the millimetre."""
+        latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(east_m, north_m)
+        return round(latitude_deg, 8), round(longitude_deg, 8)
+
+
+def ring(circle: Circle) -> list[tuple[float, float]]:
+    """Return (east, north) of the corners of a polygon for a circle, in the order it is flown, closed."""
+    turn = 1.0 if circle.clockwise else -1.0
+    corners = [circle.position_at_course(turn * math.tau * corner / _RING_CORNERS) for corner in range(_RING_CORNERS)]
+    return [*corners, corners[0]]
+
 
 _SPEED = 20.0  # flight time over playing time
 _LONGEST_S = 600.0  # the last part of a longer flight is shown
@@ -135,10 +238,7 @@ _KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
 
 
 class Format(StrEnum):
-    """Missions for QGroundControl (.plan) and Mission Planner (WPL 110); tracks for maps, tables and GPS tools.
-
-    SVG is an animated picture. MCAP and KLV are made of the events themselves, in modules of their own.
-    """
+    """Missions of QGroundControl (.plan) and Mission Planner (WPL 110), tracks, an animation, records (MCAP, KLV)."""
 
     PLAN = "plan"
     WAYPOINTS = "waypoints"
@@ -156,10 +256,7 @@ MISSIONS = frozenset({Format.PLAN, Format.WAYPOINTS})
 
 
 def export(flights: Sequence[FlownTrack], wanted: Format, out: Path) -> None:
-    """Write a flight to ``out``, or the tracks of several aircraft that flew together.
-
-    Raises InputError when one has nothing to write in this format, OSError when the file cannot be written.
-    """
+    """Write a flight to ``out``, or the tracks of several aircraft that flew together. Raises InputError, OSError."""
     if wanted in MISSIONS:
         (flight,) = flights
         if flight.mission is None:
@@ -211,10 +308,7 @@ def _waypoints(flight: FlownTrack) -> str:
 
 
 def _csv(flights: Sequence[FlownTrack]) -> str:
-    """One row a moment; ``what`` is aircraft, target (estimated) or circle (its centre, since then).
-
-    Times are each aircraft's own; utc is the same for all.
-    """
+    """One row a moment of aircraft, target or circle (its centre), by each aircraft's clock and in UTC."""
     text = io.StringIO()
     names = "time_s utc what latitude_deg longitude_deg height_m velocity_east_m_s velocity_north_m_s sigma_m quality"
     writer = csv.DictWriter(text, [*names.split(), "radius_m", "clockwise"], restval="", lineterminator="\n")

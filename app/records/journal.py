@@ -1,39 +1,32 @@
 """The journal of a run: everything that went into the control step and came out of it, one JSON line each.
 
-A line names the type of a frozen dataclass and gives its fields; floats are written so that they come back bit for
-bit, NaN and the infinities as Python's json spells them. It ends in its own checksum: a line that was cut or
-damaged is recognised, and every whole line is read, whatever happened to its neighbours. The first line is the
-header. The journal defines no event types; the reader receives them as an argument.
+A line names the type of a frozen dataclass, gives its fields so that floats come back bit for bit, and ends in its
+own checksum: every whole line is read, whatever happened to its neighbours. The first line is the header. The reader
+receives the event types as an argument.
 
-msgspec reads lines in today's form, which nearly all have. Lines with NaN are parsed by json. The other lines that
-msgspec refuses (a number where another kind is expected, names of earlier versions) are also structured by cattrs,
-ten times slower; all give the same values.
+msgspec reads lines in today's form, which nearly all have. Lines with NaN, and those of earlier versions, are parsed
+by json first; both give the same values.
 """
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import re
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
 
 from sidelong.app.errors import InputError
-from sidelong.app.records.appender import Appender
-from sidelong.app.records.text_file import Progress, unseen
+from sidelong.app.records.text_file import Appender, Progress, unseen
 from sidelong.estimators.frames import LocalPlane
-
-if TYPE_CHECKING:
-    import cattrs
 
 FORMAT = 2
 
@@ -59,10 +52,9 @@ _UNIT_IN_1 = re.compile(r"_1_(m2|m|s)$")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a replay needs before the first event. plane is None when the run began before it was known.
+    """What a replay needs before the first event; plane is None when the run began before it was known.
 
-    home_deg is (latitude, longitude); journals of earlier versions lack it. autopilot and home_altitude_m are present
-    if the exchange with the autopilot was recorded too.
+    home_deg is (latitude, longitude). Without it, autopilot and home_altitude_m no exchange was recorded.
     """
 
     program: str
@@ -75,64 +67,53 @@ class Header:
     home_altitude_m: float | None = None
 
 
-def _is_array(kind: object) -> bool:
-    return get_origin(kind) is np.ndarray
-
-
-@cache
-def _converter() -> cattrs.Converter:
-    import cattrs  # noqa: PLC0415  # only what msgspec refuses needs it
-
-    converter = cattrs.Converter(detailed_validation=False)
-    converter.register_structure_hook_func(
-        _is_array,
-        lambda values, _: np.array(values, dtype=np.float64),
-    )
-    return converter
-
-
 def _plain(value: Any) -> Any:
-    """Return what msgspec does not know as it does: arrays and scalars of numpy."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"a journal holds no {type(value).__name__}")
 
 
 def _array(kind: type, values: Any) -> Any:
-    """Return what msgspec has read for an array."""
-    if not _is_array(kind):
+    if get_origin(kind) is not np.ndarray:
         raise NotImplementedError
     return np.array(values, dtype=np.float64)
 
 
 @cache
-def _decode(kind: type) -> Callable[[bytes], Any]:
-    """Return the decoder of a type's fields. msgspec cannot distinguish dataclasses, so their fields do."""
+def _shape(kind: type) -> tuple[type, Callable[[Any], Any]]:
+    """Return what msgspec reads a type's fields as, and what makes an object of that.
+
+    It cannot distinguish dataclasses: where a field is one of several, the names of the fields do.
+    """
     hints = get_type_hints(kind)
     several = {name: get_args(hint) for name, hint in hints.items() if sum(map(is_dataclass, get_args(hint))) > 1}
     if not several:
-        return msgspec.json.Decoder(kind, dec_hook=_array).decode
+        return kind, lambda read: read
+
+    def made(read: Any) -> Any:
+        given = msgspec.structs.asdict(read)
+        for name, kinds in several.items():
+            own = given[name].keys()
+            nearest = min(kinds, key=lambda one: len({field.name for field in fields(one)} ^ own))
+            given[name] = msgspec.convert(given[name], nearest, dec_hook=_array)
+        return kind(**given)
+
     plain = [(name, dict[str, Any] if name in several else hint) for name, hint in hints.items()]
-    decode = msgspec.json.Decoder(msgspec.defstruct(kind.__name__, plain), dec_hook=_array).decode
-
-    def read(line: bytes) -> Any:
-        given = msgspec.structs.asdict(decode(line))
-        return kind(**given | {name: _one_of(kinds, given[name]) for name, kinds in several.items()})
-
-    return read
+    return msgspec.defstruct(kind.__name__, plain), made
 
 
-def _one_of(kinds: Iterable[type], given: dict[str, Any]) -> Any:
-    """Return an object of the kind that has these very fields."""
-    kind = next(kind for kind in kinds if [field.name for field in fields(kind)] == list(given))
-    return msgspec.convert(given, kind, dec_hook=_array)
+@cache
+def _decode(kind: type) -> Callable[[bytes], Any]:
+    """Return the decoder of a type's fields."""
+    shape, made = _shape(kind)
+    decode: Callable[[bytes], Any] = msgspec.json.Decoder(shape, dec_hook=_array).decode
+    return decode if shape is kind else lambda line: made(decode(line))
 
 
 _ENCODE = json.JSONEncoder(separators=(",", ":")).encode
 
 
 def to_builtins(event: Any) -> Any:
-    """Return a frozen dataclass as dictionaries, lists, texts and numbers."""
     return msgspec.to_builtins(event, enc_hook=_plain)
 
 
@@ -144,8 +125,6 @@ def encode(event: Any) -> bytes:
 
 
 class JournalWriter(Appender):
-    """Writes a new journal, from any thread."""
-
     def __init__(self, path: Path, header: Header, on_trouble: Callable[[str], None]) -> None:
         super().__init__(path, on_trouble, opening=encode(header))
 
@@ -156,9 +135,8 @@ class JournalWriter(Appender):
 class JournalReader:
     """Reads a journal of the given event types. Iterating yields the events, each time from the first.
 
-    damaged_lines counts what the last iteration had to pass over; a cut last line, as a kill leaves it, is not
-    damage. Raises InputError when the header cannot be read or is of another format; iterating does when an event
-    is of no known type.
+    damaged_lines counts what the last iteration passed over, but for a cut last line, as a kill leaves it. Raises
+    InputError for a header that cannot be read or is of another format, and for an event of no known type.
     """
 
     def __init__(self, path: Path, types: Collection[type], progress: Progress = unseen) -> None:
@@ -194,10 +172,12 @@ class JournalReader:
     def _structured(self, name: str, fields: dict[str, Any]) -> Any:
         try:
             name, fields = upgraded(name, fields, self._format)
-            with contextlib.suppress(msgspec.ValidationError, TypeError):  # the line may only have held NaN
-                return msgspec.convert(fields, self._types[name], dec_hook=_array)
-            return _converter().structure(fields, self._types[name])
-        except Exception as error:  # cattrs passes on whatever a type's constructor makes of another's values
+            shape, made = _shape(self._types[name])
+            try:  # the line may only have held NaN
+                return made(msgspec.convert(fields, shape, dec_hook=_array))
+            except msgspec.ValidationError:
+                return made(msgspec.convert(fields, shape, strict=False, dec_hook=_array))
+        except Exception as error:  # whatever a type's constructor makes of another's values
             raise InputError(f"{self.path} has an event {name:.40} that this program does not know.") from error
 
     def _records(self, read: Callable[[bytes], _Record | None]) -> Iterator[_Record]:
@@ -236,8 +216,7 @@ def _record(body: bytes) -> tuple[str, dict[str, Any]] | None:
 def _whole_body(line: bytes) -> bytes | None:
     """Return what stands before the checksum if it holds, else None.
 
-    A line whose end was damaged runs on into the next one, which is whole: so the last opening counts. There is no
-    other in a whole line, since JSON writes quotation marks inside texts with a backslash.
+    A damaged line runs on into the next one, so the last opening counts; within texts JSON escapes quotation marks.
     """
     start = line.rfind(_OPENING)
     body = line[start:-_CHECKSUM_BYTES]

@@ -1,8 +1,8 @@
 """A flight as an MCAP file, for Foxglove and PlotJuggler: poses, sightings, estimates, circles, plans.
 
-Messages are JSON. Places go by Foxglove's own schemas, which its map and 3D panels show as they come; the numbers
-behind them have topics of their own, for plots. The frame ``plane`` is x east, y north, z up from home; ``aircraft``
-is forward, left, up. ``LAYOUT`` is a layout for Foxglove that shows all of it.
+Messages are JSON: places by Foxglove's own schemas, for its map and 3D panels, and the numbers in topics of their
+own, for plots. Frame ``plane``: x east, y north, z up from home; ``aircraft``: forward, left, up. ``LAYOUT`` shows it
+all.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from sidelong.app.errors import missing_package
+from sidelong.app.records.export import ROUTE_POINTS, ring
 from sidelong.app.records.sensing import Sensing
-from sidelong.app.records.track import ROUTE_POINTS, ring
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
@@ -51,10 +51,7 @@ def mcap_writer_class() -> Any:
 
 
 class McapWriter:
-    """Replaces ``path``.
-
-    Raises InputError when the package mcap is not installed, OSError when the file cannot be written.
-    """
+    """Replaces ``path``. Raises InputError without the package mcap, OSError for a file that cannot be written."""
 
     def __init__(self, path: Path) -> None:
         writer = mcap_writer_class()
@@ -80,12 +77,10 @@ class McapWriter:
 
 
 def stamp(time_ns: int) -> dict[str, int]:
-    """Return a time as Foxglove's schemas have it."""
     return dict(zip(("sec", "nsec"), divmod(time_ns, 10**9), strict=True))
 
 
 def _schema(value: Any) -> dict[str, Any]:
-    """Return the JSON schema of a message like this one."""
     match value:
         case dict():
             return {"type": "object", "properties": {name: _schema(item) for name, item in value.items()}}
@@ -136,11 +131,10 @@ _BALL_M = 4.0
 
 
 class McapLog:
-    """Takes a flight's events and commands in order and writes them to ``out``.
+    """Takes a flight's events and commands in order and writes them to ``out``, with the estimates of ``tracker``.
 
-    The estimates are those of ``tracker``, which is fed with the readings. booted is when the vehicle's clock was
-    zero; without it times count from 1970. home_altitude_m is above sea level: where it is not known, altitudes are
-    those above home. name: of the aircraft, before its topics and of its frame, where several are in one file.
+    booted: when the vehicle's clock was zero; None: times count from 1970. home_altitude_m: above the sea; None:
+    altitudes are those above home. name: of the aircraft, in its topics and frame, where several are in one file.
     """
 
     def __init__(
@@ -328,7 +322,6 @@ def line(name: str, places: Iterable[Place]) -> dict[str, Any]:
 
 
 def ball(name: str, place: Place) -> dict[str, Any]:
-    """Return the entity ``name`` as a ball at the place."""
     sphere = {"pose": _pose(place), "size": _xyz((_BALL_M, _BALL_M, _BALL_M)), "color": _colour(name)}
     return _entity(name, spheres=[sphere])
 

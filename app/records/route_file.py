@@ -20,10 +20,7 @@ ROUTE_SUFFIXES = SUFFIXES
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoutePoints:
-    """Way points of a route: latitude and longitude (n,) in degrees, or east and north in metres.
-
-    note: which further lines of the file are not used, in words; empty if there are none.
-    """
+    """Way points: latitude and longitude (n,) in degrees, or east and north in metres; note: lines not used."""
 
     first: FloatArray
     second: FloatArray
@@ -40,13 +37,10 @@ class RoutePoints:
 
 
 def read_route(path: Path) -> RoutePoints:
-    """Read a route file; FILE#NAME selects one of several lines.
+    """Read a route file; FILE#NAME selects one of several lines. Raises InputError.
 
     Without a name it is the target's of a flight's export. Else routes come before tracks, drawn lines, areas and way
     points, and the longest of them is used.
-
-    Raises:
-        InputError: The file cannot be read or contains fewer than two different points.
     """
     file, name = file_and_name(path)
     try:

@@ -35,16 +35,7 @@ def recording(path: Path) -> Path:
 
 
 def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[str], object]) -> None:
-    """Check the free space for the records of a flight, before it begins.
-
-    Args:
-        parent: The folder in which the run folder will be made; it need not exist yet.
-        duration_s: How long the flight watches.
-        warn: Called with a sentence if the space is less than the flight needs.
-
-    Raises:
-        InputError: There is hardly any space.
-    """
+    """Raise InputError if hardly any space is free in ``parent``, warn if it is less than the records need."""
     present = next(path for path in (parent.absolute(), *parent.absolute().parents) if path.exists())
     free = shutil.disk_usage(present).free
     needed = round(_RECORDED_BYTES_S * duration_s * aircraft)
@@ -55,8 +46,6 @@ def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[
 
 
 class _File:
-    """A file of a folder, by its name."""
-
     def __init__(self, name: str) -> None:
         self._name = name
 
@@ -78,9 +67,9 @@ class _Folder:
 
     @classmethod
     def create(cls, parent: Path, now: datetime) -> Self:
-        """Make a new folder in ``parent`` (made if missing), named by the time in UTC and never one that exists.
+        """Make a new folder in ``parent`` (made if missing), named by the time in UTC. Raises InputError.
 
-        Only its owner can read it: it shows where people are. Raises InputError when it cannot be made.
+        Only its owner can read it: it shows where people are.
         """
         stamp = now.astimezone(UTC).strftime(_STAMP)
         with _making(parent):
@@ -116,8 +105,6 @@ class _Folder:
 
 
 class RunFolder(_Folder):
-    """What the run of one aircraft leaves."""
-
     journal = _File("journal.jsonl")
     tlog = _File("flight.tlog")
     truth = _File("truth.csv")
@@ -180,18 +167,10 @@ def rotate(
     present: Path | None = None,
     synchronised: bool | None = None,
 ) -> int:
-    """Delete run folders that sidelong has made beyond a budget, those made first, and those that are too old.
+    """Delete run folders that sidelong has made beyond a budget, the oldest first, and those that are too old.
 
-    None is deleted by a clock that is not confirmed now, or was not when the folder was made.
-
-    Args:
-        budget_bytes: What all of them may take.
-        keep: How old they may be.
-        present: The folder of the present run, which stays.
-        synchronised: Whether the time is synchronised; None: as the system reports.
-
-    Returns:
-        The bytes that the folders take.
+    None is deleted by a clock that is not confirmed now, or was not when the folder was made; ``present`` stays.
+    synchronised: None: as the system reports. Returns the bytes that the folders take.
     """
     total = 0
     runs = sorted(_runs(parent), reverse=True)  # the last one first, whatever the clocks were

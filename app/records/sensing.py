@@ -27,11 +27,7 @@ class _NoPlanner:
 
 
 class Sensing:
-    """Steps a flight's inputs as its control step did.
-
-    Attributes:
-        attitude: The latest accepted one.
-    """
+    """Steps a flight's inputs as its control step did; attitude: the latest accepted one."""
 
     def __init__(self, tracker: Tracker) -> None:
         self.attitude: AttitudeReading | None = None

@@ -6,25 +6,18 @@ import codecs
 import contextlib
 import mmap
 import os
-import re
 import shutil
+import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from sidelong.app.errors import InputError
 
 _CONFIG_MAX_BYTES = 256 << 10
-_STRING_OR_COMMENT = re.compile(
-    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
-)
-_AT_LINE = re.compile(r"at line (\d+)")
-_TWICE = re.compile(r"Cannot declare \('([\w', ]+?)',?\) twice")
-_DECIMAL_COMMA = re.compile(r"=\s*([+-]?\d+),(\d+)\s*(?:#.*)?$")
-# The time that tomllib takes for a dotted key grows with the cube of its parts.
-_LONG_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){16}")
+_REASON_MAX = 160  # characters
 
 
 def read_text(path: Path, max_bytes: int, remedy: str) -> str:
@@ -49,11 +42,7 @@ def read_text(path: Path, max_bytes: int, remedy: str) -> str:
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield the name to write to; it becomes ``path`` only once it is whole.
-
-    If the body fails, as on a full disk, a file that was there stays and a new one does not appear. Pipes and devices
-    are written directly.
-    """
+    """Yield the name to write to; it becomes ``path`` once it is whole. Pipes and devices are written directly."""
     whole = path.is_file() or not path.exists()
     path = path.resolve() if whole else path  # a symbolic link stays one
     partial = path.with_name(f"{path.name}.partial") if whole else path
@@ -81,33 +70,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Return the values of a TOML file. Raises InputError naming the file, what is wrong and the way out."""
     remedy = "give the path of a TOML file (sidelong init writes one)"
     text = read_text(path, _CONFIG_MAX_BYTES, remedy)
-    if _LONG_KEY.search(_STRING_OR_COMMENT.sub("s", text)):
-        raise InputError(f"{path}: is not valid TOML for this: a key has more than 16 parts; {remedy}.")
     try:
         return tomllib.loads(text)
-    except RecursionError as error:
-        raise InputError(f"{path}: is not valid TOML for this: brackets are nested too deep; {remedy}.") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is not valid TOML: {_cut(_explained(str(error), text))}") from error
-
-
-def _explained(error: str, text: str) -> str:
-    """Return a parser's error with the line it is about and, where it is clear, what to write instead."""
-    twice = _TWICE.search(error)
-    if twice is not None:
-        error = f"the section [{twice[1]}] is there twice; join the two{error[twice.end() :]}"
-    at = _AT_LINE.search(error)
-    if at is None:
-        return f"{error}; correct it."
-    line = text.splitlines()[int(at[1]) - 1].strip()
-    comma = _DECIMAL_COMMA.search(line)
-    if comma is not None:
-        return f"line {at[1]}, {line!r}: write decimals with a point: {comma[1]}.{comma[2]}."
-    return f"{error}, {line!r}; correct it."
-
-
-def _cut(text: str, longest: int = 160) -> str:
-    return text if len(text) <= longest else text[: longest - 3] + "..."
+    except (RecursionError, ValueError) as error:
+        reason = "brackets are nested too deep" if isinstance(error, RecursionError) else str(error)[:_REASON_MAX]
+        raise InputError(f"{path}: is not valid TOML: {reason}; correct it.") from error
 
 
 Progress = Callable[[float], None]
@@ -127,3 +94,78 @@ def mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
             return
         with mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:
             yield data
+
+
+_WRITE_EVERY_S = 0.25
+_BACKLOG_MAX_BYTES = 64 << 20
+_CLOSE_TIMEOUT_S = 5.0
+
+
+class Appender:
+    """Appends to a new file of its owner alone, from any thread, and never delays or ends a flight. Use as ``with``.
+
+    ``opening`` reaches the kernel immediately, other data after 0.25 s: a killed process loses at most that. If the
+    disk is full, gone or too slow, the recording ends, and on_trouble gets one sentence. Only the constructor raises
+    OSError.
+    """
+
+    def __init__(self, path: Path, on_trouble: Callable[[str], None], opening: bytes = b"") -> None:
+        self._path, self._on_trouble = path, on_trouble
+        self.failure = ""  # why the recording has ended early
+        self._file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb", buffering=0)
+        while opening:  # a disk that is almost full takes a part, and the error comes with the next
+            opening = opening[self._file.write(opening) or 0 :]
+        self._lock = threading.Lock()
+        self._backlog: list[bytes] = []
+        self._backlog_bytes = 0
+        self._ended = False
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"record {path.name}", daemon=True)
+        self._thread.start()
+
+    def append(self, data: bytes) -> None:
+        """Add ``data``, whole or not at all; after the recording has ended it does nothing."""
+        with self._lock:
+            if self._ended:
+                return
+            if self._backlog_bytes + len(data) <= _BACKLOG_MAX_BYTES:
+                self._backlog.append(data)
+                self._backlog_bytes += len(data)
+                return
+        self._end(f"the disk of {self._path} is too slow")
+
+    def close(self) -> None:
+        """Write what is left, then close the file."""
+        self._closing.set()
+        self._thread.join(_CLOSE_TIMEOUT_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        closing = False
+        while not closing and not self._ended:
+            closing = self._closing.wait(_WRITE_EVERY_S)
+            with self._lock:
+                data = b"".join(self._backlog)
+                self._backlog.clear()
+                self._backlog_bytes = 0
+            try:
+                while data:
+                    data = data[self._file.write(data) or 0 :]
+            except OSError as error:
+                self._end(f"{self._path} cannot be written ({error.strerror})")
+        with self._lock:
+            self._ended = True
+        self._file.close()
+
+    def _end(self, why: str) -> None:
+        with self._lock:
+            already, self._ended = self._ended, True
+            self._backlog.clear()
+        if not already:
+            self.failure = why
+            self._on_trouble(f"recording has ended: {why}; the flight goes on.")

@@ -1,7 +1,7 @@
 """Telemetry logs (tlog): MAVLink 1 and 2 frames, each behind an 8-byte big-endian stamp of microseconds since 1970.
 
-A frame is accepted by its checksum, wherever it begins, so garbage, cuts and damaged neighbours cost no whole frame.
-The content of a whole frame (a log sent over the link, a tunnel) is not searched for further frames.
+A frame is accepted by its checksum, wherever it begins, so damaged neighbours cost no whole frame. The content of a
+whole frame (a log sent over the link, a tunnel) is not searched for further frames.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.link.frames import Frame, frame_at
 from sidelong.app.link.message import Message
-from sidelong.app.records.appender import Appender
-from sidelong.app.records.text_file import Progress, mapped, unseen
+from sidelong.app.records.text_file import Appender, Progress, mapped, unseen
 
 _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _MARKER = re.compile(rb"[\xfd\xfe]")
@@ -36,18 +35,16 @@ _SPEED_MAX, _AHEAD_MAX_S = 100.0, 5.0  # what a clock may gain over the wall's, 
 
 
 class TlogWriter(Appender):
-    """Writes a log while flying: takes whole MAVLink frames, received and sent, from any thread."""
-
     def write(self, frame: bytes, time_s: float) -> None:
         """Append a frame that was received or sent at ``time_s``, seconds since 1970."""
         self.append(_STAMP.pack(round(time_s * 1e6)) + frame)
 
 
 class TlogClock:
-    """Gives each frame, from any thread, the wall's time at the first one carried on by the vehicle's stamps.
+    """Gives each frame, from any thread, the wall's time at the first one, carried on by the vehicle's stamps.
 
-    ATTITUDE and GLOBAL_POSITION_INT of the autopilot of ``system_id`` (None: of the first that speaks) move it.
-    Where the vehicle's clock jumps it is carried on by the wall's.
+    Those of ATTITUDE and GLOBAL_POSITION_INT of the autopilot of ``system_id`` (None: of the first); where the
+    vehicle's clock jumps, by the wall's.
     """
 
     def __init__(self) -> None:
@@ -92,10 +89,7 @@ class TlogClock:
 
 
 def _frames(path: Path, wanted: Collection[int], progress: Progress = unseen) -> Iterator[tuple[float, Frame]]:
-    """Yield the whole frames of the ``wanted`` message ids with their stamps, s.
-
-    Where a stamp is not credible, that of the frame before is given.
-    """
+    """Yield the whole frames of the ``wanted`` message ids with their stamps, s; one not credible is the last one."""
     unwanted_max_bytes = {number: kind.unpacker.size for number, kind in _KINDS.items() if number not in wanted}
     received_s, count = 0.0, 0
     with mapped(path) as data:
@@ -119,13 +113,9 @@ def _frames(path: Path, wanted: Collection[int], progress: Progress = unseen) ->
 
 
 def _unwanted_end(data: mmap | bytes, at: int, max_bytes: Mapping[int, int]) -> int:
-    """Return where the stamped, unwanted frames end that begin at ``at``.
+    """Return where the unwanted frames end whose first stamp is at ``at``; max_bytes: of their payloads, by id.
 
     Their checksums are not computed: such a frame is no longer than its message is, and a stamped frame follows it.
-
-    Args:
-        at: where the stamp of the first one begins.
-        max_bytes: the payload's size of each unwanted message, by its id.
     """
     unpack, end, last = _STAMPED_HEADER.unpack_from, at, len(data) - _STAMPED_HEADER.size
     while end <= last:
@@ -166,11 +156,7 @@ def _decoder(kind: Any) -> Callable[[bytes], dict[str, Any]]:
 
 
 def read_tlog(path: Path, wanted: Collection[str] | None = None, progress: Progress = unseen) -> Iterator[Message]:
-    """Yield the messages of the ``wanted`` names (None: all defined ones) in file order.
-
-    Damaged and cut frames are passed over, those of a definition that pymavlink does not know as well. Raises
-    OSError when the file cannot be read.
-    """
+    """Yield the whole messages of the ``wanted`` names (None: all known) in file order. Raises OSError."""
     kinds = {number: kind for number, kind in _KINDS.items() if wanted is None or kind.msgname in wanted}
     decoders = {number: (kind.msgname, _decoder(kind)) for number, kind in kinds.items()}
     for received_s, frame in _frames(path, kinds, progress):
@@ -179,15 +165,12 @@ def read_tlog(path: Path, wanted: Collection[str] | None = None, progress: Progr
 
 
 def tlog_contents(path: Path) -> Counter[str]:
-    """Return how many whole frames of each message the file has."""
     return Counter(_KINDS[frame.message_id].msgname for _, frame in _frames(path, _KINDS))
 
 
 def is_mavlink_1(path: Path) -> bool:
-    """Return whether no frame of the file is of MAVLink 2."""
     return not any(frame.is_v2 for _, frame in _frames(path, _KINDS))
 
 
 def is_tlog(path: Path) -> bool:
-    """Return whether there is a whole frame in the file."""
     return next(_frames(path, _KINDS), None) is not None

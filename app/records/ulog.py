@@ -1,8 +1,7 @@
 """PX4's ULog, read from those parts of the file that are whole.
 
-pyulog goes from message to message and, behind damage, on to the next synchronisation mark, which may be many
-seconds away. So the file is searched for the wanted topics instead: a message is known by its type's letter and its
-size and, for data, by its topic's number. The result is bounded, whatever a damaged definition contains.
+pyulog goes on behind damage only at the next synchronisation mark, which may be many seconds away. So the file is
+searched: a message is known by its type's letter and its size and, for data, by its topic's number.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def _topics(data: mmap | bytes, wanted: Collection[str] | None) -> dict[int, _To
 
 
 def _fields(definitions: dict[bytes, bytes], name: bytes) -> Iterator[_Field]:
-    """Yield the fields of a definition, nested ones as ``outer.inner``, arrays as ``name[0]``, ``name[1]``.
+    """Yield the fields of a definition, nested ones as ``outer.inner``, arrays as ``name[0]``.
 
     Raises KeyError for a type that is not defined and ValueError for what no topic can be.
     """
@@ -124,12 +123,9 @@ def _entries(data: mmap | bytes, topics: dict[int, _Topic]) -> Iterator[tuple[in
 
 
 def read_ulog(path: Path, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Entry]:
-    """Yield the entries of the wanted topics, arrays as ``name[0]``, ``name[1]``, in order of time.
+    """Yield the whole entries of the wanted topics, arrays as ``name[0]``, in order of time. Raises OSError.
 
-    The parameter MAV_TYPE and the firmware, which are wanted by their names, follow the first entry.
-
-    Damage to an entry costs that entry, damage to a topic's definition the topic. Raises OSError when the file
-    cannot be read.
+    MAV_TYPE and the firmware, which are wanted by their names, follow the first entry.
     """
     with mapped(path) as data:
 
@@ -158,7 +154,6 @@ def _about(data: mmap | bytes) -> Iterator[tuple[str, int | str]]:
 
 
 def ulog_contents(path: Path) -> Counter[str]:
-    """Return how many entries of each topic the file has."""
     with mapped(path) as data:
         return Counter(topic.name for _, topic in _entries(data, _topics(data, None)))
 
@@ -170,8 +165,8 @@ _GLOBAL_POSITION_SILENCE_US = 1_000_000
 class Px4Messages(Translator):
     """A position takes its velocity from the latest vehicle_local_position.
 
-    Where vehicle_global_position is not logged (older PX4), it is made of vehicle_local_position alone. Heights above
-    home go by home_position, else by the origin of the local position.
+    Without vehicle_global_position (older PX4), it is made of vehicle_local_position alone. Heights above home go by
+    home_position, else by the origin of the local position.
     """
 
     def __init__(self) -> None:

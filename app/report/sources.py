@@ -21,8 +21,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import JournalReader
-from sidelong.app.records.log import RecordedLog, open_log
-from sidelong.app.records.log_context import LogContext
+from sidelong.app.records.log import LogContext, RecordedLog, open_log
 from sidelong.app.records.run_folder import RunFolder, recording
 from sidelong.app.records.text_file import Progress, unseen
 from sidelong.app.report.history import FlightHistory, FlightRequirements, HistoryBuilder

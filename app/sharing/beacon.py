@@ -1,10 +1,8 @@
-"""Beacon input: a cooperative target sends its own position by UDP.
+"""Beacon input: a cooperative target sends its own position by UDP, or the vehicle's receiver passes on a contact.
 
-Forms: FOLLOW_TARGET and GLOBAL_POSITION_INT of MAVLink, cursor on target (CoT) as XML or TAK protobuf, NMEA 0183.
-A beacon position is one more measurement of the target. It passes the same plausibility check as laser and camera.
-Its time of measurement is the time of reception, minus the age of a CoT event. sidelong uses one beacon: the
-configured one (by system id, uid, call sign or address), or the only one received in the last 15 s. If it receives
-several beacons and none is configured, it rejects all of them.
+Forms: FOLLOW_TARGET and GLOBAL_POSITION_INT of MAVLink, cursor on target (CoT) as XML or TAK protobuf, NMEA 0183. A
+position counts as measured when it is received, minus the age of a CoT event. Of several beacons only the configured
+one is used (by system id, uid, call sign or address); none, if none is configured.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ import math
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -47,11 +45,7 @@ _UNREAD_MAX = 10  # datagrams without a position before this is announced
 
 @dataclass(frozen=True, slots=True)
 class BeaconReport:
-    """One beacon's message.
-
-    names: system id, uid and call sign, or address; the configured name may match any of them. sigma_m: position
-    error, 1 sigma; 0 where the message has none.
-    """
+    """names: system id, uid and call sign, or address. sigma_m: position error, 1 sigma; 0 where there is none."""
 
     message: str
     names: tuple[str, ...]
@@ -152,8 +146,8 @@ def _join(own: socket.socket, group: str) -> None:
 class BeaconInput(asyncio.DatagramProtocol):
     """Forwards the readings of one beacon by ``put``, and reports each reason for a rejection once.
 
-    name: the configured beacon, None for the only one received. sigma_m: position error, 1 sigma, of a beacon that
-    does not send its own. Times: now_s of the vehicle's clock, now in UTC, clock_s of a clock that is never set.
+    name: None for the only one received. sigma_m: position error, 1 sigma, where the beacon sends none. Times: now_s
+    of the vehicle's clock, now in UTC, clock_s of a clock that is never set.
     """
 
     def __init__(
@@ -167,9 +161,8 @@ class BeaconInput(asyncio.DatagramProtocol):
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._plane, self._name, self._sigma_m = plane, name, sigma_m
+        self._plane, self._name, self._sigma_m, self._clock_s = plane, name, sigma_m, clock_s
         self._now_s, self._put, self._announce, self._now = now_s, put, announce, now
-        self._clock_s = clock_s
         self._of_sender = Allowances(_SENDER_BYTES_S, _SENDER_BYTES_S, _SENDERS_MAX)
         self._of_all = Allowances(_ALL_BYTES_S, _ALL_BYTES_S)
         self._received_s: dict[str, float] = {}
@@ -193,8 +186,7 @@ class BeaconInput(asyncio.DatagramProtocol):
             self._transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(lambda: self, sock=own)
         except OSError as error:
             own.close()
-            reason = error.strerror or "it is not known"
-            where = f"{address.host}:{address.port}"
+            where, reason = f"{address.host}:{address.port}", error.strerror or "it is not known"
             raise InputError(f"sharing.beacon: {where} cannot be listened to ({reason}).") from error
 
     def stop(self) -> None:
@@ -240,15 +232,9 @@ class BeaconInput(asyncio.DatagramProtocol):
             return
         east_m, north_m = self._plane.east_north_m(report.latitude_deg, report.longitude_deg)
         self._announce_once(f"the beacon {report.names[-1] or report.names[0]} reports the target's position")
-        self._put(
-            TargetFixReading(
-                self._now_s() - min(max(report.age_s, 0.0), _AGE_USED_S),
-                east_m,
-                north_m,
-                report.sigma_m or self._sigma_m,
-                Source(report.message, 0),
-            )
-        )
+        measured_s = self._now_s() - min(max(report.age_s, 0.0), _AGE_USED_S)
+        sigma_m = report.sigma_m or self._sigma_m
+        self._put(TargetFixReading(measured_s, east_m, north_m, sigma_m, Source(report.message, 0)))
 
     def _is_ours(self, received: BeaconReport) -> bool:
         if self._name is not None:
@@ -271,3 +257,50 @@ class BeaconInput(asyncio.DatagramProtocol):
         if text not in self._announced:
             self._announced.add(text)
             self._announce(text)
+
+
+_ADSB, _AIS = "ADSB_VEHICLE", "AIS_VESSEL"
+_ADSB_COORDINATES_VALID, _AIS_ACCURATE = 1, 1
+_CONTACT_SIGMA_M, _AIS_ACCURATE_SIGMA_M = 15.0, 5.0
+_REPEATED_S = 0.9  # a report that is no newer than this repeats the last one: ages are whole seconds
+
+
+class ContactBeacon:
+    """Forwards the positions of one contact of the vehicle's own ADS-B or AIS receiver, each of them once.
+
+    name: ``adsb:ICAO`` (six hexadecimal digits) or ``ais:MMSI`` (nine digits).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        plane: LocalPlane,
+        now_s: Callable[[], float],
+        put: Callable[[TargetFixReading], object],
+        announce: Callable[[str], object],
+    ) -> None:
+        kind, _, number = name.lower().partition(":")
+        of_kind = (_ADSB, "ICAO_address", 16) if kind == "adsb" else (_AIS, "MMSI", 10)
+        self._name, (self._message, self._id_field, base) = name, of_kind
+        self._id = int(number, base)
+        self._plane, self._now_s, self._put, self._announce = plane, now_s, put, announce
+        self._measured_s = -math.inf
+
+    def on_message(self, name: str, fields: Mapping[str, Any]) -> None:
+        if name != self._message or self._now_s() == -math.inf or int(fields[self._id_field]) != self._id:
+            return
+        if abs(fields["lat"]) > 900_000_000 or abs(fields["lon"]) > 1_800_000_000:
+            return
+        if self._message == _ADSB and not int(fields["flags"]) & _ADSB_COORDINATES_VALID:
+            return
+        age_s = float(fields["tslc"])
+        measured_s = self._now_s() - age_s
+        if measured_s - self._measured_s <= _REPEATED_S or age_s > _AGE_MAX_S:
+            return
+        if self._measured_s == -math.inf:
+            self._announce(f"the contact {self._name} is received: it is used as the beacon")
+        self._measured_s = measured_s
+        east_m, north_m = self._plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
+        accurate = self._message == _AIS and int(fields["flags"]) & _AIS_ACCURATE
+        sigma_m = _AIS_ACCURATE_SIGMA_M if accurate else _CONTACT_SIGMA_M
+        self._put(TargetFixReading(measured_s, east_m, north_m, sigma_m, Source(self._message, 0)))

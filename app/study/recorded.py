@@ -165,7 +165,7 @@ def recorded_targets(
         reason = f"the first: {skipped[0][0]}, {skipped[0][1]}" if skipped else nothing
         raise InputError(
             f"--targets: no track to fly in {where} ({reason}); give tracks with the columns t_s, east_m, north_m, "
-            f"or raise --target-speed-max from {speed_max_m_s:g} m/s."
+            f"or raise --target-speed from {speed_max_m_s:g} m/s."
         )
     return RecordedTargets(tuple(flown), tuple(skipped), tuple(notes))
 

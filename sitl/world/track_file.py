@@ -166,7 +166,7 @@ def chosen(file: Path, found: Sequence[tuple[Line, float]], name: str) -> tuple[
         return best, ""
     lines = "line of the file is" if len(others) == 1 else "lines of the file are"
     used = f"{names[best]!r:.60}{reason} is used, {len(others)} further {lines} not used ({_listed(others)})"
-    return best, f"{used}; --track NAME or FILE#NAME selects another"
+    return best, f"{used}; FILE#NAME selects another"
 
 
 def _one_line(text: str) -> str:

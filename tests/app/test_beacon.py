@@ -17,9 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.network import NetworkAddress
 from sidelong.app.sharing import beacon as beacon_module
 from sidelong.app.sharing.beacon import BeaconInput, decode
-from sidelong.app.sharing.cot import CotNames, target_event
-from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput
-from sidelong.app.sharing.senders import DatagramSender
+from sidelong.app.sharing.outputs import CotNames, DatagramSender, FollowTargetOutput, NmeaOutput, target_event
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import TargetFixReading

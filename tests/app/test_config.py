@@ -41,19 +41,20 @@ def test_the_command_line_wins_over_the_file_and_none_reports_nothing(tmp_path):
         ("[requirement]\nside = 'above'\n", ["requirement.side", "left", "right"]),
         ("aircraft = 3\n", ["aircraft = 3", "write [aircraft]"]),
         ("[aircraft\n", ["TOML"]),
-        ("[sensors]\nfilter = 'ukf'\n", ["sensors.filter", "was removed", "imm", "ekf"]),
+        ("[sensors]\nfilter = 'ukf'\n", ["sensors.filter", "imm", "ekf"]),
         ("[sensors]\nlever_arm_m = [nan, 0, 0]\n", ["sensors.lever_arm_m.0", "nan", "finite"]),
         ("[sensors]\nmount_deg = [0, inf, 0]\n", ["sensors.mount_deg.1", "inf", "finite"]),
         ("[fences]\nfloor_m = 200\nceiling_m = 100\n", ["fences", "floor_m", "ceiling_m", "change"]),
         ("[simulation]\nwind_speed_m_s = 20\n", ["simulation.wind_speed_m_s", "20", "aircraft.airspeed_m_s = 15"]),
         ("[planner]\nwinds_m_s = [5, 15]\n", ["planner.winds_m_s", "15", "aircraft.airspeed_m_s"]),
         ("[requirement]\nrange_min_m = 300\nrange_max_m = 300\n", ["requirement", "range_min_m", "range_max_m"]),
-        ("[fences]\nkeep_in = [[47.39, 8.5], [47.4, 8.5], [47.4, 8.6]]\n", ["fences.keep_in", "brackets", "[[[47.4"]),
+        (
+            "[fences]\nkeep_in = [[47.4, 8.5], [47.4, 8.6], [47.5, 8.6]]\n",
+            ["fences.keep_in.0.0 = 47.4: input should be"],
+        ),
         (f"[fences]\nkeep_in = [{'[[1, 2], [3, 4]], ' * 9000}]\n", ["fences.keep_in", "at most 100"]),
         ("a = " + "[" * 20_000, ["nested"]),
         ("a = " + "1" * 5000, ["TOML", "4300 digits"]),
-        (".".join("a" * 20_000) + " = 1\n", ["16 parts"]),
-        (".".join(['"a b"'] * 20_000) + " = 1\n", ["16 parts"]),
         ("# long\n" * 50_000, ["longer than 256 KiB"]),
         (bytes(range(256)), ["UTF-8", "sidelong init"]),
         (f"[aircraft]\nradius_m = '{'b' * 9000}'\n", ["aircraft.radius_m", "bbb..."]),
@@ -73,13 +74,8 @@ def test_a_wrong_file_is_one_sentence_that_names_the_field(tmp_path, text, named
 
 def test_a_journal_of_a_removed_filter_is_one_sentence_with_the_way_out():
     header = SimpleNamespace(config={"sensors": {"filter": "ukf"}})
-    with pytest.raises(InputError, match=r"a\.jsonl: .*--config: sensors\.filter: .* removed; use imm .* or ekf\.$"):
+    with pytest.raises(InputError, match=r"a\.jsonl: .*--config: sensors\.filter = 'ukf': .*'imm' or 'ekf'\.$"):
         journalled_config(SimpleNamespace(header=header, path="a.jsonl"))
-
-
-def test_a_long_text_with_dots_is_no_long_key(tmp_path):
-    path = write(tmp_path, f"# {'a.' * 40}\n[simulation]\ntarget = '{'a.' * 40}gpx'  # {'b.' * 40}\n")
-    assert load_config(path).simulation.target.endswith("a.gpx")
 
 
 @pytest.mark.parametrize("name", [".", "no\0name"])

@@ -4,7 +4,7 @@ import pytest
 
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
-from sidelong.app.sharing.contact import ContactBeacon
+from sidelong.app.sharing.beacon import ContactBeacon
 from sidelong.estimators.frames import LocalPlane
 
 PLANE = LocalPlane(47.4, 8.5)

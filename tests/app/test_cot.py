@@ -19,8 +19,16 @@ import pytest
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.network import NetworkAddress
-from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, lasting_uid, target_event
-from sidelong.app.sharing.senders import DatagramSender, StreamSender, tls_context
+from sidelong.app.sharing.outputs import (
+    CotNames,
+    CotOutput,
+    DatagramSender,
+    StreamSender,
+    aircraft_event,
+    lasting_uid,
+    target_event,
+    tls_context,
+)
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.route.progress import RouteProgress

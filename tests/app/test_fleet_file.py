@@ -114,7 +114,7 @@ MISTAKES = {
     'side = "right"': [('side = "either"', "share the sides")],
     "radius_m = 60": [
         ("radius = 60", "unknown key aircraft.0.radius; known there: "),
-        ("radius_m = 6000", "nearest valid value is 2000"),
+        ("radius_m = 6000", "less than or equal to 2000"),
         ("radius_m = 15", "'north': infeasible"),
     ],
     'name = "south"': [

@@ -49,17 +49,10 @@ def test_utf_16_is_named(tmp_path, encoding):
         load_config(file(tmp_path, ("\ufeff" + MISSION).encode(encoding)))
 
 
-@pytest.mark.parametrize("comment", ["", "  # metres"])
-def test_a_decimal_comma_is_named_with_its_line(tmp_path, comment):
-    with pytest.raises(InputError) as wrong:
-        load_config(file(tmp_path, f"[requirement]\nrange_max_m = 500,0{comment}\n".encode()))
-    assert "line 2" in str(wrong.value)
-    assert "write decimals with a point: 500.0" in str(wrong.value)
-
-
-def test_another_mistake_is_shown_with_its_line(tmp_path):
-    with pytest.raises(InputError, match=r"line 2.*'range_max_m 500'; correct it"):
-        load_config(file(tmp_path, b"[requirement]\nrange_max_m 500\n"))
+@pytest.mark.parametrize("line", ["range_max_m = 500,0", "range_max_m 500"])
+def test_a_mistake_is_shown_with_its_line(tmp_path, line):
+    with pytest.raises(InputError, match=r"not valid TOML: .*line 2.*; correct it"):
+        load_config(file(tmp_path, f"[requirement]\n{line}\n".encode()))
 
 
 def test_a_picture_is_not_a_track(tmp_path):

@@ -21,7 +21,7 @@ from sidelong.app.commands.export import write_export
 from sidelong.app.commands.report import write_report
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format
-from sidelong.app.records.log_context import ContextBuilder, LogContext
+from sidelong.app.records.log import ContextBuilder, LogContext
 from sidelong.app.report import series
 from sidelong.app.report.history import AircraftTrack, HistoryBuilder
 from sidelong.app.report.page import report_page

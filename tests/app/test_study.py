@@ -96,8 +96,8 @@ def test_the_command_prints_a_table_and_writes_its_files(command, tmp_path):
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (("--target-speed-max", "10"), "--target-speed-max"),
-        (("--target-speed-max", "nan"), "--target-speed-max"),
+        (("--target-speed", "10"), "--target-speed"),
+        (("--target-speed", "nan"), "--target-speed"),
         (("--set", "simulation.wind_speed_m_s=90"), "simulation.wind_speed_m_s"),
         (("--set", "study.legs_s=[200,40]"), "study.legs_s"),
         (("--set", "study.legs_s=fast"), "study.legs_s"),

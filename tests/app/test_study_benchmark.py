@@ -108,8 +108,8 @@ def test_benchmark_flies_the_example_controller_and_writes_its_json(command, tmp
         (("--benchmark", "--airspeed", "15"), "--benchmark: fixes targets, aircraft and noise; leave out --airspeed"),
         (("--planner", "controller"), "give its command by --controller"),
         (("--controller", "x", "--store", "s.db"), "leave out --controller"),
-        (("--benchmark", "--fidelity", "closed-loop"), "leave out --fidelity"),
-        (("--fleet", "2", "--sweep", "aircraft.pan_limit_deg=120,180"), "a fleet plans for no pan limits"),
+        (("--benchmark", "--jobs", "1", "--seed", "2"), "leave out --seed"),
+        (("--fleet", "2", "--set", "aircraft.pan_limit_deg=120"), "a fleet plans for no pan limits"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(command, words, message) -> None:

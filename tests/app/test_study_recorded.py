@@ -51,7 +51,7 @@ def of_track(time_s, east_m, north_m=None):
 def test_every_recorded_target_is_reported_and_those_too_fast_are_skipped(command, tmp_path):
     summary = tmp_path / "study.json"
     result = command(
-        *("--targets", str(TARGETS), "--airspeed", "12", "--radius", "40", "--target-speed-max", "5"),
+        *("--targets", str(TARGETS), "--airspeed", "12", "--radius", "40", "--target-speed", "5"),
         *("--planner", "lvfg", "--planner", "paper", "--duration", "60", "--jobs", "1", "--json", str(summary)),
     )
     assert result.exit_code == 0, result.output
@@ -201,7 +201,7 @@ def test_what_cannot_be_flown_is_skipped_and_reported(command, tmp_path):
     ("words", "named"),
     [
         (("--targets", "nowhere"), "nowhere"),
-        (("--targets", str(TARGETS), "--target-speed-max", "0.1"), "--target-speed-max"),
+        (("--targets", str(TARGETS), "--target-speed", "0.1"), "--target-speed"),
         (("--targets", str(Path(__file__).parent)), "no .csv or .gpx track"),
         (("--targets", str(TARGETS), "--airspeed", "1"), "--airspeed"),
         (("--targets", str(TARGETS), "--airspeed", "30", "--radius", "50"), "radius_m"),

@@ -110,7 +110,6 @@ def test_what_cannot_be_flown_is_passed_over_and_reported():
         (("--sweep", "aircraft.radius_m=1:2"), "FROM:TO:STEP is like"),
         (("--sweep", "aircraft.airspeed_m_s=fast"), "aircraft.airspeed_m_s"),
         (("--sweep", "aircraft.radius_m=300"), "radius_m"),
-        (("--fidelity", "closed-loop"), "--fidelity: every study flies the closed loop; leave it out"),
         (("--set", "study.lag_s=nan"), "study.lag_s"),
         (("--autopilot", "inav"), "--autopilot: there is no simulated 'inav'; give arduplane or px4"),
         (("--run", "20"), "--run"),

@@ -41,7 +41,7 @@ def test_another_value_is_flown_from_a_moment_on(flown, tmp_path):
     ("options", "sentence"),
     [
         (["--what-if", "requirement.side=right", "--from", "900"], "--from 900: the recorded watch is shorter"),
-        (["--what-if", "requirement.side=right", "--verify"], "--what-if flies on; give one of them"),
+        (["--what-if", "requirement.side=right", "--verify"], "give it without --view and --what-if"),
         (["--what-if", "requirement.colour=red"], "requirement.colour"),
     ],
 )

@@ -28,7 +28,7 @@ SIDELONG = Path(sys.executable).parent / "sidelong"
 DASK = Path(sys.executable).parent / "dask"
 HOME, PRESET = "47.5,8.5", "parrot-disco"
 SHORT = {
-    "launch": ["--duration", "20", "--speed", "20"],
+    "launch": ["--duration", "20", "--set", "simulation.speed=20"],
     "study": ["--runs", "2", "--duration", "60", "--jobs", "1"],
     "connect": ["--listen", "1"],
 }

@@ -129,7 +129,18 @@ def test_two_workers_of_a_cluster_against_one():
 def test_a_flight_leaves_its_core_free(tmp_path, autopilot):
     """At the clock's own speed launch takes a twentieth of a core; the simulated vehicle is distinguished."""
     process = sidelong(
-        *("launch", "--autopilot", autopilot, "--speed", 1, "--duration", 200, "--quiet", "--out", tmp_path)
+        *(
+            "launch",
+            "--autopilot",
+            autopilot,
+            "--set",
+            "simulation.speed=1",
+            "--duration",
+            200,
+            "--quiet",
+            "--out",
+            tmp_path,
+        )
     )
     watched = Watched(process)
     assert process.wait() == 0

@@ -33,7 +33,19 @@ def written(folder, speed_m_s=4.0):
 def test_a_flight_along_a_route_reports_it_and_replays_the_same(tmp_path):
     track, route = written(tmp_path)
     done = new_process(
-        *("launch", "--target", track, "--target-speed", 6, "--route", route, "--duration", 150, "--speed", 14),
+        *(
+            "launch",
+            "--target",
+            track,
+            "--target-speed",
+            6,
+            "--route",
+            route,
+            "--duration",
+            150,
+            "--set",
+            "simulation.speed=14",
+        ),
         *("--no-view", "--out", tmp_path / "runs", "--json", tmp_path / "summary.json"),
     )
     assert done.returncode == 0, done.stdout + done.stderr

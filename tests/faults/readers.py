@@ -33,8 +33,7 @@ from sidelong.app.records.route_file import read_route
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.report.sources import read_summary
 from sidelong.app.sharing.beacon import decode
-from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.raster import Bounds
+from sidelong.app.terrain.elevation_data import Bounds, ElevationData
 from sidelong.app.view.background import background, readable_tile
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source

@@ -20,7 +20,7 @@ from tests.command_line import runs_for
 from tests.faults.interrupts import Interruption, left_of
 
 pytestmark = pytest.mark.udp
-SHORT = ("launch", "--planner", "paper", "--speed", "30", "--duration", "10", "--target", "straight")
+SHORT = ("launch", "--planner", "paper", "--set", "simulation.speed=30", "--duration", "10", "--target", "straight")
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_targets_of_a_study(tmp_path: Path, name: str) -> None:
 def test_the_selected_walker_is_the_target_of_a_launch(tmp_path: Path) -> None:
     track = write(tmp_path / "two.gpx", two_walkers())
     done = sidelong(
-        *("launch", "--target", track, "--track", "B", "--duration", 10, "--speed", 4, "--no-view"),
+        *("launch", "--target", f"{track}#B", "--duration", 10, "--set", "simulation.speed=4", "--no-view"),
         *("--out", tmp_path / "runs"),
     )
     assert done.returncode == 0, done.stderr
@@ -267,7 +267,15 @@ def test_a_phone_is_the_beacon_of_a_launch(
 
         with repeated(send, 0.5):
             done = sidelong(
-                *("launch", "--set", f"sharing.beacon=udp://127.0.0.1:{port}", "--duration", 10, "--speed", 4),
+                *(
+                    "launch",
+                    "--set",
+                    f"sharing.beacon=udp://127.0.0.1:{port}",
+                    "--duration",
+                    10,
+                    "--set",
+                    "simulation.speed=4",
+                ),
                 *("--no-view", "--out", tmp_path / "runs"),
             )
     text = words(done.stdout + done.stderr)

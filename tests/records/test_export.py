@@ -15,8 +15,7 @@ from pymavlink import mavwp
 from shapely.geometry import shape
 
 from sidelong.app.errors import InputError
-from sidelong.app.records.export import Format, export
-from sidelong.app.records.track import FlownTrack, Mission
+from sidelong.app.records.export import FlownTrack, Format, Mission, export
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading

@@ -13,10 +13,10 @@ import pytest
 from pymavlink import mavutil
 
 from sidelong.app.errors import InputError
-from sidelong.app.records import appender
-from sidelong.app.records.appender import Appender
+from sidelong.app.records import text_file
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import check_space
+from sidelong.app.records.text_file import Appender
 from sidelong.app.records.tlog import TlogWriter, read_tlog
 from sidelong.mission.core.events import Announce
 
@@ -68,8 +68,8 @@ def test_a_log_is_never_written_over(tmp_path):
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path
-from sidelong.app.records import appender
-from sidelong.app.records.appender import Appender
+from sidelong.app.records import text_file
+from sidelong.app.records.text_file import Appender
 from sidelong.app.records.journal import JournalReader
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
@@ -95,7 +95,7 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_not_the_flight(tmp
 
 
 def test_a_backlog_that_no_disk_takes_ends_the_recording(tmp_path, monkeypatch):
-    monkeypatch.setattr(appender, "_BACKLOG_MAX_BYTES", 1000)
+    monkeypatch.setattr(text_file, "_BACKLOG_MAX_BYTES", 1000)
     announced: list[str] = []
     with Appender(tmp_path / "flight.tlog", announced.append) as log:
         log.append(bytes(1001))

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from sidelong.app.cli import app
 from sidelong.app.errors import InputError
-from sidelong.app.terrain.elevation_data import ElevationData
-from sidelong.app.terrain.raster import Posts
+from sidelong.app.terrain.elevation_data import ElevationData, Posts
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from tests.terrain.patch import patch_of

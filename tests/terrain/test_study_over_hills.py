@@ -69,17 +69,21 @@ def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
     assert flown.moves_per_hour < 60.0
 
 
+def _at(home: str = "[36.59,-84.24]") -> tuple[str, str]:
+    return "--set", f"simulation.home={home}"
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "give --home LAT,LON"),
-        (["--home", "a,b"], "--home"),
-        (["--home", "95,8"], "latitudes go to 89"),
-        (["--home", "47.4,8.5"], "N47E008"),
-        (["--home", "36.59,-84.24", "--planner", "paper"], "the default planner"),
-        (["--home", "36.59,-84.24", "--fleet", "2"], "one aircraft"),
-        (["--home", "36.59,-84.24", "--sweep", "requirement.side=left,either"], "from one side"),
-        (["--home", "36.59,-84.24", "--sweep", "study.terrain=foggy"], "known or ignored"),
+        ([], "give --set simulation.home=[LAT,LON]"),
+        ([*_at("a,b")], "simulation.home"),
+        ([*_at("[95,8]")], "simulation.home"),
+        ([*_at("[47.4,8.5]")], "N47E008"),
+        ([*_at(), "--planner", "paper"], "the default planner"),
+        ([*_at(), "--fleet", "2"], "one aircraft"),
+        ([*_at(), "--sweep", "requirement.side=left,either"], "from one side"),
+        ([*_at(), "--sweep", "study.terrain=foggy"], "known or ignored"),
     ],
 )
 def test_wrong_options_are_one_sentence(hills_folder: Path, options: list[str], words: str) -> None:
@@ -90,7 +94,7 @@ def test_wrong_options_are_one_sentence(hills_folder: Path, options: list[str], 
 
 def test_a_study_over_hills_is_kept_and_goes_on_and_reports_both_ways(hills_folder: Path, tmp_path: Path) -> None:
     summary, store, report, rows = (tmp_path / name for name in ("hills.json", "hills.db", "hills.html", "hills.csv"))
-    arguments = ["study", "--terrain", str(hills_folder), "--home", "36.59,-84.24", "--runs", "1", "--duration", "30"]
+    arguments = ["study", "--terrain", str(hills_folder), *_at(), "--runs", "1", "--duration", "30"]
     arguments += ["--jobs", "1", "--json", str(summary), "--store", str(store)]
     result = CliRunner().invoke(app, [*arguments, "--sweep", "study.terrain=known"])
     assert result.exit_code == 0, result.output
