@@ -136,9 +136,7 @@ class ArduPlaneNavigator:
         self.goal = self._origin = LocalPosition(0.0, 0.0, 0.0)
         self.loiter = Loiter(clockwise=True)
         self._tuned_at = -1  # changes of parameters when the guidance was tuned
-        self._on_track = self._track_next = (
-            False  # the leg from the origin is to be followed, not just its end reached
-        )
+        self._on_track = self._track_next = False  # the leg is to be followed, not just its end reached
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
 
     @property
@@ -577,17 +575,9 @@ _FORMER: dict[str, tuple[Release, str, int, float]] = {  # renamed in, name befo
 def arduplane_parameters(settings: Settings) -> Parameters:
     """Return the parameters a ground program looks at, with the stock simulator's values."""
     airspeed_m_s = settings.airspeed_m_s
-    off = (
-        "FS_GCS_ENABL",
-        "FS_LONG_ACTN",
-        "FS_SHORT_ACTN",
-        "FENCE_ENABLE",
-        "FENCE_TOTAL",
-        "MIS_RESTART",
-        "RNGFND1_TYPE",
-    )
+    off = "FS_GCS_ENABL", "FS_LONG_ACTN", "FS_SHORT_ACTN", "FENCE_ENABLE", "FENCE_TOTAL", "MIS_RESTART"
     table: dict[str, tuple[int, float]] = {
-        **dict.fromkeys(off, (INT8, 0.0)),
+        **dict.fromkeys((*off, "RNGFND1_TYPE"), (INT8, 0.0)),
         **dict.fromkeys(("RTL_RADIUS", "FENCE_OPTIONS", "MIS_TOTAL"), (INT16, 0.0)),
         **dict.fromkeys(("ARMING_MIS_ITEMS", "STAT_RUNTIME"), (INT32, 0.0)),
         "AIRSPEED_CRUISE": (REAL32, airspeed_m_s),

@@ -55,18 +55,14 @@ class BinaryError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How an instance is started, and where it is then met by the application and by the payload.
-
-    signed_payload: a UDP address at which the application meets a signing payload, where the autopilot forwards it
-    without a valid signature; None where it does not.
-    """
+    """How an instance is started, and where it is then met by the application and by the payload."""
 
     command: list[str]
     environment: dict[str, str]
     url: str
     payload_url: str
     system_id: int
-    signed_payload: tuple[str, int] | None = None
+    signed_payload: Address | None = None  # where the autopilot forwards a signing payload without its signature
 
 
 def run_of(
@@ -149,7 +145,6 @@ class Binary:
 
     @property
     def last_words(self) -> str:
-        """The last output of the program."""
         text = (self.folder / _OUTPUT).read_text(errors="replace").strip()
         return f"it ended with code {self.process.returncode}: {text[-_LAST_WORDS:]}"
 
@@ -195,11 +190,10 @@ def started(
             )
         except OSError as error:
             raise BinaryError(f"{binary} does not run: {error.strerror or error}") from error
-        running = Binary(run, folder, process)
-        try:
+        with contextlib.ExitStack() as stack:
+            running = Binary(run, folder, process)
+            stack.callback(running.stop)
             yield running
-        finally:
-            running.stop()
 
 
 @contextlib.contextmanager
@@ -336,10 +330,10 @@ def run_binaries(
 
 def _print_how_to_fly(running: Sequence[Binary], settings: Sequence[Settings]) -> None:
     if len(running) == 1:
-        run, urls = running[0].run, []
+        run, urls = running[0].run, [running[0].run.url]
         if settings[0].signing_key is not None and run.signed_payload is not None:
-            urls.append("udpin://{}:{}".format(*run.signed_payload))
-        print("fly it by: sidelong launch", *(f"--connect {url}" for url in (*urls, run.url)), flush=True)
+            urls.insert(0, "udpin://{}:{}".format(*run.signed_payload))
+        print("fly it by: sidelong launch", *(f"--connect {url}" for url in urls), flush=True)
         return
     print("fly them by a fleet file with")
     for number, (binary, own) in enumerate(zip(running, settings, strict=True), 1):

@@ -149,7 +149,7 @@ def run(
     """
     programs = binary or []
     if settings is not None:
-        tree = _tree_of(_input_line() if str(settings) == "-" else _read(settings))
+        tree = _tree_of(_input_line() if str(settings) == "-" else settings)
     else:
         flavours = autopilot.split(",")
         count = vehicles or max(len(flavours), len(programs))
@@ -159,35 +159,25 @@ def run(
             refuse("--binary", f"is given {len(programs)} times for {count} vehicles")
         if truth and len(truth) != count:
             refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
-        named = [spec.rpartition("=") for spec in target or ["walk"]]
+        seen = [
+            {"motion": motion, "speed_max_m_s": target_speed, "start_m": STARTS_M[k % len(STARTS_M)], "name": name}
+            for k, (name, _, motion) in enumerate(spec.rpartition("=") for spec in target or ["walk"])
+        ]
         first = {
             "seed": seed,
             "airspeed_m_s": airspeed,
             "wind": asdict(WindVector.blowing_from(wind_speed, math.radians(wind_from_deg))),
-            "targets": [
-                {
-                    "motion": motion,
-                    "speed_max_m_s": target_speed,
-                    "start_m": STARTS_M[k % len(STARTS_M)],
-                    "name": name,
-                }
-                for k, (name, _, motion) in enumerate(named)
-            ],
+            "targets": seen,
             "terrain": terrain,
             "home": None if home is None else dict(zip(_HOME, home.split(","), strict=False)),
             "home_on_ground": home is None or home.count(",") == 1,
         }
         each = [first | {"flavour": flavours[k % len(flavours)]} for k in range(count)]
         wanted = _validated({"vehicles": each, "speed": speed, "duration_s": duration}, _OPTION_OF_KEY)
-        placed = [
-            replace(
-                one,
-                flavour=wanted.vehicles[k].flavour,
-                truth=truth[k] if truth else None,
-                stations=tuple(to or default_stations(k, count)),
-            )
-            for k, one in enumerate(in_a_row(wanted.vehicles[0], count))
-        ]
+        placed = []
+        for k, one in enumerate(in_a_row(wanted.vehicles[0], count)):
+            stations, file = tuple(to or default_stations(k, count)), truth[k] if truth else None
+            placed.append(replace(one, flavour=wanted.vehicles[k].flavour, truth=file, stations=stations))
         tree = RUN_SETTINGS.dump_python(replace(wanted, vehicles=tuple(placed)), mode="json", exclude_defaults=True)
     with _refusing(), ExitStack() as stack:
         wanted = _completed(_validated(_with_values(tree, set_ or []), {}))
@@ -228,39 +218,26 @@ def _fly(
         return
     simulations = [Simulation(one) for one in each]
     _write_truth(stack, simulations, each)
-
-    def report_ready() -> None:
-        for own in each:
-            where = ", ".join(own.stations)
-            print(f"ready system {own.system_id} component 1 {own.flavour} -> {where}", flush=True)
-
+    words = [f"ready system {o.system_id} component 1 {o.flavour} -> {', '.join(o.stations)}" for o in each]
     serve(
         list(zip(simulations, addresses, strict=True)),
         speed=wanted.speed,
         duration_s=math.inf if wanted.duration_s is None else wanted.duration_s,
         faults=wanted.link,
-        on_ready=report_ready,
+        on_ready=lambda: print(*words, sep="\n", flush=True),
         stopped=stopped,
         pace=pace,
         device_address=device,
     )
 
 
-# -- the settings ------------------------------------------------------------------------------------------
-
-
-def _tree_of(text: bytes) -> Any:
+def _tree_of(text: bytes | Path) -> Any:
     try:
-        return json.loads(text)
+        return json.loads(text.read_bytes() if isinstance(text, Path) else text)
+    except OSError as error:
+        return refuse("--settings", f"{text} cannot be read: {error.strerror}")
     except ValueError as error:
         return refuse("--settings", f"is no JSON: {error}")
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        return refuse("--settings", f"{path} cannot be read: {error.strerror}")
 
 
 def _validated(tree: Any, option_of: Mapping[str, str]) -> RunSettings:
@@ -310,18 +287,17 @@ def _completed(wanted: RunSettings) -> RunSettings:
     now_s, completed = time.time(), []
     for one in wanted.vehicles:
         if one.release is not None and not OLDEST[one.flavour] <= one.release <= NEWEST[one.flavour]:
-            least, newest = (".".join(map(str, limits[one.flavour])) for limits in (OLDEST, NEWEST))
-            refuse(
-                "--set release", f"is {least} to {newest} for {one.flavour}, not {'.'.join(map(str, one.release))}"
-            )
+            releases = OLDEST[one.flavour], NEWEST[one.flavour], one.release
+            least, newest, given = (".".join(map(str, release)) for release in releases)
+            refuse("--set release", f"is {least} to {newest} for {one.flavour}, not {given}")
         if one.looks_at >= len(one.targets):
             refuse("--set looks_at", f"is {one.looks_at}; there are {len(one.targets)} targets, from 0 on")
         if math.hypot(one.wind.east_m_s, one.wind.north_m_s) > 0.9 * one.airspeed_m_s:
             refuse("--wind-speed", f"must be at most 0.9 times the airspeed, {0.9 * one.airspeed_m_s:g} m/s")
-        for seen in one.targets:
-            if seen.motion not in MOTIONS and not is_track_file(Path(seen.motion)):
-                motions = ", ".join(MOTIONS)
-                refuse("--target", f"is one of {motions} or a track such as a .gpx or .csv file, not {seen.motion!r}")
+        for motion in (seen.motion for seen in one.targets):
+            if motion not in MOTIONS and not is_track_file(Path(motion)):
+                known = f"is one of {', '.join(MOTIONS)} or a track such as a .gpx or .csv file"
+                refuse("--target", f"{known}, not {motion!r}")
         if one.home_on_ground and one.terrain is not None:
             home = one.home_or_default
             ground = Hills(one.terrain, HomePlane(home.latitude_deg, home.longitude_deg))
@@ -351,9 +327,6 @@ def _address(option: str, text: str) -> Address:
         return socket.gethostbyname(host), int(port)
     except OSError:
         return refuse(option, f"names the unknown host {host!r}")
-
-
-# -- files, signals, words ---------------------------------------------------------------------------------
 
 
 def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], each: Sequence[Settings]) -> None:
@@ -390,17 +363,17 @@ def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _frame: received.append(caught))
+
+    def wait_for_end(pace: Pace) -> None:
+        line = b""
+        while data := os.read(0, 4096):  # not sys.stdin: its lock, held at the end, would be a fatal error
+            *whole, line = (line[-_LINE_MAX:] + data).split(b"\n")
+            with contextlib.suppress(ValueError, IndexError):
+                pace.follow(float(whole[-1]), time.monotonic())
+        received.append(0)
+
     if pace is not None:
-
-        def wait_for_end() -> None:
-            line = b""
-            while data := os.read(0, 4096):  # not sys.stdin: its lock, held at the end, would be a fatal error
-                *whole, line = (line[-_LINE_MAX:] + data).split(b"\n")
-                with contextlib.suppress(ValueError, IndexError):
-                    pace.follow(float(whole[-1]), time.monotonic())
-            received.append(0)
-
-        threading.Thread(target=wait_for_end, daemon=True).start()
+        threading.Thread(target=wait_for_end, args=(pace,), daemon=True).start()
     return lambda: bool(received)
 
 

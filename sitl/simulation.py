@@ -124,13 +124,12 @@ class Simulation(Wired):
 
         assert settings.camera is not None
         motion = target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
-        scenery = Scenery(
+        path_m, trees, lookalikes = (
             np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)]),
-            self.hills.height_m,
-            seed,
-            trees=settings.camera.trees,
-            lookalikes=settings.camera.lookalikes,
+            settings.camera.trees,
+            settings.camera.lookalikes,
         )
+        scenery = Scenery(path_m, self.hills.height_m, seed, trees=trees, lookalikes=lookalikes)
         camera = GimbalCamera(settings.camera, scenery)
         self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = camera.on_command
         if settings.camera.url:
@@ -192,20 +191,11 @@ class Simulation(Wired):
                 messages = [message for message in messages if message.get_type() not in self.muted]
             self._in_flight.append((self.time_s + self._latency_s - 1e-9, messages))
             valid, outlier = measured.laser_valid, measured.laser_outlier
-        row = TruthRow(
-            vehicle.now_s,
-            target_m,
-            vehicle.plane.latitude_longitude_deg(*target_m[:2]),
-            aircraft_m,
-            vehicle.plane.latitude_longitude_deg(*aircraft_m[:2]),
-            sight.slant_range_m,
-            sight.bearing_rad,
-            valid,
-            outlier,
-            *self.hills.reported(aircraft_m, in_sight),
-            self.settings.targets[self.looks_at].name,
-        )
-        self.on_truth(row)
+        place_deg = vehicle.plane.latitude_longitude_deg
+        places = target_m, place_deg(*target_m[:2]), aircraft_m, place_deg(*aircraft_m[:2])
+        ground, name = self.hills.reported(aircraft_m, in_sight), self.settings.targets[self.looks_at].name
+        line = sight.slant_range_m, sight.bearing_rad
+        self.on_truth(TruthRow(vehicle.now_s, *places, *line, valid, outlier, *ground, name))
 
     def _see(self, device: Device) -> None:
         """Let the device look along the sight of this step."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from fractions import Fraction
 from queue import Full, Queue
 from typing import Any
@@ -31,17 +32,12 @@ _LOCKED = (
 
 
 class GimbalCamera:
-    """Turns as commanded, within its rate; until then an operator keeps it on the target by hand.
-
-    Attributes:
-        on_picture: receives time and picture.
-        commanded: whether something else than the operator has pointed it.
-    """
+    """Turns as commanded, within its rate; until then an operator keeps it on the target by hand."""
 
     def __init__(self, settings: CameraSettings, scenery: Scenery) -> None:
         self.settings, self.scenery = settings, scenery
         self.on_picture: Callable[[float, Image], object] = lambda _time_s, _picture: None
-        self.commanded = False
+        self.commanded = False  # by something else than the operator
         self.yaw_rad, self.pitch_rad, self._roll_rad = 0.0, -0.3, 0.0
         self._goal_rad: tuple[float, float] = (self.pitch_rad, self.yaw_rad)
         self._goal_is_of_earth = True
@@ -121,11 +117,8 @@ class VideoServer:
         threading.Thread(target=self._run, daemon=True).start()
 
     def put(self, time_s: float, picture: Image) -> None:
-        """Send a picture."""
-        try:
+        with suppress(Full):  # the encoder is behind
             self._queue.put_nowait((time_s, picture))
-        except Full:
-            return  # the encoder is behind
 
     def _run(self) -> None:
         settings, url = self._settings, self._url

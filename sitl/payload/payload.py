@@ -55,17 +55,11 @@ class TargetGeometry:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What the payload measures at one moment: nothing while a hill hides the target.
-
-    Attributes:
-        laser_valid: whether there is a range.
-        laser_outlier: whether that range is wrong.
-        range_m: the measured range; None: none.
-    """
+    """What the payload measures at one moment: nothing while a hill hides the target."""
 
     messages: list[Any]
-    laser_valid: bool
-    laser_outlier: bool
+    laser_valid: bool  # there is a range
+    laser_outlier: bool  # and it is wrong
     range_m: float | None = None
     range_error_m: float = 0.0
     bearing_error_rad: float = 0.0
@@ -110,15 +104,8 @@ class SimulatedPayload:
         messages = [self._gimbal_message(boot_ms, pitch_rad, yaw_rad, heading_rad)]
         if valid:
             messages.insert(0, self._range_message(boot_ms, range_m, outlier))
-        return Measurement(
-            messages,
-            valid,
-            valid and outlier,
-            range_m if valid else None,
-            range_m - sight.slant_range_m,
-            bearing_error_rad,
-            elevation_error_rad,
-        )
+        errors = range_m - sight.slant_range_m, bearing_error_rad, elevation_error_rad
+        return Measurement(messages, valid, valid and outlier, range_m if valid else None, *errors)
 
     def _next_dropout(self, after_s: float) -> tuple[float, float]:
         fraction = self._settings.dropout_fraction
@@ -132,19 +119,11 @@ class SimulatedPayload:
     def _range_message(self, boot_ms: int, range_m: float, outlier: bool) -> Any:
         if self._settings.range_message == RangeMessage.RANGEFINDER:
             return mavlink.MAVLink_rangefinder_message(range_m, 0.0)
+        counts_cm = (round(length_m * 100.0) for length_m in (_RANGE_MIN_M, _RANGE_MAX_M, range_m))
+        kind = mavlink.MAV_DISTANCE_SENSOR_LASER, _SENSOR_ID, mavlink.MAV_SENSOR_ROTATION_CUSTOM
+        quality = _OUTLIER_QUALITY if outlier else _GOOD_QUALITY
         return mavlink.MAVLink_distance_sensor_message(
-            boot_ms,
-            round(_RANGE_MIN_M * 100.0),
-            round(_RANGE_MAX_M * 100.0),
-            round(range_m * 100.0),
-            mavlink.MAV_DISTANCE_SENSOR_LASER,
-            _SENSOR_ID,
-            mavlink.MAV_SENSOR_ROTATION_CUSTOM,
-            255,
-            0.02,
-            0.02,
-            [1.0, 0.0, 0.0, 0.0],
-            _OUTLIER_QUALITY if outlier else _GOOD_QUALITY,
+            boot_ms, *counts_cm, *kind, 255, 0.02, 0.02, [1.0, 0.0, 0.0, 0.0], quality
         )
 
     def _gimbal_message(self, boot_ms: int, pitch_rad: float, yaw_rad: float, heading_rad: float) -> Any:

@@ -21,16 +21,11 @@ _TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
 
 
 class Parameters(dict[str, float]):
-    """Values by name, in the order of the table, each with the MAVLink type the real autopilot gives it.
+    """Values by name, each with the MAVLink type the real autopilot gives it.
 
-    Args:
-        table: MAVLink type and value of each name.
-        bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float.
-        reports_errors: Whether PARAM_ERROR answers a request that is wrong.
-        former: Name and unit, in those of the newest release, of the parameters that this release names otherwise.
-
-    Attributes:
-        changes: How often a value was set.
+    table: MAVLink type and value of each name. bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its
+    value as a float. reports_errors: whether PARAM_ERROR answers a request that is wrong. former: name and unit, in
+    those of the newest release, of the parameters that this release names otherwise.
     """
 
     def __init__(
@@ -42,7 +37,7 @@ class Parameters(dict[str, float]):
     ) -> None:
         super().__init__((name, value) for name, (_, value) in table.items())
         self._kinds = {name: kind for name, (kind, _) in table.items()}
-        self.changes = 0
+        self.changes = 0  # how often a value was set
         self._names = sorted(table)
         self._bytewise, self._reports_errors, self._former = bytewise, reports_errors, former
         self.on_change: Callable[[str, float], None] = lambda _name, _value: None
@@ -69,8 +64,8 @@ class Parameters(dict[str, float]):
     def handle(self, station: Station, message: Any, radio: Radio) -> None:
         match message.get_type():
             case "PARAM_REQUEST_LIST":
-                for index in range(len(self._names)):
-                    radio.send(station, self._value_message(self._names[index], index))
+                for index, name in enumerate(self._names):
+                    radio.send(station, self._value_message(name, index))
             case "PARAM_REQUEST_READ":
                 index, name = message.param_index, message.param_id
                 if 0 <= index < len(self._names):
@@ -81,11 +76,9 @@ class Parameters(dict[str, float]):
                     self._refuse(station, message, radio, index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
             case "PARAM_SET":
                 name = message.param_id
-                if name not in self:
-                    self._refuse(station, message, radio, -1, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
-                    return
-                if self._bytewise and message.param_type != self._kinds[name]:
-                    self._refuse(station, message, radio, -1, _TYPE_MISMATCH)
+                if name not in self or (self._bytewise and message.param_type != self._kinds[name]):
+                    error = _TYPE_MISMATCH if name in self else mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
+                    self._refuse(station, message, radio, -1, error)
                     return
                 value = self._decode(message.param_value, message.param_type)
                 if math.isfinite(value):

@@ -40,7 +40,6 @@ def read_key(path: Path) -> bytes:
 
 
 def signing_time(unix_s: float) -> int:
-    """Return the time in signatures' units."""
     return int((unix_s - _EPOCH_UNIX_S) * _UNITS_PER_S)
 
 
@@ -48,13 +47,11 @@ class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no t
     """pymavlink's parser, but a frame with a false signature does not move its stream's time."""
 
     def check_signature(self, frame: bytearray, system_id: int, component_id: int) -> bool:
-        streams, stream = self.signing.stream_timestamps, (frame[-13], system_id, component_id)
-        before = streams.get(stream)
+        before = self.signing.stream_timestamps.copy()
         genuine = bool(super().check_signature(frame, system_id, component_id))
         if not genuine:
-            streams.pop(stream, None)
-            if before is not None:
-                streams[stream] = before
+            self.signing.stream_timestamps.clear()
+            self.signing.stream_timestamps.update(before)
         return genuine
 
 
@@ -92,10 +89,8 @@ class Signing:
         signing = parser.signing
         signing.secret_key = self._key
         signing.stream_timestamps = self._streams
-        signing.allow_unsigned_callback = self._is_accepted_unsigned if self._key is not None else None
-
-    def _is_accepted_unsigned(self, _parser: Any, message_id: int) -> bool:
-        return message_id in self._unsigned
+        allowed = self._unsigned
+        signing.allow_unsigned_callback = (lambda _, message_id: message_id in allowed) if self.required else None
 
     def signed(self, parser: Any, frame: bytes, crc_extra: int, unix_s: float) -> bytes:
         """Return the frame as it goes out on the parser's link."""
@@ -193,11 +188,7 @@ class Radio:
         self.stations: dict[Hashable, Station] = {}
         self.outbox: list[Datagram] = []
         self._default_interval_s = default_interval_s
-        self._packers = {
-            component: mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component)
-            for component in (AUTOPILOT, PAYLOAD)
-        }
-        self.system_id = system_id
+        self._packers = {component: mavlink.MAVLink(None, system_id, component) for component in (AUTOPILOT, PAYLOAD)}
         self.signing, self._unix_s = signing, unix_s
 
     def connect(self, address: Hashable, now_s: float) -> Station:
@@ -209,8 +200,7 @@ class Radio:
 
     def restart(self, default_interval_s: Mapping[int, float]) -> None:
         """Forget every station's rates and sequence numbers, not the stations."""
-        for address in list(self.stations):
-            before = self.stations[address]
+        for address, before in self.stations.items():
             station = self.stations[address] = Station(address, default_interval_s, 0.0)
             station.expected, station.parser = before.expected, before.parser
 

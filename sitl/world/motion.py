@@ -63,14 +63,6 @@ class LegMotion:
         return self._east_m + chord_m * math.sin(chord_rad), self._north_m + chord_m * math.cos(chord_rad)
 
 
-def _still(_speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
-    return itertools.repeat(Leg(math.inf, 0.0))
-
-
-def _straight(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
-    return itertools.repeat(Leg(math.inf, speed_m_s))
-
-
 def _turning(speed_m_s: float, rng: np.random.Generator) -> Iterator[Leg]:
     """Bends of 20-60 s, to either side, with radii of 40 m and more."""
     while True:
@@ -110,18 +102,14 @@ def _demo(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
     return itertools.cycle(legs)
 
 
-def _circle(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
-    return itertools.repeat(Leg(math.inf, speed_m_s, speed_m_s / 60.0))
-
-
 MOTIONS: dict[str, Callable[[float, np.random.Generator], Iterator[Leg]]] = {
-    "still": _still,
-    "straight": _straight,
+    "still": lambda _speed_m_s, _rng: itertools.repeat(Leg(math.inf, 0.0)),
+    "straight": lambda speed_m_s, _rng: itertools.repeat(Leg(math.inf, speed_m_s)),
     "turning": _turning,
     "stop-and-go": _stop_and_go,
     "walk": _walk,
     "u-turn": _u_turn,
-    "circle": _circle,
+    "circle": lambda speed_m_s, _rng: itertools.repeat(Leg(math.inf, speed_m_s, speed_m_s / 60.0)),
     "demo": _demo,
 }
 
@@ -138,10 +126,10 @@ _SHARE = 0.02  # share of the error corrected each time, as positions arrive at 
 
 
 class SharedTarget:
-    """A target that moves by the clock of the first vehicle received. Thread-safe.
+    """A target that moves by the clock of the first vehicle received, later of another if that ends. Thread-safe.
 
     The others' clocks are compared with that clock as their positions arrive, and follow it if a simulator falls
-    behind. If the leading vehicle ends, another vehicle leads.
+    behind.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -170,9 +158,7 @@ class SharedTarget:
             return self._motion.at(self._asked_s)
 
 
-class _Seen:
-    """Implements :class:`sidelong.sitl.world.motion.Motion`."""
-
+class _Seen(Motion):
     def __init__(self, target: SharedTarget, home_east_m: float) -> None:
         self._target, self._home_east_m = target, home_east_m
         self.offset_s: float | None = None

@@ -29,19 +29,12 @@ _TREE_OFF_M, _LOOKALIKE_OFF_M = (4.0, 25.0), (10.0, 30.0)
 
 @dataclass(frozen=True, slots=True)
 class CameraPose:
-    """Where a camera is and where it looks, in the plane of home.
+    """Where a camera is and where it looks, in the plane of home."""
 
-    Attributes:
-        position_m: east, north, height.
-        yaw_rad: of the optical axis, clockwise from north.
-        pitch_rad: of the optical axis above the horizon.
-        roll_rad: right side down.
-    """
-
-    position_m: tuple[float, float, float]
-    yaw_rad: float
-    pitch_rad: float
-    roll_rad: float = 0.0
+    position_m: tuple[float, float, float]  # east, north, height
+    yaw_rad: float  # of the optical axis, clockwise from north
+    pitch_rad: float  # of the optical axis above the horizon
+    roll_rad: float = 0.0  # right side down
 
     @property
     def image_from_plane(self) -> Vector:
@@ -53,30 +46,29 @@ class CameraPose:
 
 
 @dataclass(frozen=True, slots=True)
-class _Box:
-    """A vehicle, or a tree: of a tree, length_m is the height and width_m the diameter of the crown."""
-
+class _Vehicle:
     east_m: float
     north_m: float
     course_rad: float = 0.0
-    length_m: float = 4.4
-    width_m: float = 1.8
-    height_m: float = 1.5
-    colour: tuple[int, int, int] = (40, 40, 170)
-    is_tree: bool = False
+    length_m = 4.4
+    width_m = 1.8
+    height_m = 1.5
+    colour = (40, 40, 170)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tree:
+    east_m: float
+    north_m: float
+    height_m: float
+    crown_m: float  # its diameter
 
 
 class Scenery:
     """What stands along the target's path, and how it looks.
 
-    Args:
-        path_m: the target's positions (east, north), shape (n, 2), one a second.
-        height_m: returns the height of the ground above home at (east, north).
-        seed: of texture, trees and look-alikes.
-        trees, lookalikes: times the usual number.
-
-    Attributes:
-        hidden_s: intervals in which a crown stands before the target, wherever it is.
+    path_m: the target's positions (east, north), shape (n, 2), one a second. height_m: returns the height of the
+    ground above home at (east, north). trees, lookalikes: times the usual number.
     """
 
     def __init__(
@@ -91,15 +83,14 @@ class Scenery:
         self._path_m, self._height_m = path_m, height_m
         self._rng = np.random.default_rng(seed)
         self._ground = _texture(self._rng)
-        self._noises = [
-            (self._rng.normal(0.0, _NOISE_SIGMA, (720, 1280, 3))).astype(np.int16) for _ in range(_NOISES)
-        ]
-        self.hidden_s: list[tuple[float, float]] = []
+        size = 720, 1280, 3
+        self._noises = [self._rng.normal(0.0, _NOISE_SIGMA, size).astype(np.int16) for _ in range(_NOISES)]
+        self.hidden_s: list[tuple[float, float]] = []  # when a crown stands before the target, wherever it is
         self.standing = self._lined(trees, lookalikes)
 
-    def _lined(self, trees: float, lookalikes: float) -> list[_Box]:
+    def _lined(self, trees: float, lookalikes: float) -> list[_Vehicle | _Tree]:
         path = self._path_m[::_ALONG_S]
-        rng, standing = self._rng, []
+        rng, standing = self._rng, list[_Vehicle | _Tree]()
         step_m = np.hypot(*np.diff(path, axis=0).T)
         for at_m, way_m in zip(path[:-1], step_m, strict=True):
             for rate_per_km, is_tree in ((trees * _TREES_PER_KM, True), (lookalikes * _LOOKALIKES_PER_KM, False)):
@@ -109,9 +100,10 @@ class Scenery:
                 place = at_m + off_m * np.array([math.sin(bearing_rad), math.cos(bearing_rad)])
                 if is_tree and np.hypot(*(path - place).T).min() < _TREE_OFF_M[0] - 1.0:
                     continue  # no tree on the road
-                long_m, wide_m = (rng.uniform(5.0, 10.0), rng.uniform(4.0, 7.0)) if is_tree else (4.4, 1.8)
-                east_m, north_m = map(float, place)
-                standing.append(_Box(east_m, north_m, rng.uniform(0, 7), long_m, wide_m, is_tree=is_tree))
+                high_m, crown_m = (rng.uniform(5.0, 10.0), rng.uniform(4.0, 7.0)) if is_tree else (0.0, 0.0)
+                course_rad, (east_m, north_m) = rng.uniform(0, 7), map(float, place)
+                vehicle = _Vehicle(east_m, north_m, course_rad)
+                standing.append(_Tree(east_m, north_m, high_m, crown_m) if is_tree else vehicle)
         return standing
 
     def target_m(self, time_s: float) -> tuple[float, float]:
@@ -121,26 +113,22 @@ class Scenery:
         share = min(max(time_s - at, 0.0), 1.0)
         return east_m + share * (next_east_m - east_m), north_m + share * (next_north_m - north_m)
 
-    def _target(self, time_s: float) -> _Box:
+    def _target(self, time_s: float) -> _Vehicle:
         """Return the target; standing, it keeps the direction of its last motion."""
         here = self.target_m(time_s)
         for over_s in (0.5, 2.0, 8.0, 30.0, 120.0):
             before = self.target_m(max(time_s - over_s, 0.0))
             if math.dist(here, before) > 0.2:
-                return _Box(*here, math.atan2(here[0] - before[0], here[1] - before[1]))
-        return _Box(*here)
+                return _Vehicle(*here, math.atan2(here[0] - before[0], here[1] - before[1]))
+        return _Vehicle(*here)
 
     def picture(
         self, time_s: float, pose: CameraPose, view_rad: float, size_px: tuple[int, int], turn_rad_s: float = 0.0
     ) -> Image:
         """Return what the camera sees: BGR, shape (height, width, 3).
 
-        Args:
-            time_s: of the simulation.
-            pose: of the camera.
-            view_rad: horizontal field of view.
-            size_px: width and height.
-            turn_rad_s: how fast the picture moves sideways, which blurs it.
+        view_rad: horizontal field of view. size_px: width and height. turn_rad_s: how fast the picture moves
+        sideways, which blurs it.
         """
         width, height = size_px
         focal_px = 0.5 * width / math.tan(0.5 * view_rad)
@@ -148,13 +136,13 @@ class Scenery:
         view = _View(focal_px, camera @ pose.image_from_plane, np.array(pose.position_m))
         image = self._ground_seen(view, pose, size_px)
         target = self._target(time_s)
-        boxes = [box for box in (*self.standing, target) if self._is_near(box, view, size_px)]
-        for box in boxes:
-            self._draw_shadow(image, view, box)
-        for box in sorted(boxes, key=lambda box: -math.dist(pose.position_m[:2], (box.east_m, box.north_m))):
-            (self._draw_tree if box.is_tree else self._draw_vehicle)(image, view, box)
+        near = [one for one in (*self.standing, target) if self._is_near(one, view, size_px)]
+        for one in near:
+            self._draw_shadow(image, view, one)
+        for one in sorted(near, key=lambda one: -math.dist(pose.position_m[:2], (one.east_m, one.north_m))):
+            self._draw(image, view, one)
         if any(begin_s <= time_s < end_s for begin_s, end_s in self.hidden_s):
-            self._draw_tree(image, view, _Box(target.east_m, target.north_m, 0.0, 9.0, 9.0, is_tree=True))
+            self._draw(image, view, _Tree(target.east_m, target.north_m, 9.0, 9.0))
         return self._exposed(image, time_s, focal_px * abs(turn_rad_s) * _EXPOSURE_S)
 
     def _touching(self, east_m: float, north_m: float) -> tuple[float, float, float]:
@@ -187,22 +175,24 @@ class Scenery:
         )
         return seen
 
-    def _is_near(self, box: _Box, view: _View, size_px: tuple[int, int]) -> bool:
-        place = view.pixels([[box.east_m, box.north_m, self._level_m(box)]])
+    def _is_near(self, one: _Vehicle | _Tree, view: _View, size_px: tuple[int, int]) -> bool:
+        place = view.pixels([[one.east_m, one.north_m, self._level_m(one)]])
         if place is None:
             return False
         (x, y), margin = place[0], 0.5 * size_px[0]
         return bool(-margin < x < size_px[0] + margin and -margin < y < size_px[1] + margin)
 
-    def _level_m(self, box: _Box) -> float:
-        height_m = self._height_m(box.east_m, box.north_m)
+    def _level_m(self, one: _Vehicle | _Tree) -> float:
+        height_m = self._height_m(one.east_m, one.north_m)
         return 0.0 if math.isnan(height_m) else height_m
 
-    def _draw_shadow(self, image: Image, view: _View, box: _Box) -> None:
-        high_m = box.length_m if box.is_tree else box.height_m
-        shift = np.array([*_SUN, 0.0]) * (0.7 * high_m)
-        corners = self._corners(box)[:4] if not box.is_tree else _ring(box, self._level_m(box))
-        outline = view.pixels(np.concatenate([corners, corners + shift]) if not box.is_tree else corners + shift)
+    def _draw_shadow(self, image: Image, view: _View, one: _Vehicle | _Tree) -> None:
+        shift = np.array([*_SUN, 0.0]) * (0.7 * one.height_m)
+        if isinstance(one, _Tree):
+            outline = view.pixels(self._ring(one) + shift)
+        else:
+            floor = self._corners(one)[:4]
+            outline = view.pixels(np.concatenate([floor, floor + shift]))
         if outline is not None:
             hull = cv2.convexHull(outline.astype(np.int32))
             x, y, w, h = cv2.boundingRect(hull)
@@ -213,35 +203,40 @@ class Scenery:
                 cv2.fillConvexPoly(mask, hull - np.array([x0, y0]), 1)
                 patch[mask > 0] = (0.55 * patch[mask > 0]).astype(np.uint8)
 
-    def _corners(self, box: _Box) -> Vector:
+    def _corners(self, vehicle: _Vehicle) -> Vector:
         """Return the corners, shape (8, 3): the floor's four, then the roof's."""
-        sine, cosine, level_m = math.sin(box.course_rad), math.cos(box.course_rad), self._level_m(box)
-        ahead, aside = 0.5 * box.length_m, 0.5 * box.width_m
+        sine, cosine, level_m = math.sin(vehicle.course_rad), math.cos(vehicle.course_rad), self._level_m(vehicle)
+        ahead, aside = 0.5 * vehicle.length_m, 0.5 * vehicle.width_m
         flat = [(ahead, -aside), (ahead, aside), (-ahead, aside), (-ahead, -aside)]
         return np.array(
             [
-                (box.east_m + a * sine + b * cosine, box.north_m + a * cosine - b * sine, level_m + up_m)
-                for up_m in (0.0, box.height_m)
+                (vehicle.east_m + a * sine + b * cosine, vehicle.north_m + a * cosine - b * sine, level_m + up_m)
+                for up_m in (0.0, vehicle.height_m)
                 for a, b in flat
             ]
         )
 
-    def _draw_vehicle(self, image: Image, view: _View, box: _Box) -> None:
-        corners = self._corners(box)
-        seen = view.pixels(corners)
-        if seen is None:
-            return
-        cv2.fillConvexPoly(image, cv2.convexHull(seen.astype(np.int32)), box.colour)
-        roof = seen[4:]
-        bright = tuple(min(round(1.35 * c) + 20, 255) for c in box.colour)
-        cv2.fillConvexPoly(image, cv2.convexHull(roof.astype(np.int32)), bright)
-        windscreen = [roof[0], roof[1], 0.7 * roof[1] + 0.3 * roof[2], 0.7 * roof[0] + 0.3 * roof[3]]
-        cv2.fillConvexPoly(image, np.array(windscreen).astype(np.int32), (60, 50, 40))
+    def _ring(self, tree: _Tree) -> Vector:
+        """Return points of the outline of a crown on the ground, shape (8, 3)."""
+        angles, radius_m = np.linspace(0.0, 2.0 * math.pi, 9)[:-1], 0.5 * tree.crown_m
+        east_m, north_m = tree.east_m + radius_m * np.sin(angles), tree.north_m + radius_m * np.cos(angles)
+        return np.stack([east_m, north_m, np.full(8, self._level_m(tree))], axis=1)
 
-    def _draw_tree(self, image: Image, view: _View, box: _Box) -> None:
-        level_m, radius_m = self._level_m(box), 0.5 * box.width_m
-        rng = np.random.default_rng(abs(int(box.east_m * 10.0) * 7919 + int(box.north_m * 10.0)))
-        middle = np.array([box.east_m, box.north_m, level_m + box.length_m - radius_m])
+    def _draw(self, image: Image, view: _View, one: _Vehicle | _Tree) -> None:
+        if isinstance(one, _Tree):
+            self._draw_tree(image, view, one)
+        elif (seen := view.pixels(self._corners(one))) is not None:
+            roof = seen[4:]
+            cv2.fillConvexPoly(image, cv2.convexHull(seen.astype(np.int32)), one.colour)
+            bright = tuple(min(round(1.35 * c) + 20, 255) for c in one.colour)
+            cv2.fillConvexPoly(image, cv2.convexHull(roof.astype(np.int32)), bright)
+            windscreen = [roof[0], roof[1], 0.7 * roof[1] + 0.3 * roof[2], 0.7 * roof[0] + 0.3 * roof[3]]
+            cv2.fillConvexPoly(image, np.array(windscreen).astype(np.int32), (60, 50, 40))
+
+    def _draw_tree(self, image: Image, view: _View, tree: _Tree) -> None:
+        radius_m = 0.5 * tree.crown_m
+        rng = np.random.default_rng(abs(int(tree.east_m * 10.0) * 7919 + int(tree.north_m * 10.0)))
+        middle = np.array([tree.east_m, tree.north_m, self._level_m(tree) + tree.height_m - radius_m])
         for part in range(7):
             off = rng.normal(0.0, 0.45 * radius_m, 3) if part else np.zeros(3)
             at = view.pixels([middle + off])
@@ -279,14 +274,6 @@ class _View:
         """Return the size in the image of a metre at a point."""
         away_m = float((point_m - self._position_m) @ self.image_from_camera[2])
         return self._focal_px / max(away_m, 1.0)
-
-
-def _ring(box: _Box, level_m: float) -> Vector:
-    angles = np.linspace(0.0, 2.0 * math.pi, 9)[:-1]
-    radius_m = 0.5 * box.width_m
-    return np.stack(
-        [box.east_m + radius_m * np.sin(angles), box.north_m + radius_m * np.cos(angles), np.full(8, level_m)], axis=1
-    )
 
 
 def _texture(rng: np.random.Generator) -> Image:

@@ -31,22 +31,18 @@ _Timed = tuple[float, float, float, int]  # time, east, north, line of the file
 
 @dataclass(frozen=True, slots=True)
 class RecordedTrack:
-    """Points with strictly rising times, relative to the first; at least two.
-
-    origin_deg: latitude and longitude of east and north zero; None where the file is in metres. note: what of the
-    file is not used, in words.
-    """
+    """Points with strictly rising times, relative to the first; at least two."""
 
     time_s: Sequence[float]
     east_m: Sequence[float]
     north_m: Sequence[float]
-    origin_deg: tuple[float, float] | None = None
-    note: str = ""
+    origin_deg: tuple[float, float] | None = None  # of east and north zero; None where the file is in metres
+    note: str = ""  # what of the file is not used, in words
 
     def lengths_m(self) -> list[float]:
         """Return the length of the track up to each of its points."""
-        places = list(zip(self.east_m, self.north_m, strict=True))
-        return list(accumulate((math.dist(*pair) for pair in pairwise(places)), initial=0.0))
+        steps = pairwise(zip(self.east_m, self.north_m, strict=True))
+        return list(accumulate((math.dist(*pair) for pair in steps), initial=0.0))
 
     def first_motion_s(self) -> float:
         """Return when the first minute begins that covers ground at a jog; 0 if there is none."""
@@ -84,10 +80,8 @@ class TrackMotion:
         return _interpolate(time_s, self._track.time_s, self._arc_m)
 
     def _position_m(self, arc_m: float) -> tuple[float, float]:
-        return (
-            _interpolate(arc_m, self._arc_m, self._track.east_m),
-            _interpolate(arc_m, self._arc_m, self._track.north_m),
-        )
+        east_m, north_m = (_interpolate(arc_m, self._arc_m, m) for m in (self._track.east_m, self._track.north_m))
+        return east_m, north_m
 
 
 def read_track(path: Path) -> RecordedTrack:
@@ -119,14 +113,10 @@ def read_track(path: Path) -> RecordedTrack:
 def _judged(line: Line, geodetic: bool) -> RecordedTrack:
     """Return a line as a track, by the speeds that its times imply.
 
-    - Times of day in ms, microseconds, ns or 100 ns are recognised by their size, others by speeds too slow to be any
-      target's.
-    - Where the time jumps by hours, or the clock was set back, the longest part is used. So are points of 1970 or of
-      no date left out.
-
-    Raises:
-        TrackError: Fewer than two points are usable, the times imply impossible speeds, or several positions have the
-            same time.
+    Times of day in ms, microseconds, ns or 100 ns are recognised by their size, others by speeds too slow to be any
+    target's. Where the time jumps by hours, or the clock was set back, the longest part is used. So are points of no
+    date left out. Raises TrackError for fewer than two usable points, impossible speeds, and several positions of the
+    same time.
     """
     limits = (90.0, 180.0) if geodetic else (_REACH_M, _REACH_M)
     within = [p for p in line.points if abs(p[1]) <= limits[0] and abs(p[2]) <= limits[1]]

@@ -17,11 +17,7 @@ _FLUSH_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class TruthRow:
-    """Target and aircraft at one moment of the vehicle's clock. bearing_rad is the target's, from the aircraft.
-
-    clearance_m is the aircraft's height over the ground below it; it and in_sight are None where no ground is known.
-    target: the name of the one that the payload looks at.
-    """
+    """Target and aircraft at one moment of the vehicle's clock."""
 
     time_s: float
     target_m: tuple[float, float, float]
@@ -29,12 +25,12 @@ class TruthRow:
     aircraft_m: tuple[float, float, float]
     aircraft_deg: tuple[float, float]
     slant_range_m: float
-    bearing_rad: float
+    bearing_rad: float  # of the target from the aircraft
     laser_valid: bool
     laser_outlier: bool
-    clearance_m: float | None
+    clearance_m: float | None  # of the aircraft over the ground below it; None where that is not known, as in_sight
     in_sight: bool | None
-    target: str = ""
+    target: str = ""  # the name of the one that the payload looks at
 
     def line(self) -> str:
         clearance = "" if self.clearance_m is None else f"{self.clearance_m:.2f}"
@@ -61,10 +57,9 @@ class TruthFile:
         self._append(HEADER + "\n", flush=True)
 
     def write(self, row: TruthRow) -> None:
-        flush = abs(row.time_s - self._flushed_s) >= _FLUSH_S
-        self._append(row.line() + "\n", flush)
-        if flush:
+        if flush := abs(row.time_s - self._flushed_s) >= _FLUSH_S:
             self._flushed_s = row.time_s
+        self._append(row.line() + "\n", flush)
 
     def _append(self, text: str, flush: bool) -> None:
         if self._file is None:
