@@ -235,7 +235,7 @@ def _tree_of(text: bytes | Path) -> Any:
     try:
         return json.loads(text.read_bytes() if isinstance(text, Path) else text)
     except OSError as error:
-        return refuse("--settings", f"{text} cannot be read: {error.strerror}")
+        return refuse("--settings", f"{error.filename} cannot be read: {error.strerror}")
     except ValueError as error:
         return refuse("--settings", f"is no JSON: {error}")
 

@@ -23,9 +23,9 @@ _TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
 class Parameters(dict[str, float]):
     """Values by name, each with the MAVLink type the real autopilot gives it.
 
-    table: MAVLink type and value of each name. bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its
-    value as a float. reports_errors: whether PARAM_ERROR answers a request that is wrong. former: name and unit, in
-    those of the newest release, of the parameters that this release names otherwise.
+    table: MAVLink type and value of each name. bytewise: PX4 sends an integer's bytes in the float field, ArduPilot
+    its value as a float. reports_errors: whether PARAM_ERROR answers a request that is wrong. former: name and unit,
+    in those of the newest release, of the parameters that this release names otherwise.
     """
 
     def __init__(
