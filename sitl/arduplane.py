@@ -128,8 +128,6 @@ class Loiter:
 
 
 class ArduPlaneNavigator:
-    """Where to, from where, and the lateral acceleration that leads there."""
-
     def __init__(self, craft: SimulatedAirframe, parameters: Parameters, home_altitude_m: float) -> None:
         self._craft, self._parameters, self._home_altitude_m = craft, parameters, home_altitude_m
         self.guidance = L1Guidance()
@@ -321,11 +319,9 @@ class ArduPlaneMission(Store):
         return True
 
     def advance(self) -> None:
-        """Go on: the current item is done."""
         self._start_from(self.index + 1)
 
     def following(self) -> Item | None:
-        """Return the next navigation item in storage."""
         return next((item for item in self._items[self.index + 1 :] if item.command in NAVIGATION), None)
 
     def _start_from(self, index: int) -> None:
@@ -409,7 +405,6 @@ class TerrainDatabase:
         return mavlink.MAVLink_terrain_request_message(*corner, _SPACING_M, mask) if mask else None
 
     def take(self, data: Any) -> None:
-        """Take a TERRAIN_DATA that answers a request."""
         for (row, column), heights in self._blocks.items():
             if (data.lat, data.lon) == self._corner_e7(row, column) and data.grid_spacing == _SPACING_M:
                 _square(heights, data.gridbit)[:] = np.reshape(data.data, (_SQUARE, _SQUARE))
@@ -792,7 +787,6 @@ class SimulatedArduPlane(SimulatedAutopilot):
         return lateral_m_s2
 
     def _fly_item(self, item: Item) -> tuple[bool, float]:
-        """Return whether the item is done, and the lateral acceleration."""
         loiter, first = self.navigator.loiter, item.params[0]
         match item.command:
             case mavlink.MAV_CMD_NAV_TAKEOFF:

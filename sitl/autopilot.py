@@ -175,8 +175,6 @@ _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
 
 
 class SimulatedAutopilot(ABC):
-    """One vehicle: airframe, modes, missions, parameters and links."""
-
     autopilot_id: ClassVar[int]
     modes: ClassVar[type[IntEnum]]
     first_mode: ClassVar[int]

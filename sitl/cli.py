@@ -187,7 +187,6 @@ def run(
 def _fly(
     wanted: RunSettings, programs: Sequence[Path], payload_for: str | None, while_input: bool, stack: ExitStack
 ) -> None:
-    """Fly until the end."""
     each, pace = wanted.vehicles, Pace(wanted.speed) if while_input else None
     addresses = [[_address("--to", text) for text in one.stations] for one in each]
     device = _device_address(each)

@@ -34,8 +34,6 @@ from sidelong.sitl.world.geodesy import HomePlane
 
 
 class PathFollower:
-    """Lateral acceleration towards a line or a circle."""
-
     def __init__(self, period_s: float = 10.0, damping: float = 0.7071) -> None:
         self.period_s, self.damping = period_s, damping
 
@@ -93,8 +91,6 @@ class LoiterGoal:
 
 
 class Px4Navigator:
-    """Where to, from where, and the lateral acceleration that leads there."""
-
     def __init__(self, craft: SimulatedAirframe, parameters: Parameters) -> None:
         self._craft, self._parameters = craft, parameters
         self.follower = PathFollower()
@@ -235,7 +231,6 @@ class Px4Mission(Store):
         return ACCEPTED_ITEMS
 
     def navigation_from(self, index: int) -> int | None:
-        """Return the first item from ``index`` on that is flown."""
         return next((i for i in range(index, len(self._items)) if self._items[i].command in NAVIGATION), None)
 
 
@@ -663,7 +658,6 @@ class SimulatedPx4(SimulatedAutopilot):
         return lateral_m_s2
 
     def _fly_item(self, item: Item) -> tuple[bool, float]:
-        """Return whether the item is done, and the lateral acceleration."""
         match item.command:
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self._climbed_out(), 0.0

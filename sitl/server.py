@@ -48,8 +48,6 @@ class Pace:
 
 
 class _Port:
-    """One vehicle's socket, with the faults of its link."""
-
     def __init__(self, simulation: Simulation, stations: Sequence[Address], faults: LinkFaults) -> None:
         seed = np.random.SeedSequence(simulation.settings.seed, spawn_key=(_LINK_STREAM,))
         out_rng, in_rng = (np.random.default_rng(child) for child in seed.spawn(2))

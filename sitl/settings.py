@@ -62,8 +62,6 @@ DEFAULT_HOMES = {
 
 @dataclass(frozen=True, slots=True)
 class PayloadSettings:
-    """Laser and gimbal."""
-
     range_sigma_m: Annotated[float, Field(ge=0.0, le=100.0)] = 0.8
     outlier_fraction: Share = 0.02
     gimbal_sigma_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.35
@@ -171,8 +169,6 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """One run of the simulator."""
-
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     vehicles: Annotated[tuple[Settings, ...], Field(min_length=1, max_length=MAX_VEHICLES)] = (Settings(),)

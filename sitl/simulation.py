@@ -89,7 +89,6 @@ class Simulation(Wired):
                 self.vehicle.handle(station, message)
 
     def take(self) -> list[Datagram]:
-        """Return what the vehicle has sent since the last call, in order."""
         radio = self.vehicle.radio
         taken, radio.outbox = radio.outbox, []
         return taken
@@ -115,7 +114,6 @@ class Simulation(Wired):
         self.muted.clear()
 
     def pilot_takes_over(self) -> None:
-        """Move the sticks: the flight mode changes without any station's command."""
         self.vehicle.set_mode(self.vehicle.taken_over_mode)
 
     def _camera(self, settings: Settings, seed: int) -> GimbalCamera:
@@ -198,7 +196,6 @@ class Simulation(Wired):
         self.on_truth(TruthRow(vehicle.now_s, *places, *line, valid, outlier, *ground, name))
 
     def _see(self, device: Device) -> None:
-        """Let the device look along the sight of this step."""
         craft, measured = self.vehicle.craft, self._measured
         if measured is not None:
             target_m = self.hills.standing(self.motions[self.looks_at].at(self.time_s))

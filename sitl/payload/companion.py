@@ -82,11 +82,9 @@ class Companion(Wired):
 
     @property
     def time_s(self) -> float:
-        """Time of the latest position, on the vehicle's clock."""
         return self._latest_s
 
     def handle(self, message: Any) -> list[Any]:
-        """Take one message from the link and return the measurements it leads to."""
         kind = message.get_type()
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return []

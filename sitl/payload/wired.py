@@ -39,7 +39,6 @@ class Wired(ABC):
         return self.device.receive(data, self.time_s, self._seen)
 
     def take_device(self) -> list[bytes]:
-        """Return what the device has sent unasked since the last call."""
         streamed, self._streamed = self._streamed, []
         return [] if self.unplugged else streamed
 
@@ -130,5 +129,4 @@ class DevicePort:
 
 
 def device_port(kind: str, wired: Wired, address: Address) -> DevicePort:
-    """Return an open port for a device of this kind."""
     return DevicePort(wired, address, kind.partition("@")[0] in OVER_TCP)

@@ -135,8 +135,6 @@ Datagram = tuple[Hashable, bytes]
 
 
 class Station:
-    """A MAVLink station: a ground station, a companion computer or a separate payload."""
-
     def __init__(self, address: Hashable, interval_s: Mapping[int, float], now_s: float) -> None:
         self.address = address
         self.expected = False  # configured: it is sent to indefinitely, even if it never sends

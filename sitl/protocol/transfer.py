@@ -39,7 +39,6 @@ class Store:
         return checksum(self._items) if self.with_checksum else None
 
     def begin(self, count: int) -> int:
-        """Prepare for an upload of ``count`` items."""
         self._arriving = []
         return self.clear() if count == 0 else ACCEPTED_ITEMS
 
@@ -122,7 +121,6 @@ class Item:
 
 
 def checksum(items: list[Item]) -> int:
-    """Return a number that changes with the contents of a list; 0 for an empty one."""
     if not items:
         return 0
     rows = [(i.command, i.frame, _nan_as_text(i.params), i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]

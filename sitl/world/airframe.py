@@ -145,7 +145,6 @@ class LocalPosition:
         return math.hypot(self.east_m - craft.east_m, self.north_m - craft.north_m)
 
     def bearing_rad(self, other: LocalPosition) -> float:
-        """Return the bearing of ``other`` from here."""
         return math.atan2(other.east_m - self.east_m, other.north_m - self.north_m)
 
 

@@ -44,7 +44,6 @@ class Hills:
             )
 
     def height_m(self, east_m: float, north_m: float) -> float:
-        """Return the height of the ground at a place."""
         if self._folder is None:
             return 0.0
         return float(self._above_sea_m(np.array([east_m]), np.array([north_m]))[0]) - self.home_altitude_m
