@@ -418,15 +418,10 @@ class TerrainDatabase:
         ground_m = (1 - v) * ((1 - u) * sw + u * se) + v * ((1 - u) * nw + u * ne)
         known = not math.isnan(ground_m)
         pending = sum(int(np.isnan(block).sum()) for block in self._blocks.values()) // _SQUARE**2
-        return mavlink.MAVLink_terrain_report_message(
-            round(latitude_deg * 1e7),
-            round(longitude_deg * 1e7),
-            _SPACING_M if known else 0,
-            ground_m if known else 0.0,
-            altitude_m - ground_m if known else 0.0,
-            pending,
-            len(self._blocks) * _ACROSS * _UP - pending,
-        )
+        place_e7 = round(latitude_deg * 1e7), round(longitude_deg * 1e7)
+        found = (_SPACING_M, ground_m, altitude_m - ground_m) if known else (0, 0.0, 0.0)
+        loaded = len(self._blocks) * _ACROSS * _UP - pending
+        return mavlink.MAVLink_terrain_report_message(*place_e7, *found, pending, loaded)
 
     def _block(
         self, latitude_deg: float, longitude_deg: float

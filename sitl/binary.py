@@ -20,8 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
-from sidelong.sitl.payload.devices import device_of
-from sidelong.sitl.payload.wired import Address, device_port
+from sidelong.sitl.payload.devices import Address, DevicePort, device_of
 from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, HomePosition, PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
 from sidelong.sitl.world.airframe import WindVector
@@ -252,7 +251,7 @@ def served_device(companion: Companion, kind: str, address: Address | None) -> I
     if address is None:
         yield lambda: None
         return
-    with contextlib.closing(device_port(kind, companion, address)) as port:
+    with contextlib.closing(DevicePort(kind, companion, address)) as port:
 
         def exchange() -> None:
             port.receive()

@@ -23,8 +23,7 @@ from pydantic import ValidationError
 
 from sidelong.sitl.binary import BinaryError, companions_of, ready, run_binaries, served_device, waits
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
-from sidelong.sitl.payload.devices import DEVICES
-from sidelong.sitl.payload.wired import Address
+from sidelong.sitl.payload.devices import DEVICES, Address
 from sidelong.sitl.protocol.radio import KeyFileError, read_key
 from sidelong.sitl.server import Pace, serve
 from sidelong.sitl.settings import (

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sidelong.sitl.payload.wired import Address, DevicePort, device_port
+from sidelong.sitl.payload.devices import Address, DevicePort
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 from sidelong.sitl.simulation import STEP_S, Simulation
 
@@ -112,7 +112,7 @@ def serve(
     with contextlib.ExitStack() as stack:
         if device_address is not None:
             first = served[0][0]
-            devices.append(device_port(first.settings.device, first, device_address))
+            devices.append(DevicePort(first.settings.device, first, device_address))
             stack.callback(devices[0].close)
         for simulation, stations in served:
             port = _Port(simulation, stations, faults or LinkFaults())

@@ -14,9 +14,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.arduplane import SimulatedArduPlane
 from sidelong.sitl.autopilot import SimulatedAutopilot
-from sidelong.sitl.payload.devices import Device, device_of
+from sidelong.sitl.payload.devices import Device, Wired, device_of
 from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
-from sidelong.sitl.payload.wired import Wired
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
 from sidelong.sitl.px4 import SimulatedPx4
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
@@ -120,18 +119,14 @@ class Simulation(Wired):
         from sidelong.sitl.payload.camera import GimbalCamera, VideoServer  # noqa: PLC0415  # PyAV and OpenCV
         from sidelong.sitl.world.picture import Scenery  # noqa: PLC0415
 
-        assert settings.camera is not None
-        motion = target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
-        path_m, trees, lookalikes = (
-            np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)]),
-            settings.camera.trees,
-            settings.camera.lookalikes,
-        )
-        scenery = Scenery(path_m, self.hills.height_m, seed, trees=trees, lookalikes=lookalikes)
-        camera = GimbalCamera(settings.camera, scenery)
+        own, motion = settings.camera, target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
+        assert own is not None
+        path_m = np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)])
+        scenery = Scenery(path_m, self.hills.height_m, seed, trees=own.trees, lookalikes=own.lookalikes)
+        camera = GimbalCamera(own, scenery)
         self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = camera.on_command
-        if settings.camera.url:
-            camera.on_picture = VideoServer(settings.camera.url, settings.camera).put
+        if own.url:
+            camera.on_picture = VideoServer(own.url, own).put
         return camera
 
     def _step(self) -> None:

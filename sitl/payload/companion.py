@@ -16,9 +16,8 @@ import numpy as np
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.devices import Device
+from sidelong.sitl.payload.devices import Device, Wired
 from sidelong.sitl.payload.payload import PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
-from sidelong.sitl.payload.wired import Wired
 from sidelong.sitl.protocol.radio import signing_time
 from sidelong.sitl.settings import PayloadSettings
 from sidelong.sitl.world.geodesy import HomePlane

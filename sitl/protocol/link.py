@@ -23,9 +23,8 @@ class LinkFaults:
     duplicate: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # fraction of the datagrams that are not lost
     delay_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0  # of the stations' clock
     jitter_s: float = 0.0  # maximum additional delay, drawn for each datagram: datagrams overtake each other
-    baud: Annotated[float, Field(ge=1200.0)] = float(
-        "inf"
-    )  # of a serial line: what it cannot carry is late, then lost
+    # Of a serial line: what it cannot carry is late, then lost.
+    baud: Annotated[float, Field(ge=1200.0)] = float("inf")
 
 
 class FaultyLink(Generic[T]):
