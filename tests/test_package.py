@@ -103,8 +103,7 @@ def test_a_flight_needs_no_library_of_the_extras(tmp_path):
     assert (flown.returncode, "completed" in flown.stdout) == (0, True), flown.stdout + flown.stderr
     (folder,) = (tmp_path / "runs").iterdir()
     assert run("replay", str(folder), "--verify").returncode == 0
-    refused = run("report", str(folder))
-    assert "pip install 'sidelong[report]'" in refused.stderr
+    assert run("report", str(folder)).returncode == 0
 
 
 def test_a_helper_finds_installed_packages_before_those_of_the_user(installed, workspace):

@@ -22,7 +22,6 @@ def report(
         Path | None,
         typer.Option("--out", help="The page; otherwise report.html in the run folder, or next to the log."),
     ] = None,
-    png: Annotated[Path | None, typer.Option(help="Write each figure into this folder as PNG too.")] = None,
     truth: TruthOption = None,
     config: ConfigOption = None,
 ) -> None:
@@ -31,7 +30,7 @@ def report(
     Of a fleet's run folder: one about all aircraft, and one about each in its own folder.
 
     For example:
-      sidelong report runs/20261121T101500Z --png figures
+      sidelong report runs/20261121T101500Z
       sidelong report flight.tlog --truth flight.truth.csv
     """
     run = recording(run)
@@ -39,34 +38,27 @@ def report(
         out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")
     if truth is not None:
         read_truth(truth)  # report a wrong file before any computation
-    write_report(run, out, png, truth, config)
+    write_report(run, out, truth, config)
 
 
-def write_report(
-    run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
-) -> None:
-    """Write the page, and the figures if asked for; of a fleet's run a page about each aircraft too."""
+def write_report(run: Path, out: Path, truth: Path | None = None, config: Path | None = None) -> None:
+    """Write the page; of a fleet's run a page about each aircraft too."""
     checked_file("--out", out)
     if not os.access(out if out.exists() else out.parent, os.W_OK):
         raise InputError(f"{out}: cannot be written; give another file to --out.")
     if FleetFolder(run).journal.is_file():
-        if png is not None or truth is not None or config is not None:
+        if truth is not None or config is not None:
             raise InputError(
-                f"{run} is the run of a fleet: --png, --truth and --config are for the folder of one aircraft in it."
+                f"{run} is the run of a fleet: --truth and --config are for the folder of one aircraft in it."
             )
         _write_fleet(FleetFolder(run), out)
         return
-    # Only a report needs matplotlib, which takes a second to load.
-    from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
+    from sidelong.app.report.page import report_page  # noqa: PLC0415  # which takes half a second to load
     from sidelong.app.report.sources import read_flight  # noqa: PLC0415
 
     with share_progress(f"reading {run.name}") as progress:
         flown = read_flight(run, truth, config, progress, warn=lambda words: warn_of_log(run, words))
     _write(out, report_page(flown))
-    if png is not None:
-        with writing(png, "--png", "folder"):
-            files = save_png(flown, png)
-        say(f"figures: {len(files)} in {png}")
 
 
 def _write_fleet(folder: FleetFolder, out: Path) -> None:

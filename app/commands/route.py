@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json as json_format
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,6 +27,7 @@ from sidelong.app.errors import InputError, missing_package
 from sidelong.app.records.route_file import RoutePoints, read_route
 from sidelong.app.records.text_file import write_text
 from sidelong.app.report.sources import read_flight
+from sidelong.estimators.compiled import FOLDER
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.route.route import Route, route_of
 
@@ -190,6 +192,7 @@ _WRITERS = {".csv": _csv, ".geojson": _geojson, ".gpx": _gpx}
 
 
 def _draw(found: Route, east_m: np.ndarray, north_m: np.ndarray, file: Path) -> None:
+    os.environ.setdefault("MPLCONFIGDIR", str(FOLDER.parent / "matplotlib"))  # the home may be read-only
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415  # an extra
     except ImportError as error:

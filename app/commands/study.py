@@ -210,8 +210,7 @@ def study(
         with writing(export, "--export"):
             export_runs(results, export)
     if report is not None:
-        # Only the page needs matplotlib, which takes a second to load.
-        from sidelong.app.study import page  # noqa: PLC0415
+        from sidelong.app.study import page  # noqa: PLC0415  # few studies want one
 
         again = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
         words = ["sidelong", "study", *(one for own in given.values() for one in own)]

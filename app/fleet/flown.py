@@ -140,5 +140,5 @@ def _announced(flown: FleetFlown) -> str:
         return ""
     start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
     rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.announced)
-    table = html.table(("time", "aircraft", "what"), rows, "Announcements of the coordinator")
-    return f"<details><summary>Announcements of the coordinator ({len(flown.announced)})</summary>{table}</details>"
+    words = f"Announcements of the coordinator ({len(flown.announced)})"
+    return html.folded(words, html.table(("time", "aircraft", "what"), rows, words))

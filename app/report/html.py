@@ -1,77 +1,98 @@
-"""Pages that need nothing else: figures as inlined SVG, no script, no remote address."""
+"""Pages that need nothing else: charts as data, drawn by the live page's ``charts.js``, and tables."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from html import escape
+from importlib.resources import files
+from typing import Any
 
-from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import ArrayLike
 
-_CSS = """
-:root { color-scheme: light dark; --ink: #222; --soft: #555; --paper: #fff; --line: #eee; --mark: #1f5f9e; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6eaef; --soft: #a9b4c0; --paper: #12161b; --line: #2b333c; --mark: #78b4f0; }
-  figure svg { filter: invert(1) hue-rotate(180deg); }
-}
-body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
-  max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin: 0; }
-h2 { font-size: 1.1rem; margin: 2.2rem 0 .2rem; }
-p { margin: .2rem 0 .6rem; color: var(--soft); }
-svg { width: 100%; height: auto; }
-.verdict { font-size: 1.2rem; color: var(--ink); }
-dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(11rem, 1fr)); gap: .6rem; margin: 1.2rem 0; }
-dl div { border-top: 2px solid var(--mark); padding: .3rem 0; }
-dl .long { grid-column: span 2; }
-.long dd { font-size: 1rem; }
-dt { color: var(--soft); font-size: .85rem; }
-dd { margin: 0; font-size: 1.15rem; font-variant-numeric: tabular-nums; }
-table { border-collapse: collapse; font-size: .9rem; }
-td, th { text-align: left; padding: .15rem .9rem .15rem 0; vertical-align: top;
-  border-bottom: 1px solid var(--line); }
-td:first-child { font-variant-numeric: tabular-nums; white-space: nowrap; }
-[aria-label="Designs"] td { white-space: nowrap; }
-summary { cursor: pointer; font-weight: 600; margin-top: 1.5rem; }
-figure { margin: 0; break-inside: avoid; }
-.wide { overflow-x: auto; }
-code { overflow-wrap: anywhere; }
-@media print {
-  @page { size: A4; margin: 14mm; }
-  body { margin: 0; max-width: none; } details:not([open]) { display: none; }
-}
-@media (max-width: 700px) {
-  body { margin: 1rem auto; } dl { grid-template-columns: repeat(2, minmax(0, 1fr)); }
-  td { overflow-wrap: break-word; } td:first-child { white-space: normal; min-width: 4.5rem; }
-}
-"""
+_POINTS_MAX = 6000  # of one line
 _LONG, _TILE_CHARACTERS = ' class="long"', 24
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+
+Mark = dict[str, Any]
+"""Lines, bands and the like; the head of ``charts.js`` describes each kind."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """What ``charts.js`` has of an axis. A None in the range: as far as the marks reach."""
+
+    label: str
+    range: tuple[float | None, float | None] = (None, None)
+    time: bool = False
+    degrees: bool = False
+    words: Sequence[str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """One pair of axes. equal: a metre is as long across as up; height: px, otherwise."""
+
+    x: Axis
+    y: Axis
+    marks: Sequence[Mark]
+    equal: bool = False
+    height: int = 240
+
+
+@dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure with its name (a file's name too) and what it shows, in a sentence or two."""
+    """Charts with a name, a title, and what they show, in a sentence or two."""
 
     name: str
     title: str
     caption: str
-    figure: Figure
+    charts: Sequence[Chart]
+
+
+def mark(kind: str, of: str, label: str = "", **values: Any) -> Mark:
+    """Return a mark. Arrays are rounded to what can be seen, thinned where they are long, and have no NaN."""
+    plain = {key: _plain(value) if isinstance(value, np.ndarray) else value for key, value in values.items()}
+    return {"kind": kind, "of": of, "label": label, **plain}
+
+
+def line(x: ArrayLike, y: ArrayLike, of: str, label: str = "", **more: Any) -> Mark:
+    return mark("line", of, label, x=np.asarray(x), y=np.asarray(y), **more)
+
+
+def _plain(values: np.ndarray) -> list[Any]:
+    values = np.asarray(values, float)[:: max(1, -(-len(values) // _POINTS_MAX))]
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known)) if known.size else 0.0
+    digits = 5 - math.ceil(math.log10(span)) if span > 0.0 else 3
+    return [None if math.isnan(value) else value for value in np.round(values, digits).tolist()]
 
 
 def document(title: str, body: str) -> str:
     """Return the page."""
+    style = (files("sidelong.app.report") / "report.css").read_text(encoding="utf-8")
+    charts = (files("sidelong.app.view") / "page" / "charts.js").read_text(encoding="utf-8")
     return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
 <meta name="viewport" content="width=device-width">
 <title>{escape(title)}</title>
-<style>{_CSS}</style>
+<style>{style}</style>
 </head>
 <body>
 {body}
+<noscript><p>The charts need JavaScript.</p></noscript>
+<script type="module">
+{charts}
+for (const figure of document.querySelectorAll("figure"))
+  for (const chart of JSON.parse(figure.querySelector("script").textContent))
+    new Chart(chart, figure.querySelector("h2").textContent, figure);
+</script>
 </body>
 </html>
 """
@@ -87,40 +108,26 @@ def tiles(results: Iterable[tuple[str, str]]) -> str:
 
 
 def table(headings: Iterable[str], rows: Iterable[Iterable[str]], about: str) -> str:
-    """Return a table of plain words, that scrolls if it is too wide; ``about`` states its content.
+    """Return a table of plain words, scrolled also by keys if it is too wide; ``about`` states its content.
 
     Headings that are keys of a configuration may break at their dots.
     """
     head = "".join(f"<th>{escape(heading).replace('.', '.<wbr>')}</th>" for heading in headings)
+    head = f"<tr>{head}</tr>" if head else ""
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return _wide(f"<table><tr>{head}</tr>{body}</table>", about)
+    scrolled = f'class="wide" tabindex="0" role="group" aria-label="{escape(about)}"'
+    return f"<div {scrolled}><table>{head}{body}</table></div>"
 
 
-def _wide(content: str, about: str) -> str:
-    """Return what may be wider than a telephone: it is scrolled, also by keys, and the page is not."""
-    return f'<div class="wide" tabindex="0" role="group" aria-label="{escape(about)}">{content}</div>'
+def folded(summary: str, content: str, *, is_open: bool = False) -> str:
+    return f"<details{' open' if is_open else ''}><summary>{escape(summary)}</summary>{content}</details>"
 
 
 def figure(drawing: Drawing) -> str:
-    """Return the figure with its heading. Use within ``plot_style.styled()``."""
+    """Return the figure with its heading; ``document`` draws its charts."""
+    data = json.dumps([asdict(chart) for chart in drawing.charts], separators=(",", ":"), allow_nan=False)
+    data = data.replace("<", r"\u003c")  # no word of it ends the script
     return (
         f'<figure id="{drawing.name}"><h2>{escape(drawing.title)}</h2><p>{escape(drawing.caption)}</p>'
-        f"{_wide(_svg(drawing), drawing.title)}</figure>"
+        f'<script type="application/json">{data}</script></figure>'
     )
-
-
-def _svg(drawing: Drawing) -> str:
-    """Return the figure as an element of HTML: without prolog, metadata, name spaces, or ids of its neighbours."""
-    buffer = io.StringIO()
-    drawing.figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
-    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text)
-    text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
-    text = text.replace("xlink:href", "href")
-    used = set(re.findall(r'(?:href="|url\()#([^")]+)', text))
-    text = re.sub(r' id="([^"]+)"', lambda m: f' id="{drawing.name}-{m[1]}"' if m[1] in used else "", text)
-    text = re.sub(r'(href="|url\()#', rf"\1#{drawing.name}-", text)
-    label = f'<svg role="img" aria-label="{escape(drawing.title)}"'
-    return text.replace("<svg", label, 1).rstrip()

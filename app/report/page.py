@@ -1,13 +1,11 @@
-"""One HTML file that needs nothing else: figures as inlined SVG, tables, no script, no remote address."""
+"""The report of a flight: one page that needs nothing else."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from contextlib import suppress
 from datetime import datetime
 from html import escape
-from pathlib import Path
 
 import numpy as np
 
@@ -15,12 +13,10 @@ from sidelong.app.analysis.summary import Summary, percent
 from sidelong.app.report import html
 from sidelong.app.report.figures import drawings
 from sidelong.app.report.history import clock
-from sidelong.app.report.plot_style import styled
 from sidelong.app.report.sources import FlightRecord
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.viewpoint.side_policy import side_words
 
-_PNG_DPI = 150
 _STAMP = len("20261121T103058Z")
 _FOR_CLIENTS = "path", "range", "observation-angle"
 _TILES = "attention", "outcome", "watched", "time in band", "time on side", "range", "moves of the circle"
@@ -28,8 +24,7 @@ _TILES = "attention", "outcome", "watched", "time in band", "time on side", "ran
 
 def report_page(flown: FlightRecord) -> str:
     """Return the page."""
-    with styled():
-        figures = {drawing.name: html.figure(drawing) for drawing in drawings(flown.history)}
+    figures = {drawing.name: html.figure(drawing) for drawing in drawings(flown.history)}
     client = "\n".join(figures.pop(name) for name in _FOR_CLIENTS if name in figures)
     damaged = f"; {flown.damaged_lines} damaged lines were passed over" if flown.damaged_lines else ""
     rows = list(flown.summary.rows())
@@ -75,17 +70,6 @@ def _where(flown: FlightRecord) -> str:
     return "; ".join(parts)
 
 
-def save_png(flown: FlightRecord, folder: Path) -> list[Path]:
-    """Write each figure into ``folder`` (made if missing) and return the files. Raises OSError."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    with styled():
-        for drawing in drawings(flown.history):
-            files.append(folder / f"{drawing.name}.png")
-            drawing.figure.savefig(files[-1], dpi=_PNG_DPI)
-    return files
-
-
 def _asked(flown: FlightRecord) -> str:
     requirement, airframe = flown.history.requirement, flown.history.asked.airframe
     return (
@@ -104,7 +88,8 @@ def _decisions(flown: FlightRecord) -> str:
     announced, start_s = flown.history.announced, flown.history.start_s
     numbers = {id(one): str(number) for number, one in enumerate(flown.history.moves, 1)}
     rows = [(clock(one.time_s - start_s), numbers.get(id(one), ""), one.kind, one.text) for one in announced]
-    return _details(f"Decisions and announcements ({len(rows)})", rows, is_open=True) if rows else ""
+    words = f"Decisions and announcements ({len(rows)})"
+    return html.folded(words, html.table((), rows, words), is_open=True) if rows else ""
 
 
 def _configuration(flown: FlightRecord) -> str:
@@ -115,10 +100,4 @@ def _configuration(flown: FlightRecord) -> str:
         for key, value in keys.items()
         if value not in (None, [])
     ]
-    return _details("Configuration", rows)
-
-
-def _details(summary: str, rows: Iterable[tuple[str, ...]], *, is_open: bool = False) -> str:
-    lines = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    opened = " open" if is_open else ""
-    return f"<details{opened}><summary>{summary}</summary><table>{lines}</table></details>"
+    return html.folded("Configuration", html.table((), rows, "Configuration"))

@@ -24,8 +24,7 @@ from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.log import LogContext, RecordedLog, open_log
 from sidelong.app.records.run_folder import RunFolder, recording
 from sidelong.app.records.text_file import Progress, unseen
-from sidelong.app.report.history import FlightHistory, FlightRequirements, HistoryBuilder
-from sidelong.app.report.series import estimate_errors
+from sidelong.app.report.history import FlightHistory, FlightRequirements, HistoryBuilder, estimate_errors
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Event, StepOutput
 

@@ -1,17 +1,14 @@
-"""What is shown of a flight over hills without a truth: sight and clearance in the summary, contours on the map."""
+"""What is shown of a flight over hills without a truth: sight and clearance in the summary."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from sidelong.app.analysis.summary import SummaryCollector
-from sidelong.app.report.figures import _contours
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.requirement import Requirement, Side
 
@@ -56,19 +53,3 @@ def test_sight_and_clearance_are_reported_without_a_truth() -> None:
         collector.observe(snapshot(time_s, aircraft_m, (200.0, 0.0)))  # type: ignore[arg-type]
     assert collector.over_ground(2.0) == (0.75, pytest.approx(50.0))
     assert SummaryCollector(REQUIREMENT).over_ground(0.0) == (None, None)
-
-
-def test_contours_lie_behind_what_is_drawn_and_change_no_limits(ground: Ground) -> None:
-    axes = Figure().subplots()
-    axes.plot([0.0, 900.0], [0.0, 700.0])
-    limits = axes.get_xlim(), axes.get_ylim()
-    _contours(axes, ground)
-    (drawn,) = axes.collections
-    assert (axes.get_xlim(), axes.get_ylim()) == limits
-    assert drawn.get_zorder() == 0 and len(drawn.levels) > 3
-    for level_m, path in zip(drawn.levels, drawn.get_paths(), strict=True):
-        for east_m, north_m in path.vertices[::50]:
-            assert ground.height_m(east_m, north_m) == pytest.approx(level_m, abs=6.0)
-    flat = Figure().subplots()
-    _contours(flat, replace(ground, heights_m=np.zeros_like(ground.heights_m)))
-    assert not flat.collections

@@ -1,8 +1,8 @@
+import { svg } from "./charts.js";
 import { length, lengthOf, lengthUnit, metresOfLength, position, roundLength } from "./units.js";
 
 // The map: metres east and north in one scaled group, symbols and words in pixels above it.
 
-const NS = document.querySelector("svg").namespaceURI;
 const PREDICTED_S = 60;
 const GRID_PX = 90;
 const TRAIL_KEPT = 2400;
@@ -14,13 +14,6 @@ const [AGES, AGE_S] = [8, 60]; // a track fades in steps, each of these seconds
 const EQUATOR_M_PER_PX = 156543.034; // of zoom 0, at 256 px a tile
 const TILES_MAX = 80;
 const KEY_PAN = 0.15; // of the map's width
-
-export function svg(name, attributes = {}, parent = null) {
-  const element = document.createElementNS(NS, name);
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  if (parent) parent.append(element);
-  return element;
-}
 
 // The world in Web Mercator, as tiles are cut; near the flight degrees are metres by a constant.
 const column = (longitudeDeg, zoom) => Math.floor(((longitudeDeg + 180) / 360) * 2 ** zoom);

@@ -1,6 +1,6 @@
 // Small plots of the last minutes, one below the other over the same time.
 
-import { svg } from "./map.js";
+import { draw, scale, svg } from "./charts.js";
 import { lengthOf, lengthUnit } from "./units.js";
 
 const SPAN_S = 180;
@@ -61,10 +61,8 @@ class Plot {
     figure.append(caption, this.svg);
     parent.append(figure);
     this.frame = svg("rect", { class: "frame", x: LEFT_PX, y: 0 }, this.svg);
-    this.shade = svg("rect", { class: "shade", x: LEFT_PX }, this.svg);
-    this.bound = svg("path", { class: "bound" }, this.svg);
     this.labels = [0, 1].map(() => svg("text", { x: LEFT_PX - 4, "text-anchor": "end" }, this.svg));
-    this.lines = kind.lines.map((_, k) => svg("g", { class: `s${k}` }, this.svg));
+    this.marks = svg("g", { transform: `translate(${LEFT_PX})` }, this.svg);
   }
 
   draw(samples, setting) {
@@ -77,39 +75,21 @@ class Plot {
     const known = values.flat().filter((v) => v !== null && v !== undefined);
     const [least, most] = kind.range(setting, Math.max(0, ...known) * 1.1);
     const end = samples.at(-1).time_s;
-    const x = (time) => width - ((end - time) / SPAN_S) * (width - LEFT_PX);
-    const y = (v) => height - ((Math.min(Math.max(v, least), most) - least) / (most - least)) * height;
-    this.frame.setAttribute("width", width - LEFT_PX);
-    this.frame.setAttribute("height", height);
-    const shade = kind.shade?.(setting);
-    if (shade) {
-      this.shade.setAttribute("y", y(shade[1]));
-      this.shade.setAttribute("width", width - LEFT_PX);
-      this.shade.setAttribute("height", y(shade[0]) - y(shade[1]));
-    }
-    if (kind.bound) this.bound.setAttribute("d", `M${LEFT_PX} ${y(kind.bound)}H${width}`);
+    const at = { x: scale([end - SPAN_S, end], 0, width - LEFT_PX), y: scale([least, most], height, 0), width: width - LEFT_PX, height };
+    for (const side of ["width", "height"]) this.frame.setAttribute(side, at[side]);
     [most, least].forEach((value, k) => {
       this.labels[k].textContent = Math.round(value);
       this.labels[k].setAttribute("y", k ? height - 1 : 9);
     });
-    values.forEach((line, k) => this.lines[k].replaceChildren(...this.strokes(samples, line, x, y)));
+    const x = samples.map((sample) => sample.time_s);
+    const shade = kind.shade?.(setting);
+    const marks = shade ? [{ kind: "bands", of: "shade", rects: [[null, null, ...shade]] }] : [];
+    if (kind.bound) marks.push({ kind: "rules", of: "bound", y: [kind.bound] });
+    const within = (v) => (v === null || v === undefined ? null : Math.min(Math.max(v, least), most));
+    const lines = values.map((y, k) => ({ kind: "line", of: `s${k}`, x, y: y.map(within), gap: GAP_S, wraps: kind.wraps ? 180 : Infinity }));
+    draw([...marks, ...lines], at, this.marks);
     const now = values.map((line) => line.at(-1));
     this.latest.textContent = now.map((v) => (v === null || v === undefined ? "–" : v.toFixed(kind.digits))).join("  ");
-  }
-
-  // One polyline for each unbroken stretch: gaps where values are missing, and where an angle wraps around.
-  strokes(samples, line, x, y) {
-    const stretches = [[]];
-    let last = null;
-    samples.forEach((sample, k) => {
-      const value = line[k];
-      const gap = k && sample.time_s - samples[k - 1].time_s > GAP_S;
-      const broken = gap || value === null || value === undefined || (this.kind.wraps && last !== null && Math.abs(value - last) > 180);
-      if (broken) stretches.push([]);
-      if (value !== null && value !== undefined) stretches.at(-1).push(`${x(sample.time_s).toFixed(1)},${y(value).toFixed(1)}`);
-      last = value ?? null;
-    });
-    return stretches.filter((stretch) => stretch.length > 1).map((stretch) => svg("polyline", { points: stretch.join(" ") }));
   }
 }
 
