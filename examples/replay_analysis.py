@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sidelong.app.report.sources import read_flight
+from sidelong.app.report.history import read_flight
 
 
 def main() -> None:

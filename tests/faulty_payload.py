@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sidelong.app.link.message import DISTANCE_SENSOR_MAX_CM, Message
-from sidelong.app.simulation.payload import PAYLOAD_COMPONENT, Payload, PayloadErrors
+from sidelong.app.simulation.target import PAYLOAD_COMPONENT, Payload, PayloadErrors
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 _SYSTEM = 1

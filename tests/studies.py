@@ -2,10 +2,8 @@
 
 import contextlib
 
-from sidelong.app.study.design import Design
-from sidelong.app.study.parallel import on_processes
-from sidelong.app.study.store import ResultStore
-from sidelong.app.study.study import Study, table_of
+from sidelong.app.study.settings import Design
+from sidelong.app.study.study import ResultStore, Study, on_processes, table_of
 
 
 def run_study(settings, table=None, jobs=None, progress=lambda _runs: None):

@@ -1,8 +1,7 @@
 """Replay of a recorded log through the same telemetry, filter and planner as a live flight.
 
-The aircraft of a foreign log did not fly sidelong's plans. Each decision therefore starts from the circle that the
-aircraft actually flies (``ControlAcquired`` with the circle of its present bank). A proposed plan is answered with
-"failed: not flown in this log". The decisions then show what sidelong would have done from there.
+The aircraft of a foreign log did not fly sidelong's plans. Each decision starts from the circle that it actually
+flies (``ControlAcquired``), and a proposed plan fails: "not flown in this log".
 """
 
 from __future__ import annotations
@@ -60,8 +59,7 @@ class Replayed(NamedTuple):
     event: InboundEvent
     commands: tuple[StepOutput, ...]
     estimate: TargetEstimate | None
-    snapshot: Callable[[], Present]
-    """The state after the event: to be asked for before the next one is taken."""
+    snapshot: Callable[[], Present]  # the state after the event: to be asked for before the next one is taken
 
 
 class Proposals:
@@ -142,7 +140,6 @@ def require_sightings(tracker: Tracker, telemetry: Telemetry, log: RecordedLog) 
 
 
 def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
-    """Yield the announcements among the commands."""
     for command in commands:
         match command:
             case Announce() if command.kind != "plan":
@@ -157,8 +154,6 @@ def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Where a replay first decided otherwise than the flight did."""
-
     event: object
     flown: object
     replayed: object
@@ -170,10 +165,9 @@ class Difference:
 class Comparison:
     """Compares what a replay puts out with what the flight did, in order.
 
-    ``compared`` counts the compared commands. ``difference`` is the first other decision, or None; ``rounded`` counts
-    the commands that differ in last digits only, by ``greatest_rounding`` relative at most: another processor rounds
-    otherwise. Without those, all is the same to the last bit. A flight that was cut off may lack the commands of its
-    last event: those are not held against it.
+    ``difference`` is the first other decision, or None; ``rounded`` counts commands that differ in last digits only,
+    by ``greatest_rounding`` relative at most: another processor rounds otherwise. A flight that was cut off may lack
+    the commands of its last event.
     """
 
     def __init__(self) -> None:
@@ -184,14 +178,12 @@ class Comparison:
         self._expected: deque[object] = deque()
 
     def replayed(self, event: object, outputs: Iterable[object]) -> None:
-        """Take an event, and what it leads to in the replay."""
         if self._expected:
             self.flown(None)
         self._cause = event
         self._expected.extend(outputs)
 
     def flown(self, command: object) -> None:
-        """Take a command of the flight; None: there is none where the replay has one."""
         replayed = self._expected.popleft() if self._expected else None
         self.compared += 1
         same = command is not None and replayed is not None and self._is_same(command, replayed)
@@ -211,7 +203,6 @@ class Comparison:
         return True
 
     def sameness(self) -> str:
-        """Return in words how equal the compared commands are."""
         if not self.rounded:
             return "all the same to the last bit"
         digits = f"{self.rounded} differ in their last digits, by {self.greatest_rounding:.0e} of the value at most"
@@ -221,10 +212,8 @@ class Comparison:
 class JournalReplay(Comparison):
     """Steps a core through the journal of a sidelong run: the recorded events of the flight, in order.
 
-    mission: the complete core, if the journal holds the exchange with the autopilot. Uploads, switches and yields are
-    then compared too. None: only the controller is stepped, with the recorded results of the exchange: its state is
-    the same, in less time.
-    compares: whether to compare at all, which takes a tenth of a replay.
+    mission: the complete core, to compare uploads, switches and yields too. None: the controller alone is stepped,
+    with the recorded results of the exchange: its state is the same. compares: whether to: a tenth of the time.
     """
 
     def __init__(

@@ -1,7 +1,5 @@
 """The judge: how well the target was watched. Flights, replays, reports, the page and studies use this module alone.
 
-Definitions:
-
 - **Band**: the horizontal range is within ``range_min_m`` to ``range_max_m`` of the requirement.
 - **Side**: the aircraft is within 90 degrees of the normal of the target's course, on the required side. The course
   is the one made good over ``requirement.course_horizon_s``, 20 s by default; see
@@ -10,11 +8,8 @@ Definitions:
 - **Observation angle**: from that normal, or from the middle of the sector, to the line from target to aircraft.
 - **Within the pan limits**: the target is no further from the nose than the gimbal pans.
 - **Move**: a departure to another circle. **Reversal**: a move within 10 s of the last one.
-
 - **Unknown**: a moment in which an input was missing or contradicted the others, by the flight's own estimate; and
-  what a moment lasts beyond ``GAP_MAX_S``. It counts neither as in band nor as on side.
-
-A moment counts until the next one.
+  what a moment lasts, until the next, beyond ``GAP_MAX_S``. It counts neither as in band nor as on side.
 """
 
 from __future__ import annotations
@@ -46,12 +41,10 @@ Asked = Sequence[tuple[float, Requirement]]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Aircraft and target at one time, in the plane, with the target's velocity.
+    """Aircraft and target, by its name in a fleet, at one time in the plane.
 
-    Attributes:
-        target: its name in a fleet.
-        known: whether the inputs were complete and consistent; always, where the truth is known.
-        within: whether the aircraft itself was within its envelope; otherwise neither band nor side is fulfilled.
+    known: whether the inputs were sound; always by a truth. within: whether the aircraft was within its envelope;
+    otherwise neither band nor side is fulfilled.
     """
 
     time_s: float
@@ -69,7 +62,6 @@ class Moment:
     def by_estimate(
         east_m: float, north_m: float, estimate: TargetEstimate, target: str, known: bool = True
     ) -> Moment:
-        """Return the moment of an estimate, with the place of the aircraft."""
         target_m = estimate.east_m, estimate.north_m
         velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         return Moment(estimate.time_s, east_m, north_m, *target_m, *velocity_m_s, target, known)
@@ -82,12 +74,10 @@ class Breaches:
         self._since = [(-math.inf, False)]
 
     def note(self, time_s: float, breached: bool) -> None:
-        """Note whether it is, from a time on."""
         if self._since[-1][1] != breached:
             self._since.append((time_s, breached))
 
     def applied(self, moments: Sequence[Moment]) -> Sequence[Moment]:
-        """Return moments, with those marked that were out of the envelope."""
         if len(self._since) == 1:
             return moments
         times_s = [time_s for time_s, _ in self._since]
@@ -97,14 +87,7 @@ class Breaches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Aircraft and one target over time, in the plane.
-
-    Attributes:
-        time_s: ascending, shape (n,).
-        aircraft_m: east and north, shape (n, 2).
-        target_m: east and north, shape (n, 2).
-        target_velocity_m_s: east and north, shape (n, 2).
-    """
+    """Aircraft and one target in the plane, in order of time (n,): east and north, shapes (n, 2)."""
 
     time_s: FloatArray
     aircraft_m: FloatArray
@@ -113,7 +96,6 @@ class Samples:
 
     @staticmethod
     def of(moments: Sequence[Moment]) -> Samples:
-        """Return moments of one target as arrays."""
         names = [field.name for field in fields(Moment)][:7]
         rows = np.array([[getattr(moment, name) for name in names] for moment in moments]).reshape(-1, 7)
         return Samples(rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:7])
@@ -124,7 +106,6 @@ class Judgement:
     """How each moment was: arrays of shape (n,).
 
     Attributes:
-        in_band: whether the range is allowed.
         on_side: whether the side is the required one; True where it is not known.
         on_side_now: the same by the target's present course.
         side_known: whether the target has made good a course.
@@ -141,10 +122,6 @@ class Judgement:
     course_rad: FloatArray
     observation_rad: FloatArray
 
-    def later(self, offset_s: float) -> Judgement:
-        """Return the same with all times later by ``offset_s``."""
-        return replace(self, time_s=self.time_s + offset_s)
-
     def where(self, within: BoolArray) -> Judgement:
         """Return the same with nothing fulfilled outside of the aircraft's envelope; within: shape (n,)."""
         held = (self.in_band, self.on_side, self.on_side_now)
@@ -153,7 +130,6 @@ class Judgement:
 
     @staticmethod
     def joined(parts: Sequence[Judgement]) -> Judgement:
-        """Return several as one, in order of time."""
         whole = [np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Judgement)]
         order = np.argsort(whole[0], kind="stable")
         return Judgement(*(values[order] for values in whole))
@@ -163,12 +139,7 @@ class Judgement:
 class Score:
     """What a flight or a run came to. Fractions are 0..1 of the judged time; None where nothing could be judged.
 
-    Attributes:
-        duration_s: the judged time.
-        time_on_side: fraction of time on the required side, of the time in which the side is known.
-        source: what the target's positions are: the truth, or the estimate of the flight itself.
-        time_unknown: fraction of time in which the flight could not judge itself.
-        time_on_side_now: as ``time_on_side``, by the target's present course.
+    time_on_side: of the time in which the side is known; time_on_side_now: the same by the target's present course.
     """
 
     duration_s: float
@@ -184,7 +155,6 @@ class Score:
 
 
 def judge(samples: Samples, asked: Asked) -> Judgement:
-    """Judge one aircraft and one target at each sample."""
     time_s, velocity_m_s = samples.time_s, samples.target_velocity_m_s
     east_m, north_m = (samples.aircraft_m - samples.target_m).T
     range_m, sight_rad = np.hypot(east_m, north_m), np.arctan2(east_m, north_m)
@@ -219,14 +189,7 @@ def judge_moments(moments: Sequence[Moment], asked: Asked) -> Judgement:
 def within_pan_limits(
     aircraft_m: FloatArray, target_m: FloatArray, heading_rad: FloatArray, limit_rad: float
 ) -> BoolArray:
-    """Return whether the gimbal can look at the target, shape (n,).
-
-    Args:
-        aircraft_m: East and north of the aircraft, shape (n, 2).
-        target_m: The same of the target.
-        heading_rad: Where the nose points, clockwise from north, shape (n,).
-        limit_rad: How far the gimbal pans to each side of the nose.
-    """
+    """Return whether the gimbal can look at the target (n,); places: east and north (n, 2), heading: of the nose."""
     east_m, north_m = (target_m - aircraft_m).T
     return np.asarray(np.abs(_wrapped(np.arctan2(east_m, north_m) - heading_rad)) <= limit_rad)
 

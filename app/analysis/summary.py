@@ -6,7 +6,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -43,8 +43,6 @@ _EYE_M = 1.0  # of the target over its ground
 
 @dataclass(frozen=True, slots=True)
 class InputTime:
-    """How long an input was in a state, and how often it came into it."""
-
     input: Input
     state: InputState
     seconds: float
@@ -52,14 +50,11 @@ class InputTime:
 
 
 class InputTimes:
-    """Notes since when each input is in its state."""
-
     def __init__(self) -> None:
         self._latest: tuple[InputReport, ...] = ()
         self._changes: dict[Input, list[tuple[float, InputState]]] = defaultdict(list)
 
     def note(self, reports: tuple[InputReport, ...]) -> None:
-        """Take the present states of all inputs, as a snapshot has them."""
         if reports is self._latest:  # displays ask at every event
             return
         self._latest = reports
@@ -132,14 +127,12 @@ class Summary:
         return f"{percent(self.time_unknown)} of the time is unknown: inputs were missing or contradictory"
 
     def table(self) -> Table:
-        """Return the summary as a table for the terminal."""
         table = Table(show_header=False, box=None, pad_edge=False)
         for row in self.rows():
             table.add_row(*row)
         return table
 
     def rows(self) -> Iterator[tuple[str, str]]:
-        """Yield names and values as a person reads them."""
         if self.attention:
             yield "attention", self.attention
         yield "outcome", self.outcome
@@ -180,7 +173,6 @@ class Summary:
 
 
 def describe_link(link: dict[str, Any]) -> str:
-    """Return a link's measures in words."""
     loss, round_trip_s = link["loss"], link["round_trip_s"]
     words = [
         "signed" if link["signed"] else "unsigned",
@@ -226,37 +218,25 @@ class SummaryCollector:
             self._asked.append((estimate.time_s, snapshot.requirement))
         place_m = aircraft.east_m, aircraft.north_m
         self._estimated.append(Moment.by_estimate(*place_m, estimate, snapshot.target, not snapshot.unknown))
-        if self.ground is not None:
-            self._look(self.ground, snapshot)
+        target_m = math.nan if self.ground is None else self.ground.height_m(estimate.east_m, estimate.north_m)
+        if self.ground is not None and not math.isnan(target_m):
+            seen = self.ground.sees(
+                (*place_m, snapshot.height_m), (estimate.east_m, estimate.north_m, target_m + _EYE_M)
+            )
+            self._over_ground.append((estimate.time_s, seen, snapshot.height_m - self.ground.height_m(*place_m)))
         if snapshot.pan_limit_rad < math.pi and snapshot.attitude is not None:
-            places = np.array([[aircraft.east_m, aircraft.north_m]]), np.array([[estimate.east_m, estimate.north_m]])
+            places = np.array([place_m]), np.array([[estimate.east_m, estimate.north_m]])
             heading_rad = np.array([snapshot.attitude.yaw_rad])
             (within,) = within_pan_limits(*places, heading_rad, snapshot.pan_limit_rad)
             self._within_pan.append((estimate.time_s, bool(within)))
 
-    def _look(self, ground: Ground, snapshot: Present) -> None:
-        aircraft, target, height_m = snapshot.aircraft, snapshot.estimate, snapshot.height_m
-        assert aircraft is not None
-        assert target is not None
-        target_m = ground.height_m(target.east_m, target.north_m)
-        if not math.isnan(target_m):
-            here = aircraft.east_m, aircraft.north_m, height_m
-            seen = ground.sees(here, (target.east_m, target.north_m, target_m + _EYE_M))
-            self._over_ground.append(
-                (target.time_s, seen, height_m - ground.height_m(aircraft.east_m, aircraft.north_m))
-            )
-
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
-        """Return the share of time since ``start_s`` in which no hill hides the estimated place, and the clearance.
-
-        As :meth:`sidelong.app.analysis.truth.Truth.over_ground` has them; None without elevation data.
-        """
+        """Return as ``Truth.over_ground``, by the estimated place: the share it is not hidden, and the clearance."""
         since = [(seen, clear_m) for time_s, seen, clear_m in self._over_ground if time_s >= start_s]
         clear = [clear_m for _, clear_m in since if not math.isnan(clear_m)]
         return sum(seen for seen, _ in since) / len(since) if since else None, min(clear, default=None)
 
     def time_within_pan_limits(self, start_s: float) -> float | None:
-        """Return the share of time since ``start_s`` in which the gimbal could look at the estimated place."""
         since = [within for time_s, within in self._within_pan if time_s >= start_s]
         return sum(since) / len(since) if since else None
 
@@ -303,7 +283,6 @@ def summarise(
     tracker: Tracker,
     outcome: str,
 ) -> Summary:
-    """Return the summary of a mission that ended at ``snapshot``."""
     result = gatherer.scored(truth, plane, start_s)
     rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
     delays = snapshot.delays
@@ -326,7 +305,6 @@ def summarise(
 
 
 def percent(fraction: float | None) -> str:
-    """Return a share in words."""
     return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
 
 
@@ -372,10 +350,7 @@ class MissionTrack:
 
 @dataclass(frozen=True, slots=True)
 class FlownAircraft:
-    """One aircraft's part: its own summary, what it was judged by, and where it was.
-
-    moments are on its own clock, offset_s added to that is mission time.
-    """
+    """One aircraft's part. moments are on its own clock; offset_s added to that is mission time."""
 
     name: str
     summary: Summary
@@ -386,10 +361,7 @@ class FlownAircraft:
 
 @dataclass(frozen=True, slots=True)
 class AircraftSummary:
-    """What one of them came to. ``summary`` is by the side it was to hold, which the coordinator changes.
-
-    time_on_wanted_side: on the side that the requirement asks for, whichever it was to hold.
-    """
+    """What one came to by the side it was to hold, and on the required side, whichever it was to hold."""
 
     name: str
     summary: Summary
@@ -413,8 +385,8 @@ class TargetSummary:
 class FleetSummary:
     """The keys of a fleet's ``summary.json``. Fractions are 0..1 of the time since all were in the band.
 
-    time_on_side_any, time_in_band_any: by at least one aircraft, the mean over the targets; longest_off_side_any_s:
-    the longest time without, of any target. min_separation_m: in three dimensions, of any two in the air.
+    _any: by at least one aircraft, the mean over the targets; longest_off_side_any_s: of any target.
+    min_separation_m: in three dimensions, of any two in the air.
     """
 
     duration_s: float
@@ -433,14 +405,12 @@ class FleetSummary:
         return plain | {"targets": targets, "aircraft": [one.as_json() for one in self.aircraft]}
 
     def table(self) -> Table:
-        """Return the summary as a table for the terminal, a column for each aircraft."""
         table = Table("", "all", *(one.name for one in self.aircraft), box=None, pad_edge=False)
         for row in self.rows():
             table.add_row(*row)
         return table
 
     def rows(self) -> Iterator[tuple[str, ...]]:
-        """Yield names and values as a person reads them: of all, and of each aircraft."""
         each = [one.summary for one in self.aircraft]
         if any(one.attention for one in each):
             yield ("attention", "", *(one.attention for one in each))
@@ -463,15 +433,9 @@ class FleetSummary:
 
 
 def summarise_fleet(
-    flown: Sequence[FlownAircraft],
-    asked: Mapping[str, Asked],
-    outcome: str,
-    source: Literal["truth", "estimate"],
+    flown: Sequence[FlownAircraft], asked: Mapping[str, Asked], outcome: str, source: Literal["truth", "estimate"]
 ) -> FleetSummary:
-    """Score the aircraft together: the required side is the requirement's, whichever side each aircraft held.
-
-    asked: requirements of each target, in mission time.
-    """
+    """Score the aircraft together, by the required side, whichever each held; asked: of each target, mission time."""
     by_target = [judged_by_target(one.moments, asked, one.offset_s) for one in flown]
     of_all = [Judgement.joined(list(own.values())) for own in by_target]
     judged = [own for own in of_all if own.time_s.size]
@@ -528,16 +492,14 @@ def min_separation_m(tracks: Sequence[MissionTrack]) -> float | None:
 
 
 def judged_by_target(moments: Sequence[Moment], asked: Mapping[str, Asked], offset_s: float) -> dict[str, Judgement]:
-    """Judge one aircraft's moments by what was asked of each target, in mission time: its own with offset_s added.
-
-    A moment without a target's name is of the first one.
-    """
+    """Judge one aircraft's moments, without a name of the first target, by what was asked of each, mission time."""
     first = next(iter(asked))
     judged: dict[str, Judgement] = {}
     for name, own in asked.items():
         own_time = [(since_s - offset_s, requirement) for since_s, requirement in own]
         seen = [one for one in moments if (one.target or first) == name]
-        judged[name] = judge_moments(seen, own_time).later(offset_s)
+        own_judged = judge_moments(seen, own_time)
+        judged[name] = replace(own_judged, time_s=own_judged.time_s + offset_s)
     return judged
 
 

@@ -30,13 +30,11 @@ _VELOCITY_SPAN_S = 1.0  # the file's millimetres are too coarse to difference ne
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Rows in order of time.
+    """Rows in order of the vehicle's clock, n >= 2.
 
     Attributes:
-        time_s: the vehicle's clock, shape (n,), n >= 2.
         positions_deg: target latitude and longitude, aircraft latitude and longitude, shape (4, n).
-        ground: the aircraft's height above ground in metres, and 1 where it sees the target, shape (2, n); NaN where
-            the file has no value.
+        ground: the aircraft's height above ground, m, and 1 where it sees the target, shape (2, n); NaN: no value.
         target: the name of the target that the payload looks at, shape (n,); '' where the file has no value.
     """
 
@@ -72,10 +70,7 @@ class Truth:
         return self.target[np.clip(np.searchsorted(self.time_s, time_s), 0, len(self.time_s) - 1)]
 
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
-        """Return the share of the rows since ``start_s`` that see the target, and the least height over the ground.
-
-        None if no row has a value.
-        """
+        """Return the share of rows since ``start_s`` that see the target, and the least clearance, m; or None."""
         clearance_m, in_sight = self.ground[:, self.time_s >= start_s]
         seen, heights_m = in_sight[np.isfinite(in_sight)], clearance_m[np.isfinite(clearance_m)]
         return float(seen.mean()) if seen.size else None, float(heights_m.min()) if heights_m.size else None
@@ -93,14 +88,7 @@ class Truth:
         return self.at_each([begin_s + number * step_s for number in numbers], plane)
 
     def require_same_flight(self, places: Sequence[tuple[float, float, float]], plane: LocalPlane) -> None:
-        """Check that this is the truth of a flight.
-
-        Args:
-            places: Time, s, and position east and north of the aircraft, m.
-
-        Raises:
-            InputError: The aircraft is elsewhere in it.
-        """
+        """Raise InputError if the aircraft was elsewhere in this truth; places: time, s, and east and north, m."""
         apart_m = [
             math.hypot(true.aircraft_east_m - east_m, true.aircraft_north_m - north_m)
             for time_s, east_m, north_m in places[:: max(len(places) // _COMPARED, 1)]
@@ -119,10 +107,7 @@ class Truth:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a truth file; rows that are cut or no numbers are passed over, further columns as well.
-
-    Raises InputError when it cannot be read, lacks a column or has fewer than two rows.
-    """
+    """Read a truth file; rows that are cut or no numbers are passed over. Raises InputError when it is none."""
     rows: dict[float, list[float]] = {}
     names: dict[float, str] = {}
     try:
@@ -154,15 +139,7 @@ def read_truth(path: Path) -> Truth:
 
 
 def truth_if_whole(path: Path | None, until_s: float, announce: Callable[[str], object]) -> Truth | None:
-    """Return the truth of a run that has ended.
-
-    Args:
-        until_s: When the run ended, by the vehicle's clock.
-        announce: Called with the reason if the truth cannot be used.
-
-    Returns:
-        The truth, None if there is none or it does not cover the run.
-    """
+    """Return the truth of a run that ended at a time of the vehicle's clock, None where it does not cover the run."""
     if path is None or not path.exists():
         return None
     try:

@@ -24,7 +24,7 @@ from sidelong.app.records.log import LogContext, open_log
 from sidelong.app.records.mcap import LAYOUT, McapLog, McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.records.text_file import whole_file
-from sidelong.app.report.sources import FlightRecord, Sink, feed, read_flight
+from sidelong.app.report.history import FlightRecord, Sink, feed, read_flight
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
 

@@ -23,8 +23,7 @@ from sidelong.app.process import interrupt_dropped, run
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay, served
-from sidelong.app.view.panel import Panel
-from sidelong.app.view.prompt import keyboard_descriptor
+from sidelong.app.view.panel import Panel, keyboard_descriptor
 
 _FLIGHTS = 4  # predicted before a launch: 3 s
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."

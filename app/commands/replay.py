@@ -52,7 +52,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, recording
 from sidelong.app.view.address import page_address
-from sidelong.app.view.frames import SPEED_MAX, Frames
+from sidelong.app.view.frames import SPEED_MAX, Frames, serve_replay
 from sidelong.app.view.panel import clock
 from sidelong.app.view.state import StateEncoder
 from sidelong.estimators.frames import LocalPlane
@@ -153,8 +153,6 @@ def replay(
     if settings != flown:
         other = Frames()
         _replay_log(log, settings, None, True, other)
-    from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
-
     serve_replay(frames, other, flown, address, name, view_speed, say, _film(folder))
 
 
@@ -306,7 +304,7 @@ class _WhatIf:
 
     def fly(self, flown: Config, header: Header, judged: _Judged, truth: Truth | None, quiet: bool) -> float:
         """Fly to the end of the recording; return when it left it, on the vehicle's clock."""
-        from sidelong.app.study.what_if import FlownOn, recorded_motion  # noqa: PLC0415  # a replay needs no simulation
+        from sidelong.app.study.closed_loop import FlownOn, recorded_motion  # noqa: PLC0415  # a replay needs no simulation
 
         autopilot, plane, begin = autopilot_by_name(header.autopilot), header.plane, judged.wanted
         if autopilot is None or plane is None or header.home_deg is None:

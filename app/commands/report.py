@@ -53,8 +53,8 @@ def write_report(run: Path, out: Path, truth: Path | None = None, config: Path |
             )
         _write_fleet(FleetFolder(run), out)
         return
+    from sidelong.app.report.history import read_flight  # noqa: PLC0415
     from sidelong.app.report.page import report_page  # noqa: PLC0415  # which takes half a second to load
-    from sidelong.app.report.sources import read_flight  # noqa: PLC0415
 
     with share_progress(f"reading {run.name}") as progress:
         flown = read_flight(run, truth, config, progress, warn=lambda words: warn_of_log(run, words))

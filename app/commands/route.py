@@ -26,7 +26,7 @@ from sidelong.app.commands.output import (
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.records.route_file import RoutePoints, read_route
 from sidelong.app.records.text_file import write_text
-from sidelong.app.report.sources import read_flight
+from sidelong.app.report.history import read_flight
 from sidelong.estimators.compiled import FOLDER
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.route.route import Route, route_of

@@ -38,11 +38,8 @@ from sidelong.app.commands.output import (
 from sidelong.app.config import load_config, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.study.benchmark import Benchmark, benchmark_table
-from sidelong.app.study.design import Design, configured, designs, parsed_sweep
-from sidelong.app.study.fleet import FleetPlannerName
-from sidelong.app.study.fleet_study import fleet_json, fleet_table, fly_fleets
-from sidelong.app.study.measures import EXPLAINED
-from sidelong.app.study.parallel import Workers, on_cluster, on_processes
+from sidelong.app.study.fleet import FleetPlannerName, fleet_json, fleet_table, fly_fleets
+from sidelong.app.study.judging import EXPLAINED
 from sidelong.app.study.recorded import recorded_targets, route_next_to
 from sidelong.app.study.report import (
     export_runs,
@@ -51,6 +48,7 @@ from sidelong.app.study.report import (
     study_table,
     study_title,
     sweep_table,
+    write_page,
 )
 from sidelong.app.study.settings import (
     CONTROLLER,
@@ -59,11 +57,23 @@ from sidelong.app.study.settings import (
     MISSION_PLANNERS,
     PREDICTIVE,
     SHAPING,
+    Design,
     StudySettings,
     StudyTerrain,
+    configured,
+    designs,
+    parsed_sweep,
 )
-from sidelong.app.study.store import ResultStore
-from sidelong.app.study.study import Study, StudyResult, is_compiled, table_of
+from sidelong.app.study.study import (
+    ResultStore,
+    Study,
+    StudyResult,
+    Workers,
+    is_compiled,
+    on_cluster,
+    on_processes,
+    table_of,
+)
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 
@@ -210,12 +220,10 @@ def study(
         with writing(export, "--export"):
             export_runs(results, export)
     if report is not None:
-        from sidelong.app.study import page  # noqa: PLC0415  # few studies want one
-
         again = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
         words = ["sidelong", "study", *(one for own in given.values() for one in own)]
         with writing(report, "--report"):
-            page.write_page(results, shlex.join(words), shlex.join(again), report)
+            write_page(results, shlex.join(words), shlex.join(again), report)
 
 
 def _given(context: typer.Context) -> dict[str, list[str]]:

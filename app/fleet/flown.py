@@ -25,7 +25,7 @@ from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.records.text_file import Progress
 from sidelong.app.report import html
-from sidelong.app.report.sources import FlightRecord, read_flight, read_summary
+from sidelong.app.report.history import FlightRecord, read_flight, read_summary
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, VehicleReported
 from sidelong.mission.viewpoint.side_policy import side_words

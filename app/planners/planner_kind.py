@@ -20,11 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlannerNeeds:
-    """The inputs from which a planner is made.
-
-    winds_m_s: wind speeds to prepare for, in addition to zero. progress: called with the share 0..1 of a computation
-    that takes seconds.
-    """
+    """What a planner is made from; winds_m_s: to prepare for, beyond zero; progress: receives a share 0..1."""
 
     aircraft: Aircraft
     requirement: Requirement
@@ -36,29 +32,26 @@ class PlannerNeeds:
 class PlannerKind(Protocol):
     """One kind of planner. Nothing heavy is imported before ``factory`` and ``is_compiled`` are called."""
 
-    name: str
-    """What ``planner.name`` calls it."""
-    about: str
-    """What it does, in a few words."""
+    name: str  # what ``planner.name`` calls it
+    about: str  # what it does, in a few words
 
     def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
         """Return why it cannot keep the requirement with this aircraft, each with the way out."""
+        return unflyable(aircraft, requirement)
 
     def is_compiled(self) -> bool:
         """Return whether the planner can be made without compilation."""
+        return True
 
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
         """Compute what takes long for ``needs``, and return what makes a planner.
 
-        That takes an aircraft, a requirement and the check of plans. It makes one at once for those of ``needs``,
-        another side, and whatever ``make_ready`` was called for.
+        That makes one at once for those of ``needs``, another side, and whatever ``make_ready`` was called for.
         """
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
-        """Compute what takes long for others than those of the beginning, in another process.
-
-        Raises OSError when that fails.
-        """
+        """Compute what takes long for others than at the beginning, in another process. Raises OSError."""
+        return  # by default nothing takes long
 
 
 @runtime_checkable
@@ -69,7 +62,7 @@ class CompilesInParts(Protocol):
         """Return a planner that decides by made-up tables."""
 
 
-class Paper:
+class Paper(PlannerKind):
     """``PlannerKind`` for :class:`sidelong.mission.paper.planner.PaperPlanner`."""
 
     name = "paper"
@@ -78,9 +71,6 @@ class Paper:
     def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
         return infeasible(aircraft, requirement, largest_psi_c_rad(aircraft, requirement))
 
-    def is_compiled(self) -> bool:
-        return True
-
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
         import_module("scipy.special")  # where it is not installed, refuse before the flight
 
@@ -88,61 +78,31 @@ class Paper:
 
         return lambda aircraft, wanted, _check: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
 
-    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
-        pass  # it computes as it goes
 
+class PlainKind(PlannerKind):
+    """``PlannerKind`` for a class with ``decide`` of another distribution, which computes nothing ahead."""
 
-@dataclass(frozen=True, slots=True)
-class PlainKind:
-    """``PlannerKind`` for a class with ``decide`` of another distribution, which computes nothing ahead.
-
-    Attributes:
-        name: What the entry point is called.
-        make: The class.
-    """
-
-    name: str
-    make: Callable[[Aircraft, Requirement], Planner]
-
-    @property
-    def about(self) -> str:
-        """The first line of the class's description."""
-        return (self.make.__doc__ or "of another distribution").strip().splitlines()[0]
-
-    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
-        return unflyable(aircraft, requirement)
-
-    def is_compiled(self) -> bool:
-        return True
+    def __init__(self, name: str, make: Callable[[Aircraft, Requirement], Planner]) -> None:
+        self.name, self.make = name, make
+        self.about = (make.__doc__ or "of another distribution").strip().splitlines()[0]
 
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
         self.make(needs.aircraft, needs.requirement)  # refused here, not in flight
         return lambda aircraft, wanted, _check: self.make(aircraft, wanted)
 
-    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
-        pass  # it computes as it goes
-
 
 def kind_of(name: str, loaded: Any) -> Any:
-    """Return the kind of planner of an entry point.
-
-    Args:
-        name: The entry point's.
-        loaded: A class with ``decide``, or a ``PlannerKind`` or a class of one.
-    """
+    """Return the kind of an entry point: a class with ``decide``, a ``PlannerKind``, or a class of one."""
     if not isinstance(loaded, type):
         return loaded
     return PlainKind(name, loaded) if hasattr(loaded, "decide") else loaded()
 
 
-class Predictive:
+class Predictive(PlannerKind):
     """``PlannerKind`` for :class:`sidelong.mission.predictive.planner.PredictivePlanner`."""
 
     name = "predictive"
     about = "decides every second by looking ahead"
-
-    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
-        return unflyable(aircraft, requirement)
 
     def is_compiled(self) -> bool:
         from sidelong.mission.predictive.decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
@@ -162,7 +122,6 @@ class Predictive:
         return self.finished(PredictivePlanner(aircraft, requirement, table, self.settings()))
 
     def settings(self) -> PredictiveSettings:
-        """Return how it plans, but for what the configuration sets."""
         from sidelong.mission.predictive.planner import USUAL  # noqa: PLC0415  # see PlannerKind
 
         return USUAL

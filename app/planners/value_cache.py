@@ -1,7 +1,6 @@
 """Value tables on disk: computed once per configuration, then read in milliseconds.
 
-A file is the SHA-256 of key and values, then the values as little-endian 32-bit floats. Any other
-content is computed again, as a damaged table would go unnoticed.
+A file is the SHA-256 of key and values, then these as little-endian 32-bit floats; any other is computed again.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from sidelong.mission.predictive.value_table import Float32, TableConfiguration,
 
 _REMEMBERED_MAX = 8
 _IN_PARALLEL_WITHIN_S, _NICER = 120.0, 10
-DIRECTORY = FOLDER.parent
-"""Where tables are kept: next to the machine code."""
+DIRECTORY = FOLDER.parent  # where tables are kept: next to the machine code
 
 _remembered: dict[TableConfiguration, ValueTable] = {}  # by this process
 _STORED = np.dtype("<f4")
@@ -37,10 +35,7 @@ def value_table(
     progress: Callable[[float], None] = lambda _share: None,
     directory: Path | None = None,
 ) -> ValueTable:
-    """Return the table from its file; compute and store it when there is none or it is not whole.
-
-    progress is called with the share 0..1 of the computation. A directory that cannot be written costs only time.
-    """
+    """Return the table from its file; compute and store it if there is none or it is not whole, with a share 0..1."""
     if configuration in _remembered:
         return _remembered[configuration]
     file = (directory or DIRECTORY) / f"value-{configuration.key()}.table"
@@ -53,10 +48,7 @@ def value_table(
 
 
 async def have_at_hand(configurations: Iterable[TableConfiguration]) -> None:
-    """Have tables ready in this process without its doing: another one reads or computes them.
-
-    Raises OSError when that fails.
-    """
+    """Have tables ready in this process: another one reads or computes them. Raises OSError when that fails."""
     for configuration in configurations:
         if configuration not in _remembered:
             table = await _made_in_parallel(configuration)
@@ -124,7 +116,6 @@ def _store(file: Path, table: ValueTable) -> None:
 
 
 def _serve() -> None:
-    """Give the table of the configuration that comes in."""
     os.nice(_NICER)  # a flight has the processor first
     sys.stdout.buffer.write(pickle.dumps(value_table(pickle.loads(sys.stdin.buffer.read()))))
 

@@ -1,21 +1,34 @@
-"""A flight as arrays and lists: what the figures and tables of a report are made of.
+"""A flight as arrays and lists, read from a run folder or a log: what a report is made of.
 
-The journal holds what the vehicle reported and what was commanded, not the estimates: the same readings go through
-the same tracker again and give the same estimates. A log of another system's flight has no commands.
+A journal has no estimates: the same readings go through the same tracker again. A foreign log has no commands.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from sidelong.app.analysis.score import Breaches, Judgement, Moment, judge_moments
-from sidelong.app.analysis.truth import Truth
+from sidelong.app.analysis.replay import require_sightings
+from sidelong.app.analysis.score import Breaches, Judgement, Moment, from_band, judge_moments, score
+from sidelong.app.analysis.summary import Summary
+from sidelong.app.analysis.truth import Truth, read_truth
+from sidelong.app.assembly import fence_outlines, ground_of, tracker_of
+from sidelong.app.config import Config, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.log import LogContext, RecordedLog, open_log
+from sidelong.app.records.run_folder import RunFolder, recording
 from sidelong.app.records.sensing import Sensing
+from sidelong.app.records.text_file import Progress, unseen
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading
@@ -51,13 +64,11 @@ _MOVES = "moving"  # how the reason of a decision to move begins
 
 
 def clock(time_s: float) -> str:
-    """Return a time as minutes:seconds."""
     whole_s = round(max(time_s, 0.0))
     return f"{whole_s // 60}:{whole_s % 60:02d}"
 
 
-Outline = tuple[tuple[float, float], ...]
-"""Corners (east, north), m."""
+Outline = tuple[tuple[float, float], ...]  # corners (east, north), m
 
 _AIRCRAFT_STEP_S = 0.2
 _CURVATURE_SPAN_S = 1.0
@@ -89,8 +100,6 @@ class ReportedChange:
 
 @dataclass(frozen=True, slots=True)
 class FlightRequirements:
-    """What the flight was asked to keep, and with which aircraft."""
-
     requirement: Requirement
     airframe: Aircraft
     keep_in: tuple[Outline, ...] = ()
@@ -100,12 +109,10 @@ class FlightRequirements:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightHistory:
-    """A flight or a replayed log. Times are the vehicle's; ``start_s`` is when watching began.
+    """A flight or a replayed log, by the vehicle's clock; ``start_s`` is when watching began.
 
-    moments: aircraft and target together, by the truth where there is one, by the estimates else.
-    requirements: (since, requirement), from -inf on: a person may change it. targets: of each estimate its target's
-    name, '' where there is no fleet. route: expected of the target; progress: (time, progress along it), each second.
-    wind: as last reported.
+    moments: by the truth where there is one, else by the estimates. requirements: (since, requirement), from -inf on.
+    targets: of each estimate its target's name, '' without a fleet. progress: (time, progress on the route).
     """
 
     asked: FlightRequirements
@@ -133,7 +140,6 @@ class FlightHistory:
 
     @property
     def moves(self) -> tuple[Announce, ...]:
-        """The announced decisions to move the circle."""
         return tuple(one for one in self.announced if one.kind == "decision" and one.text.startswith(_MOVES))
 
     @property
@@ -171,7 +177,6 @@ class HistoryBuilder:
         self._wind: WindReported | None = None
 
     def event(self, event: Event) -> None:
-        """Take an event."""
         admitted, outcomes = self._sensing.take(event)
         self.sightings += outcomes
         match admitted:
@@ -193,7 +198,6 @@ class HistoryBuilder:
                 self._wishes.append(admitted)
 
     def command(self, command: StepOutput) -> None:
-        """Take a command."""
         match command:
             case UploadPlan():
                 self._changes[command.number] = ReportedChange(command.plan, command.time_s)
@@ -318,10 +322,7 @@ def curvature_per_m(aircraft: AircraftTrack) -> tuple[FloatArray, FloatArray]:
 
 
 class EstimateErrors(NamedTuple):
-    """Arrays of shape (n,). radius95_m is the long half axis of the 95 % ellipse.
-
-    nees: normalised error squared, chi-square with two degrees of freedom where the estimate is consistent.
-    """
+    """Arrays of shape (n,). radius95_m: long half axis of the 95 % ellipse; nees: chi-square (2) if consistent."""
 
     time_s: FloatArray
     error_m: FloatArray
@@ -342,3 +343,165 @@ def estimate_errors(history: FlightHistory) -> EstimateErrors | None:
         nees = float(miss_m @ np.linalg.solve(one.covariance[:2, :2], miss_m))
         rows.append((one.time_s, math.hypot(*miss_m), one.ellipse_95.semi_major_m, nees))
     return EstimateErrors(*np.array(rows).T) if rows else None
+
+
+_SUMMARY = TypeAdapter(Summary)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightRecord:
+    name: str
+    program: str
+    config: Config
+    history: FlightHistory
+    summary: Summary
+    damaged_lines: int = 0
+    context: LogContext | None = None  # what else a log contains; a run folder has its own
+
+
+def read_flight(
+    path: Path,
+    truth: Path | None = None,
+    config: Path | None = None,
+    progress: Progress = unseen,
+    *,
+    target_needed: bool = True,
+    warn: Callable[[str], object] = lambda _words: None,
+) -> FlightRecord:
+    """Read a run folder or a log; ``truth`` and ``config`` take the place of what a run folder has itself.
+
+    ``warn`` receives what keeps a log from being that of one fixed wing's flight, '' if nothing does.
+    Raises InputError for what is neither, or holds no flight, or no sighting of a target where one is needed.
+    """
+    path = recording(path)
+    if path.is_dir():
+        return _run(RunFolder.open(path), truth, config, progress)
+    return _log(path, truth, config, progress, target_needed, warn)
+
+
+class Sink(Protocol):
+    """What a flight's events and commands can be fed to, in order."""
+
+    def event(self, event: Event) -> None: ...
+
+    def command(self, command: StepOutput) -> None: ...
+
+
+def feed(path: Path, sink: Sink, progress: Progress = unseen) -> None:
+    """Feed a run folder or a log that ``read_flight`` has read to something else. Raises InputError."""
+    if path.is_dir():
+        _feed_journal(JournalReader(RunFolder(path).journal, JOURNAL_TYPES, progress), sink)
+    else:
+        _feed_log(open_log(path), Telemetry(), sink, progress)
+
+
+def _feed_journal(journal: JournalReader, sink: Sink) -> None:
+    for record in journal:
+        if isinstance(record, StepOutput):
+            sink.command(record)
+        else:
+            sink.event(record)
+
+
+def _feed_log(log: RecordedLog, telemetry: Telemetry, sink: Sink, progress: Progress = unseen) -> None:
+    for message in log.messages(telemetry.wanted, progress):
+        event = telemetry.event(message)
+        if event is not None:
+            sink.event(event)
+
+
+def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress) -> FlightRecord:
+    reader = JournalReader(folder.journal, JOURNAL_TYPES, progress)
+    if reader.header.plane is None:
+        raise InputError(f"{folder.path} holds no flight: it ended before the vehicle's position was known.")
+    settings = load_config(config) if config is not None else journalled_config(reader)
+    builder = HistoryBuilder(tracker_of(settings))
+    _feed_journal(reader, builder)
+    if truth is None and folder.truth.exists():
+        truth = folder.truth
+    history = _built(builder, settings, folder.path, reader.header.plane, truth, reader.header.home_deg)
+    truncated = folder.truncated()
+    if truncated:  # what there is of it is worth having
+        end_s = history.positions[-1].time_s - history.start_s
+        result = summary_of(history, f"the record ends early, at {end_s:.0f} s: {truncated}")
+    else:
+        result = read_summary(folder.read_summary(), str(folder.summary))
+    name = folder.path.resolve().name
+    return FlightRecord(name, reader.header.program, settings, history, result, reader.damaged_lines)
+
+
+def _log(
+    path: Path,
+    truth: Path | None,
+    config: Path | None,
+    progress: Progress,
+    target_needed: bool,
+    warn: Callable[[str], object],
+) -> FlightRecord:
+    settings = load_config(config)
+    telemetry = Telemetry()
+    tracker = tracker_of(settings)
+    builder = HistoryBuilder(tracker)
+    log = open_log(path)
+    _feed_log(log, telemetry, builder, progress)
+    context = log.context()
+    warn(context.warning)
+    if target_needed:
+        require_sightings(tracker, telemetry, log)
+    history = _built(builder, settings, path, telemetry.plane, truth)
+    program, result = context.firmware or context.autopilot.name, summary_of(history, "recorded log")
+    return FlightRecord(path.name, program, settings, history, result, context=context)
+
+
+def _built(
+    builder: HistoryBuilder,
+    config: Config,
+    path: Path,
+    plane: LocalPlane | None,
+    truth: Path | None,
+    home_deg: tuple[float, float] | None = None,
+) -> FlightHistory:
+    if plane is None or len(builder.positions) < 2:
+        raise InputError(f"{path} holds no flight: it contains fewer than two positions of the vehicle.")
+    ground = None
+    with suppress(InputError):  # its data are not at hand any more
+        ground = ground_of(config, plane, home_deg)
+    keep_in, keep_out = (tuple(map(tuple, outlines)) for outlines in fence_outlines(config, plane))
+    requirement, airframe = config.requirement.requirement(), config.aircraft.aircraft()
+    wanted = FlightRequirements(requirement, airframe, keep_in, keep_out, ground)
+    true = None if truth is None else read_truth(truth)
+    if true is not None:
+        true.require_same_flight([(one.time_s, one.east_m, one.north_m) for one in builder.positions], plane)
+    return builder.build(wanted, plane, true)
+
+
+def summary_of(history: FlightHistory, outcome: str) -> Summary:
+    """Return the summary of a flight that left none: it was cut off, or it is another system's log."""
+    asked, changes = history.requirements, history.plan_changes
+    moments = from_band(history.moments, asked)
+    judged = judge_moments(moments, asked)
+    departures_s = [change.departed_s for change in changes if change.departed_s is not None]
+    errors = estimate_errors(history)
+    if history.judged_by_truth:
+        scored = score(judged, "truth", departures_s)
+    else:
+        known = np.array([one.known for one in moments], dtype=bool)
+        scored = score(judged, "estimate", departures_s, history.end_s, known)
+    return Summary(
+        **asdict(scored),
+        uploads=len(changes),
+        upload_failures=sum(bool(change.failed) for change in changes),
+        sightings=len(history.sightings),
+        rejected=sum(not outcome.accepted for outcome in history.sightings),
+        estimate_rmse_m=None if errors is None else float(np.sqrt(np.mean(np.square(errors.error_m)))),
+        outcome=outcome,
+    )
+
+
+def read_summary(values: dict[str, Any], name: str) -> Summary:
+    """Return the summary that a run wrote, without what later programs add. Raises InputError by ``name``."""
+    try:
+        return _SUMMARY.validate_python(values, strict=False)
+    except ValidationError as error:
+        field = ".".join(map(str, error.errors()[0]["loc"]))
+        raise InputError(f"{name}: its {field} is missing or wrong; delete it to have it written again.") from error

@@ -17,8 +17,7 @@ _POINTS_MAX = 6000  # of one line
 _LONG, _TILE_CHARACTERS = ' class="long"', 24
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
-Mark = dict[str, Any]
-"""Lines, bands and the like; the head of ``charts.js`` describes each kind."""
+Mark = dict[str, Any]  # lines, bands and the like; the head of ``charts.js`` describes each kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +58,10 @@ def mark(kind: str, of: str, label: str = "", **values: Any) -> Mark:
     return {"kind": kind, "of": of, "label": label, **plain}
 
 
-def line(x: ArrayLike, y: ArrayLike, of: str, label: str = "", **more: Any) -> Mark:
-    return mark("line", of, label, x=np.asarray(x), y=np.asarray(y), **more)
+def line(points: Iterable[ArrayLike], of: str, label: str = "", **more: Any) -> Mark:
+    """Return a line; points: x and y, each of shape (n,)."""
+    x, y = map(np.asarray, points)
+    return mark("line", of, label, x=x, y=y, **more)
 
 
 def _plain(values: np.ndarray) -> list[Any]:
@@ -72,7 +73,6 @@ def _plain(values: np.ndarray) -> list[Any]:
 
 
 def document(title: str, body: str) -> str:
-    """Return the page."""
     style = (files("sidelong.app.report") / "report.css").read_text(encoding="utf-8")
     charts = (files("sidelong.app.view") / "page" / "charts.js").read_text(encoding="utf-8")
     return f"""<!doctype html>
@@ -99,7 +99,6 @@ for (const figure of document.querySelectorAll("figure"))
 
 
 def tiles(results: Iterable[tuple[str, str]]) -> str:
-    """Return names and values side by side."""
     tiles = "".join(
         f"<div{_LONG if len(value) > _TILE_CHARACTERS else ''}><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
         for name, value in results
@@ -108,10 +107,7 @@ def tiles(results: Iterable[tuple[str, str]]) -> str:
 
 
 def table(headings: Iterable[str], rows: Iterable[Iterable[str]], about: str) -> str:
-    """Return a table of plain words, scrolled also by keys if it is too wide; ``about`` states its content.
-
-    Headings that are keys of a configuration may break at their dots.
-    """
+    """Return a table of plain words, scrolled also by keys if it is too wide; keys break at their dots."""
     head = "".join(f"<th>{escape(heading).replace('.', '.<wbr>')}</th>" for heading in headings)
     head = f"<tr>{head}</tr>" if head else ""
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)

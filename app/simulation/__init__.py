@@ -1,5 +1,1 @@
-"""The product in a closed loop without sockets: decoding, input checks, control step, exchange and a vehicle.
-
-All run in one process on a fake clock. The vehicle is kinematic (fast); tests also fly that of
-:mod:`sidelong.sitl`, frame by frame.
-"""
+"""The product in a closed loop without sockets, on a fake clock: decoding, checks, control step and exchange."""

@@ -1,8 +1,7 @@
 """A vehicle of :mod:`sidelong.sitl` in a closed loop: its modes, missions and guidance, without bytes and streams.
 
 Readings are handed over decoded and status as messages, at fixed rates; only what the exchange sends passes as
-frames. The vehicle flies by the simulator's own guidance (:mod:`sidelong.sitl.arduplane`, :mod:`sidelong.sitl.px4`),
-not by the model with which the way points are laid out.
+frames. It flies by the simulator's own guidance, not by the model with which the way points are laid out.
 """
 
 from __future__ import annotations
@@ -15,8 +14,7 @@ from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import AircraftSection
 from sidelong.app.link.frames import Decoder
 from sidelong.app.link.message import Message
-from sidelong.app.simulation.payload import Payload
-from sidelong.app.simulation.target import STEP_S, Target
+from sidelong.app.simulation.target import STEP_S, Payload, Target
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
 from sidelong.mission.core.circle import Circle
@@ -50,21 +48,12 @@ class Rates:
     mission_current_hz: int = 1
 
 
-LIVE_RATES = Rates(20, 10, 20, 10, 10, 1, 5)
-"""As a flight asks for them over a fast link."""
+LIVE_RATES = Rates(20, 10, 20, 10, 10, 1, 5)  # as a flight asks for them over a fast link
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What the aircraft can do; the turn of a bank is coordinated.
-
-    Attributes:
-        airspeed_m_s: true airspeed at the height of home.
-        bank_max_rad: of the autopilot's guidance.
-        roll_rate_max_rad_s: of the bank.
-        lag_s: time constant of the bank towards its command, within the roll rate.
-        climb_m_s, descent_m_s: greatest rates.
-    """
+    """What the aircraft can do, at the true airspeed at home's height; lag_s: time constant of the bank."""
 
     airspeed_m_s: float
     bank_max_rad: float = math.radians(45.0)
@@ -75,14 +64,12 @@ class Body:
 
     @staticmethod
     def configured(own: AircraftSection, lag_s: float) -> Body:
-        """Return that of a configuration."""
         limits = own.aircraft()
         bank_rad, roll_rad_s = limits.bank_max_rad, limits.roll_rate_max_rad_s
         return Body(own.airspeed_m_s, bank_rad, roll_rad_s, lag_s, own.climb_m_s, own.descent_m_s)
 
     @property
     def build(self) -> airframe.AirframeParameters:
-        """The same as the simulator's airframe takes it."""
         return airframe.AirframeParameters(
             roll_time_constant_s=max(self.lag_s, STEP_S),  # shorter than a step: within it
             roll_rate_max_rad_s=self.roll_rate_max_rad_s,
@@ -105,16 +92,7 @@ def put_in_flight(craft: airframe.SimulatedAirframe, state: AircraftState, heigh
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where and how a flight begins: circling already, with that circle as its mission.
-
-    Attributes:
-        plane: of all positions; its origin is home.
-        home: where heights count from.
-        circle: flown at the start.
-        height_m: above home.
-        state: where on the circle.
-        boot_s: the vehicle's clock at the start.
-    """
+    """How a flight begins: circling, with that circle as its mission. boot_s: the vehicle's clock then."""
 
     plane: LocalPlane
     home: Home
@@ -125,20 +103,10 @@ class Start:
 
 
 class KinematicVehicle:
-    """One vehicle of an autopilot's kind, with its payload and the target that this looks at.
-
-    Args:
-        autopilot: whose missions, modes and guidance it has.
-        body: what its airframe can do.
-        wind: that blows, and that it reports.
-        start: how the flight begins.
-        payload: what it carries, None: nothing.
-        target: what the payload looks at.
-        rates: how often it sends.
+    """One vehicle of an autopilot's kind, with its payload, if any, and the target that this looks at.
 
     Attributes:
         time_s: since the start of the simulation.
-        simulated: the simulator's vehicle.
         flown: called after each step of the airframe.
         seen_at_m: returns the height of the target's ground above home, from the aircraft's place (east, north,
             height) and the target's (east, north); None where the ground hides it. None: flat ground.
@@ -211,17 +179,14 @@ class KinematicVehicle:
 
     @property
     def tick_s(self) -> float:
-        """Time between two ticks."""
         return 1.0 / self._rates.tick_hz
 
     @property
     def mode(self) -> str:
-        """The name of the flight mode."""
         return self._autopilot.mode_name(self.simulated.base_mode, self.simulated.mode)
 
     @property
     def state(self) -> AircraftState:
-        """Where the aircraft is, as planners see it."""
         craft = self.craft
         speed_m_s = craft.ground_speed_m_s
         curvature_per_m = craft.yaw_rate_rad_s / max(speed_m_s, 1.0)
@@ -232,7 +197,6 @@ class KinematicVehicle:
         self.simulated.set_mode(self.simulated.taken_over_mode)
 
     def advance(self, to_s: float) -> None:
-        """Fly until a time, and send what is due on the way."""
         simulated, boot_s = self.simulated, self._start.boot_s
         while self.time_s < to_s - 1e-6:
             self._send_due()
@@ -245,7 +209,6 @@ class KinematicVehicle:
                 self.flown()
 
     def take(self) -> list[Message | Reading]:
-        """Return what was sent since the last call."""
         if self.simulated.radio.outbox:
             self._take_answers()
         taken, self._sent = self._sent, []
@@ -256,7 +219,6 @@ class KinematicVehicle:
         return (packet,)
 
     def receive(self, frame: bytes) -> None:
-        """Take a frame of the ground's."""
         for message in self._station.parser.parse_buffer(frame) or ():
             self.simulated.handle(self._station, message)
         self._take_answers()
@@ -270,21 +232,18 @@ class KinematicVehicle:
 
     @property
     def boot_ms(self) -> int:
-        """The vehicle's clock."""
         return round((self._start.boot_s + self.time_s) * 1000.0)
 
     def _say(self, name: str, **fields: object) -> None:
         self._sent.append(Message(name, self.system_id, _AUTOPILOT, fields, 0.0))
 
     def position(self, boot_ms: int) -> Message | Reading:
-        """Return the report of the position."""
         craft = self.craft
         place_m = craft.east_m, craft.north_m, craft.height_m
         velocity_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s, craft.climb_m_s
         return PositionReading(1e-3 * boot_ms, *place_m, *velocity_m_s, self._start.home.altitude_m)
 
     def attitude(self, boot_ms: int) -> Message | Reading:
-        """Return the report of the attitude."""
         craft, yaw_rad = self.craft, math.remainder(self.craft.heading_rad, math.tau)
         return AttitudeReading(1e-3 * boot_ms, craft.roll_rad, craft.pitch_rad, yaw_rad)
 

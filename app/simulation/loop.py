@@ -53,15 +53,7 @@ class SimulatedVehicle(Protocol[P]):
 
 
 class ClosedLoop(Generic[P]):
-    """One flight: :meth:`start`, then :meth:`step` or :meth:`run`.
-
-    Args:
-        simulated: the vehicle, and what it carries.
-
-    Attributes:
-        core: what flies, None before :meth:`start`.
-        listeners: called with each event and the outputs that it led to.
-    """
+    """One flight: :meth:`start`, then :meth:`step` or :meth:`run`; listeners get each event with its outputs."""
 
     def __init__(self, simulated: SimulatedVehicle[P]) -> None:
         self.simulated = simulated
@@ -80,14 +72,9 @@ class ClosedLoop(Generic[P]):
         return self.simulated.time_s - self._start_s
 
     def start(self, make_core: Callable[[LocalPlane], MissionController], flying_mode: str = "") -> None:
-        """Wait until position and mode are known, and take the aircraft over.
+        """Wait until position and mode are known, and take over the aircraft, which flies in a mode or stands ('').
 
-        Args:
-            make_core: makes the core for the plane that the first position sets.
-            flying_mode: the mode in which it flies already; empty: it stands on the ground.
-
-        Raises:
-            TimeoutError: the vehicle sends neither position nor heartbeat.
+        Raises TimeoutError: the vehicle sends neither position nor heartbeat.
         """
         self.connect()
         assert self.telemetry.plane is not None
@@ -102,18 +89,12 @@ class ClosedLoop(Generic[P]):
             self.step()
 
     def take_over(self, flying_mode: str = "", round_trip_s: float = 0.0) -> None:
-        """Ask the core to bring the aircraft onto a circle.
-
-        Args:
-            flying_mode: the mode in which it flies already; empty: it stands on the ground.
-            round_trip_s: of the link, as far as it is known.
-        """
+        """Ask the core to bring the aircraft onto a circle; flying_mode: '' on the ground."""
         flying = bool(flying_mode)
         request = TakeoverRequested(self.telemetry.now_s, self.link_s, flying, flying_mode, round_trip_s=round_trip_s)
         self.put(request)
 
     def run(self, duration_s: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Fly for a time of the vehicle's clock or until something holds; return whether it does."""
         end_s = self.simulated.time_s + duration_s - 1e-6
         while self.simulated.time_s < end_s:
             self.step()
@@ -122,7 +103,6 @@ class ClosedLoop(Generic[P]):
         return False
 
     def step(self) -> None:
-        """Move the clock by one tick, and hand over all that is due."""
         simulated = self.simulated
         if self._sent:
             sent, self._sent = self._sent, []
@@ -139,11 +119,9 @@ class ClosedLoop(Generic[P]):
         self.expire()
 
     def arriving(self) -> Iterable[P]:
-        """Return what has come through from the vehicle."""
         return self.simulated.take()
 
     def on_message(self, message: Message | Reading) -> None:
-        """Take a message or reading that has arrived."""
         event: InboundEvent | None
         if isinstance(message, Message):
             self.vehicle.take(message)
@@ -161,7 +139,6 @@ class ClosedLoop(Generic[P]):
             self.put(event)
 
     def expire(self) -> None:
-        """Fire the timers that the core asked for."""
         core, link_s = self.core, self.link_s
         for _ in range(_TIMERS_MAX):
             if core is None or core.next_timer_s > link_s:
@@ -169,7 +146,6 @@ class ClosedLoop(Generic[P]):
             self.put(TimerExpired(self.telemetry.now_s, link_s))
 
     def put(self, event: InboundEvent) -> tuple[Output, ...]:
-        """Step the core with an event, and send what it wants sent."""
         assert self.core is not None
         outputs = self.core.step(event)
         for output in outputs:
@@ -180,9 +156,7 @@ class ClosedLoop(Generic[P]):
         return outputs
 
     def send(self, message: SendMessage) -> None:
-        """Send one of the core's messages."""
         self.transmit(self._packer.frame(message.name, message.fields, self.simulated.system_id))
 
     def transmit(self, frame: bytes) -> None:
-        """Hand the vehicle a frame in the next step."""
         self._sent.append(frame)

@@ -1,4 +1,4 @@
-"""The random target of the studies: straight legs, sudden turns, stops."""
+"""The random target of the studies (straight legs, sudden turns, stops), and the noisy payload that looks at one."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.readings import GimbalReading, RangeReading, Reading, Source
 from sidelong.mission.core.path import FloatArray
 
-STEP_S = 0.1
-"""Of the guidance and of the airframe."""
+STEP_S = 0.1  # of the guidance and of the airframe
 
 # The heading change at each new leg, and its chance.
 _TURNS_DEG = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
@@ -33,17 +35,12 @@ class TargetTruth:
 
 
 class Target(Protocol):
-    """A target with precomputed motion."""
-
     def at(self, time_s: float) -> TargetTruth:
         """Return the truth at a time from 0 to the end of the motion."""
 
 
 class RandomTarget:
-    """Legs of random length; at each one speed 0, uniform or greatest, with equal chances, and a random turn.
-
-    It starts at the origin.
-    """
+    """Legs of random length; at each one speed 0, uniform or greatest, with equal chances, and a random turn."""
 
     def __init__(
         self, rng: np.random.Generator, duration_s: float, speed_max_m_s: float, legs_s: tuple[float, float]
@@ -73,5 +70,61 @@ class RandomTarget:
         return np.stack([legs[:, 1] + legs[:, 3] * gone_s, legs[:, 2] + legs[:, 4] * gone_s, *legs[:, 3:].T], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
-        """See :class:`Target`."""
         return TargetTruth(*self.sampled(np.array([time_s]))[0].tolist())
+
+
+PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
+RANGE_MIN_M, RANGE_MAX_M = 1.0, 655.35  # as a DISTANCE_SENSOR of one metre and more states them
+_GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", PAYLOAD_COMPONENT)
+_LASER = Source("DISTANCE_SENSOR", PAYLOAD_COMPONENT, 1, 100)  # of custom orientation
+_QUALITY = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadErrors:
+    """Sigmas of slant range, and of yaw and pitch; a constant yaw error; how far the gimbal pans from the nose."""
+
+    range_sigma_m: float = 0.8
+    angle_sigma_rad: float = math.radians(0.35)
+    yaw_bias_rad: float = math.radians(0.4)
+    pan_limit_rad: float = math.pi
+
+
+class Payload:
+    def __init__(self, errors: PayloadErrors, rng: np.random.Generator) -> None:
+        self._errors, self._rng = errors, rng
+
+    def measure(
+        self,
+        time_s: float,
+        boot_ms: int,
+        east_m: float,
+        north_m: float,
+        up_m: float,
+        *,
+        heading_rad: float = 0.0,
+        with_range: bool = True,
+    ) -> list[Reading]:
+        """Return the readings of one moment, of a target that far from the aircraft (up_m: negative below)."""
+        errors, level_m = self._errors, math.hypot(east_m, north_m)
+        range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()
+        yaw_rad = math.atan2(east_m, north_m) + errors.yaw_bias_rad + errors.angle_sigma_rad * yaw_noise
+        pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
+        pan_rad = wrap_rad(yaw_rad - heading_rad)
+        if abs(pan_rad) > errors.pan_limit_rad:  # the gimbal waits at its stop
+            return [self.gimbal(boot_ms, heading_rad + math.copysign(errors.pan_limit_rad, pan_rad), pitch_rad)]
+        range_m = math.hypot(east_m, north_m, up_m) + errors.range_sigma_m * range_noise
+        return self.readings(time_s, boot_ms, yaw_rad, pitch_rad, range_m if with_range else None)
+
+    def readings(
+        self, _time_s: float, boot_ms: int, yaw_rad: float, pitch_rad: float, range_m: float | None
+    ) -> list[Reading]:
+        """Return measured angles and, in the laser's reach, a measured range."""
+        gimbal = self.gimbal(boot_ms, yaw_rad, pitch_rad)
+        if range_m is None or not RANGE_MIN_M <= range_m <= RANGE_MAX_M:
+            return [gimbal]
+        stamp_s, level = boot_ms * 1e-3, (1.0, 0.0, 0.0, 0.0)
+        return [gimbal, RangeReading(stamp_s, range_m, _LASER, None, _QUALITY, RANGE_MIN_M, RANGE_MAX_M, level)]
+
+    def gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Reading:
+        return GimbalReading(boot_ms * 1e-3, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", _GIMBAL)

@@ -1,5 +1,1 @@
-"""Planners compared over many random targets, without MAVLink: ``sidelong study``.
-
-One run is a truth target, a kinematic aircraft, noisy sensors, the real filter and the real planner; a study is many
-runs for each planner, over the same targets and the same noise.
-"""
+"""Planners compared over many targets with the same noise: ``sidelong study``."""

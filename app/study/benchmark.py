@@ -15,25 +15,14 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from sidelong.app.study.design import Design
-from sidelong.app.study.fleet import FleetPlannerName, FleetResult
-from sidelong.app.study.fleet_study import fly_fleets, values_of
-from sidelong.app.study.measures import BAND, LEAST, MOVES, REVERSALS, SIDE, decision_ms
-from sidelong.app.study.parallel import on_processes
+from sidelong.app.study.fleet import FleetPlannerName, FleetResult, fly_fleets, values_of
+from sidelong.app.study.judging import BAND, LEAST, MOVES, REVERSALS, SIDE, decision_ms
 from sidelong.app.study.recorded import RecordedTarget, own_route, recorded_targets, route_next_to
 from sidelong.app.study.report import right_aligned
-from sidelong.app.study.settings import (
-    CONTROLLER,
-    OWN_PLANNERS,
-    PREDICTIVE,
-    StudySettings,
-    studied,
-)
-from sidelong.app.study.store import ResultStore, code_version
-from sidelong.app.study.study import Study, table_of
+from sidelong.app.study.settings import CONTROLLER, OWN_PLANNERS, PREDICTIVE, Design, StudySettings, studied
+from sidelong.app.study.study import ResultStore, Study, code_version, on_processes, table_of
 
-VERSION = 1
-"""Of the scenarios; results of different versions are not comparable."""
+VERSION = 1  # of the scenarios; results of different versions are not comparable
 
 TRACKS = Path(__file__).with_name("tracks")
 WITH_ROUTE = "predictive, route"
@@ -43,14 +32,9 @@ _DRAWS, _SEED = 3, 1
 
 @dataclass(frozen=True, slots=True)
 class AircraftClass:
-    """An aircraft of the benchmark, and the fastest target it watches."""
-
     airspeed_m_s: float
     radius_m: float
     target_speed_max_m_s: float
-
-    def __str__(self) -> str:
-        return f"{self.airspeed_m_s:g} m/s"
 
 
 CLASSES = (AircraftClass(12.0, 40.0, 5.0), AircraftClass(20.0, 70.0, 9.0), AircraftClass(30.0, 105.0, 14.0))
@@ -58,12 +42,7 @@ CLASSES = (AircraftClass(12.0, 40.0, 5.0), AircraftClass(20.0, 70.0, 9.0), Aircr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """Results of one planner with one aircraft: arrays (runs,).
-
-    Attributes:
-        measures: Array of each run's values, by the name of the measure.
-        decision_p99_ms: 99th percentile of the processor time of a decision.
-    """
+    """Results of one planner with one aircraft: arrays (runs,) by the name of the measure."""
 
     aircraft: AircraftClass
     planner: str
@@ -75,21 +54,16 @@ _MEASURES = (BAND, SIDE, LEAST, MOVES, REVERSALS)
 
 
 class Benchmark:
-    """What is to be flown, and the results."""
-
     def __init__(
         self, places: list[Path] | None, planners: Sequence[str] | None, controller: str, runs: int | None
     ) -> None:
-        """Read the targets.
+        """Read the targets. Raises InputError: there is no target that the aircraft can watch.
 
         Args:
-            places: Folders of recorded targets in place of the own ones; None: the own ones.
+            places: Folders of recorded targets in place of the own ones.
             planners: Fly only these, and neither pairs nor routes; None: all.
             controller: Command of the user's controller; empty without one.
             runs: Targets of each class, the first ones; None: all.
-
-        Raises:
-            InputError: There is no target that the aircraft can watch.
         """
         self.targets = [
             recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_next_to) for one in CLASSES
@@ -118,12 +92,7 @@ class Benchmark:
         return sum(each * len(settings.numbers) for settings in self._settings)
 
     def fly(self, jobs: int | None, advance: Callable[[int], None]) -> list[Row]:
-        """Fly everything and return the rows, by aircraft.
-
-        Args:
-            jobs: Processes; None: one for each core.
-            advance: Called with the number of runs just flown.
-        """
+        """Fly everything and return the rows, by aircraft; advance receives the number of runs just flown."""
         begun_s = time.perf_counter()
         rows = [row for k in range(len(CLASSES)) for row in self._fly_class(k, jobs, advance)]
         self.wall_s = time.perf_counter() - begun_s
@@ -153,7 +122,6 @@ class Benchmark:
                 yield _pair_row(one, names[steered], runs)
 
     def json(self, rows: Sequence[Row]) -> dict[str, Any]:
-        """Return the results of :meth:`fly` with everything needed to compare them."""
         return {
             "benchmark": VERSION,
             "sidelong": code_version(),
@@ -185,7 +153,7 @@ def benchmark_table(rows: Sequence[Row]) -> Table:
     before = None
     for row in rows:
         cells = (of.cell(row.measures[of.name]) for of in _MEASURES)
-        first = str(row.aircraft) if row.aircraft is not before else ""
+        first = f"{row.aircraft.airspeed_m_s:g} m/s" if row.aircraft is not before else ""
         table.add_row(first, row.planner, *cells, f"{row.decision_p99_ms:.2f}")
         before = row.aircraft
     return table

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from sidelong.app.analysis.replay import Replayed
+from sidelong.app.analysis.score import Moment
+from sidelong.app.analysis.truth import Truth
 from sidelong.app.assembly import mission_controller_of, surroundings_of
+from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS as FLOWN_AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
@@ -16,26 +21,24 @@ from sidelong.app.planners.planner_kind import PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.payload import Payload
-from sidelong.app.simulation.target import RandomTarget, TargetTruth
+from sidelong.app.simulation.target import Payload, PayloadErrors, RandomTarget, TargetTruth
 from sidelong.app.study.judging import RunResult, judged, judged_log
-from sidelong.app.study.recorded import RecordedTarget
+from sidelong.app.study.recorded import STEP_S, RecordedTarget
 from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
-from sidelong.app.study.settings import (
-    LAG_S,
-    StudySettings,
-    StudyTerrain,
-)
+from sidelong.app.study.settings import LAG_S, StudySettings, StudyTerrain
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import Reading
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
+from sidelong.mission.control.present import Present
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import StepOutput
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import CheckedPlannerFactory, Plan, PlanCheck, Planner
-from sidelong.mission.core.requirement import Aircraft, Requirement
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.exchange.mission_controller import DERIVED, InboundEvent, Output
 from sidelong.mission.fleet.team_planner import IN_TEAM
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
@@ -46,24 +49,19 @@ RATES = Rates(attitude_hz=1)
 # At sea level, where true and equivalent airspeed are equal.
 HOME = Home(47.4, 8.5, 0.0)
 PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)
-BOOT_S = 100.0
-"""The vehicle's clock when a run begins."""
-TARGET_M = 1.0
-"""What of a target stands above the ground."""
+BOOT_S = 100.0  # the vehicle's clock when a run begins
+TARGET_M = 1.0  # what of a target stands above the ground
 _SPREAD_M = 8_000.0  # targets start within this distance of home
 _LOOKED_EVERY = 50  # steps: whether any position of the side and the band sees the target
 _AZIMUTHS, _RING_M = 72, 20.0
 
 
 class OnTicks:
-    """A target with precomputed motion for each tick of the vehicle."""
-
     def __init__(self, target: RandomTarget | RecordedTarget, duration_s: float) -> None:
         ticks = np.arange(math.ceil(duration_s * RATES.tick_hz) + 2)
         self._truths = [TargetTruth(*row) for row in target.sampled(ticks / RATES.tick_hz).tolist()]
 
     def at(self, time_s: float) -> TargetTruth:
-        """See :class:`sidelong.app.simulation.target.Target`."""
         return self._truths[round(time_s * RATES.tick_hz)]
 
 
@@ -71,11 +69,8 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
     """One aircraft of a run, taken over on its first circle.
 
     Args:
-        target: the same by ticks.
-        noise_rng: noise of the payload.
         config: the mission, where it is not that of the design.
-        ground: what it flies over; None: flat ground. It is known to the core if the configuration counts the height
-            from the ground.
+        ground: what it flies over; the core knows it if the configuration counts the height from the ground.
 
     Attributes:
         rows: time, east, north, height above home, 1 within the envelope and else 0, after each step.
@@ -168,7 +163,6 @@ def run(
 def fly(
     settings: StudySettings, number: int, make_planner: CheckedPlannerFactory, keep_track: bool = False
 ) -> RunResult:
-    """Fly one run of a planner of one's own."""
     flown, config, ground = scene(settings, number), settings.config, None
     if settings.hills is not None:
         place_rng = np.random.default_rng(np.random.SeedSequence((settings.seed, number, 1)))
@@ -200,7 +194,6 @@ def _over(settings: StudySettings, ground: Ground) -> Config:
 
 
 def _first_height_m(config: Config, circle: Circle, ground: Ground | None) -> float:
-    """Return the height of the first circle, above home."""
     own = config.aircraft
     if ground is None or own.height_above != "ground":
         return own.height_m
@@ -255,7 +248,6 @@ def _some_place_sees(
 
 
 def hills_of(ground: Ground) -> StudyTerrain:
-    """Return the ground with its digest."""
     posts = (ground.west_m, ground.south_m, ground.step_east_m, ground.step_north_m, ground.sigma_m)
     return StudyTerrain(ground, hashlib.sha256(repr(posts).encode() + ground.heights_m.tobytes()).hexdigest()[:16])
 
@@ -266,3 +258,85 @@ def _moved(ground: Ground, rng: np.random.Generator) -> Ground:
         east_m, north_m = rng.uniform(-_SPREAD_M, _SPREAD_M, 2).tolist()
         if not math.isnan(ground.height_m(east_m, north_m)):
             return replace(ground, west_m=ground.west_m - east_m, south_m=ground.south_m - north_m)
+
+
+_ON_CIRCLE_M = 50.0  # nearer to it, the aircraft flies the circle of its plan
+
+
+def recorded_motion(moments: Sequence[Moment], from_s: float) -> RecordedTarget:
+    rows = np.array([(one.time_s - from_s, one.target_east_m, one.target_north_m) for one in moments]).T
+    steps_s = np.arange(0.0, rows[0, -1], STEP_S)
+    return RecordedTarget("recorded", *(np.interp(steps_s, rows[0], row) for row in rows[1:]))
+
+
+class FlownOn(ClosedLoop[Message | Reading]):
+    """A flight that leaves a recorded one at the moment ``begin``, with a control step that has seen nothing yet.
+
+    target: the recorded motion from that moment on.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        controller: StandoffController,
+        autopilot: Autopilot,
+        plane: LocalPlane,
+        home_altitude_m: float,
+        begin: Present,
+        wind: Wind,
+        target: RecordedTarget,
+    ) -> None:
+        state, own, limits, sensors = begin.aircraft, config.aircraft, config.aircraft.aircraft(), config.sensors
+        assert state is not None
+        circle = None if begin.plan is None else begin.plan.circle
+        place = state.east_m, state.north_m, state.course_rad
+        from_m = math.inf if circle is None else math.dist(place[:2], (circle.east_m, circle.north_m))
+        if circle is None or abs(from_m - circle.radius_m) > _ON_CIRCLE_M:
+            circle = Circle.tangent_to(*place, limits.radius_m, config.requirement.requirement().side.clockwise)
+        height_m = begin.height_m if math.isfinite(begin.height_m) else own.height_m
+        home = Home(plane.origin_latitude_deg, plane.origin_longitude_deg, home_altitude_m)
+        body = Body.configured(own, LAG_S[autopilot.key])
+        errors = PayloadErrors(
+            sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limits.pan_limit_rad
+        )
+        start = Start(plane, home, circle, height_m, state, begin.time_s)
+        self._target, payload = OnTicks(target, target.duration_s), Payload(errors, np.random.default_rng(1))
+        vehicle = KinematicVehicle(autopilot, body, wind, start, payload, self._target, RATES)
+        super().__init__(vehicle)
+        if controller.surroundings.ground is not None:
+            put_over(vehicle, controller.surroundings.ground)
+        self.telemetry.plane, self._plane, self._duration_s = plane, plane, target.duration_s
+        self.controller, self._vehicle, self._begin_s = controller, vehicle, begin.time_s
+        self._rows: list[tuple[float, float, float]] = []
+        self._steps: list[Replayed] = []
+        vehicle.flown = self._flown
+        self.listeners.append(self._stepped)
+        self.start(lambda _plane: mission_controller_of(config, controller, autopilot, plane, home), vehicle.mode)
+
+    def _flown(self) -> None:
+        craft = self._vehicle.craft
+        self._rows.append((self._vehicle.flown_s, craft.east_m, craft.north_m))
+
+    def _stepped(self, event: InboundEvent, outputs: tuple[Output, ...]) -> None:
+        controller = self.controller
+        derived = [output for output in outputs if isinstance(output, DERIVED)]
+        commands = tuple(output for output in outputs if isinstance(output, StepOutput))
+        self._steps += [Replayed(one, (), controller.estimate, controller.snapshot) for one in derived]
+        self._steps.append(Replayed(event, commands, controller.estimate, controller.snapshot))
+
+    def steps(self) -> Iterator[Replayed]:
+        while True:
+            yield from self._steps
+            self._steps.clear()
+            if self.simulated.time_s >= self._duration_s:
+                return
+            self.step()
+
+    @property
+    def truth(self) -> Truth:
+        rows = np.array(self._rows)
+        targets = [self._target.at(time_s) for time_s in rows[:, 0].tolist()]
+        places_m = [(one.east_m, one.north_m) for one in targets], rows[:, 1:].tolist()
+        degrees = [[self._plane.latitude_longitude_deg(*one) for one in of] for of in places_m]
+        positions_deg, count = np.hstack(degrees).T, len(rows)
+        return Truth(rows[:, 0] + self._begin_s, positions_deg, np.full((2, count), np.nan), np.full(count, ""))

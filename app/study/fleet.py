@@ -1,7 +1,7 @@
-"""One run of a study with several aircraft on one target: closed loops under one coordinator, or a law with phases.
+"""Studies with several aircraft on one target: closed loops under one coordinator, or a law with phases.
 
 Each aircraft flies the product's own core; roles, advice and the joint estimate are those of the coordinator that
-flies (:mod:`sidelong.mission.fleet.coordinator`), fed by each core's reports as in flight.
+flies, fed by each core's reports as in flight.
 """
 
 from __future__ import annotations
@@ -9,19 +9,25 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
+from typing import Any
 
 import numpy as np
+from rich import box
+from rich.table import Table
 
 from sidelong.app.simulation.target import TargetTruth
 from sidelong.app.study.closed_loop import OnTicks, StudiedAircraft
-from sidelong.app.study.judging import RunResult, judged, shares_of_any
+from sidelong.app.study.judging import OF_FLEETS, ON_FLAT_GROUND, RunResult, decision_ms, judged, shares_of_any
 from sidelong.app.study.laws import SteeredAircraft, fly_steered
+from sidelong.app.study.report import targets_json
 from sidelong.app.study.scene import START_RANGE_M, StopWatch, StudyScene, first_circle, payload_of, scene
 from sidelong.app.study.settings import StudySettings
+from sidelong.app.study.study import Workers, parallel
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.tracking.joint_track import JointTrack
@@ -32,14 +38,7 @@ from sidelong.mission.core.plan import AircraftState, PlanCheck
 from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from sidelong.mission.fleet.events import (
-    ClockReported,
-    FleetEvent,
-    TargetRouteGiven,
-    Tell,
-    Tick,
-    VehicleLost,
-)
+from sidelong.mission.fleet.events import ClockReported, FleetEvent, TargetRouteGiven, Tell, Tick, VehicleLost
 from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
@@ -72,11 +71,10 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetResult:
-    """What several aircraft came to together. on_side_any, in_band_any: shares of time by at least one of them.
+    """What several aircraft came to together; _any: shares of time by at least one of them.
 
-    min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the required side.
-    position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %. aircraft: each
-    scored as if it were alone. logs (aircraft, n, 6 or more) as judged.
+    min_separation_m: in three dimensions; position_error_m: RMS of the joint estimate; in_ellipse: share of it within
+    95 %. aircraft: each scored as if it were alone. logs (aircraft, n, 6 or more) as judged.
     """
 
     time_on_side_any: float
@@ -116,8 +114,6 @@ class _Member:
 
 
 class _Errors:
-    """Errors of the joint estimate."""
-
     def __init__(self) -> None:
         self._squared: list[tuple[float, float]] = []
 
@@ -220,7 +216,6 @@ def _starts(settings: StudySettings, flown: StudyScene) -> list[tuple[str, float
 
 
 def _fly_phased(settings: StudySettings, number: int, planner: FleetPlannerName) -> FleetResult:
-    """Fly a law that holds the aircraft at equal phases about the target."""
     flown, watch, errors = scene(settings, number), StopWatch(), _Errors()
     starts = _starts(settings, flown)
     crafts = [SteeredAircraft(settings, flown, circle, height_m, rng) for _, height_m, circle, rng in starts]
@@ -287,9 +282,55 @@ def _result(
 
 
 def _separation_m(logs: FloatArray, heights_m: Sequence[float]) -> float:
-    """Return the least distance of two aircraft, in three dimensions."""
     least_m = math.inf
     for a, b in itertools.combinations(range(len(heights_m)), 2):
         apart_m = float(np.linalg.norm(logs[a, :, 1:3] - logs[b, :, 1:3], axis=1).min())
         least_m = min(least_m, math.hypot(apart_m, heights_m[a] - heights_m[b]))
     return least_m
+
+
+Fleets = Mapping[FleetPlannerName, Sequence[FleetResult]]
+
+
+def fly_fleets(
+    settings: StudySettings,
+    table: ValueTable,
+    workers: Workers,
+    progress: Callable[[int], None],
+    planners: Sequence[FleetPlannerName] = tuple(FleetPlannerName),
+) -> Fleets:
+    tasks = ((settings, number, table, planner) for number in settings.numbers for planner in planners)
+    found: dict[tuple[FleetPlannerName, int], FleetResult] = {}
+    with closing(parallel(workers, run_fleet, tasks)) as flying:
+        for (_, number, _, planner), result in flying:
+            found[planner, number] = result
+            progress(1)
+    return {planner: [found[planner, number] for number in settings.numbers] for planner in planners}
+
+
+def fleet_table(fleets: Fleets) -> Table:
+    table = Table("mean/worst", *fleets, box=box.SIMPLE_HEAD)
+    for of in OF_FLEETS:
+        table.add_row(of.label, *(of.cell(values_of(runs, of.name)) for runs in fleets.values()))
+    return table
+
+
+def values_of(runs: Sequence[object], name: str) -> np.ndarray:
+    return np.array([getattr(run, name) for run in runs], float)
+
+
+def fleet_json(settings: StudySettings, fleets: Fleets) -> dict[str, Any]:
+    return {
+        "planners": {planner.value: _figures(runs) for planner, runs in fleets.items()},
+        "fleet": settings.config.requirement.fleet_size,
+        **targets_json(settings),
+    }
+
+
+def _figures(runs: Sequence[FleetResult]) -> dict[str, Any]:
+    each = zip(*(run.aircraft for run in runs), strict=True)
+    return {
+        **{of.name: of.spread(values_of(runs, of.name)) for of in OF_FLEETS},
+        "decision_ms": decision_ms(np.concatenate([run.decision_s for run in runs])),
+        "aircraft": [{of.name: of.spread(values_of(own, of.name)) for of in ON_FLAT_GROUND} for own in each],
+    }

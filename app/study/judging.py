@@ -1,4 +1,4 @@
-"""The result of a run, as :mod:`sidelong.app.analysis.score` judges it."""
+"""The result of a run, its measures, and how tables, pages and summaries show them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ _WITHIN = 7  # the column of a log: whether the aircraft is within its envelope
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedTrack:
-    """A flown run, sampled each step.
-
-    Attributes:
-        time_s: shape (n,).
-        aircraft_m: east and north, shape (n, 2).
-        target_m: east and north, shape (n, 2).
-    """
+    """A flown run, sampled each step: times (n,), east and north (n, 2)."""
 
     time_s: FloatArray
     aircraft_m: FloatArray
@@ -35,20 +29,14 @@ class JudgedTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResult:
-    """What a run came to. Fractions are 0..1, NaN where nothing could be judged: the target never moved.
+    """What a run came to. Fractions of time are 0..1, NaN where nothing could be judged: the target never moved.
 
     Attributes:
-        time_in_band: fraction of time within the allowed range.
-        time_on_side: fraction of time on the required side, by the course made good.
-        time_on_side_now: the same by the present course.
-        moves_per_hour: departures to another circle.
-        reversals_per_hour: those within 10 s of the last one.
+        time_on_side: by the course made good; time_on_side_now: by the present one.
         observation_spread_deg: standard deviation of the observation angle.
-        duration_s: time flown.
-        time_in_sight: fraction of time in which the target is in sight; NaN over flat ground.
-        time_in_sight_where_possible: the same of the time in which any position on the side and in the band sees it.
-        min_clearance_m: least height over the ground; NaN over flat ground.
-        time_within_pan_limits: fraction of time in which the gimbal can look at the target; NaN without limits.
+        time_in_sight: NaN over flat ground, as the clearance.
+        time_in_sight_where_possible: of the time in which any position on the side and in the band sees the target.
+        time_within_pan_limits: NaN without limits.
         decision_s: processor time of the decisions that were measured.
         track: the flown path, None unless asked for.
     """
@@ -73,9 +61,8 @@ class RunResult:
 def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
     """Judge each step of a run.
 
-    Args:
-        log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more);
-            the eighth is 0 while the aircraft is out of its envelope.
+    log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more); the
+    eighth is 0 while the aircraft is out of its envelope.
     """
     velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
     samples = Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
@@ -91,13 +78,9 @@ def judged(
     keep_track: bool,
     over_ground: tuple[float, float, float] = (math.nan, math.nan, math.nan),
 ) -> RunResult:
-    """Sum up a run.
+    """Sum up a log as :func:`judged_log` takes it; changed_s: when each plan departed.
 
-    Args:
-        log: as :func:`judged_log` takes it.
-        changed_s: when each plan departed.
-        decision_s: processor time of the decisions that were measured.
-        over_ground: time in sight, the same where that is possible, and the least clearance.
+    over_ground: time in sight, the same where that is possible, and the least clearance.
     """
     steps = judged_log(settings, log)
     duration_s = STEP_S * len(log)
@@ -136,8 +119,7 @@ def _within_pan_limits(settings: StudySettings, log: FloatArray) -> float:
 def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, float, float]:
     """Return the shares of time on the side, on it by the present course, and in the band, by at least one aircraft.
 
-    Args:
-        logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6 or more).
+    logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6 or more).
     """
     each = [judged_log(settings, log) for log in logs]
     known, in_band = (
@@ -150,3 +132,76 @@ def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, flo
 
 def _share(flags: npt.NDArray[np.bool_]) -> float:
     return float(flags.mean()) if flags.size else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One measure of a run: its name in results and summaries, its label, and a heading over a narrow column.
+
+    tail: percentile of the runs that are nearly the worst; below 50 the least value is the worst one.
+    """
+
+    name: str
+    label: str
+    heading: str
+    tail: int
+    digits: int
+
+    def shown(self, values: FloatArray) -> FloatArray:
+        """Return the known values in the unit that tables show."""
+        return (100.0 if self.label.endswith("%") else 1.0) * values[np.isfinite(values)]
+
+    def spread(self, values: FloatArray) -> dict[str, float | None]:
+        """Return mean, tail and worst of the known values; None where there are none."""
+        known, names = values[np.isfinite(values)], ("mean", f"p{self.tail}", "worst")
+        if not known.size:
+            return dict.fromkeys(names)
+        worst = known.min() if self.tail < 50 else known.max()
+        return dict(zip(names, map(float, (known.mean(), np.percentile(known, self.tail), worst)), strict=True))
+
+    def cell(self, values: FloatArray) -> str:
+        found = self.spread(self.shown(values))
+        mean, worst = found["mean"], found["worst"]
+        return "-" if mean is None else f"{mean:.{self.digits}f}/{worst:.{self.digits}f}"
+
+
+BAND = Measure("time_in_band", "time in band, %", "in band, %", 5, 2)
+SIDE = Measure("time_on_side", "time on side, %", "on side, %", 5, 1)
+LEAST = Measure("min_range_m", "least range, m", "least, m", 5, 0)
+MOVES = Measure("moves_per_hour", "moves per hour", "moves/h", 95, 0)
+REVERSALS = Measure("reversals_per_hour", "reversals per hour", "reversals/h", 95, 1)
+ON_FLAT_GROUND = (
+    BAND,
+    SIDE,
+    Measure("time_on_side_now", "by the present course, %", "now, %", 5, 1),
+    LEAST,
+    Measure("max_range_m", "greatest range, m", "greatest, m", 95, 0),
+    MOVES,
+    REVERSALS,
+)
+WITHIN_PAN_LIMITS = Measure("time_within_pan_limits", "within the pan limits, %", "within pan, %", 5, 1)
+OVER_HILLS = (
+    *ON_FLAT_GROUND,
+    Measure("time_in_sight", "time in sight, %", "in sight, %", 5, 1),
+    Measure("time_in_sight_where_possible", "where some place sees it, %", "where possible, %", 5, 1),
+    Measure("min_clearance_m", "least height over ground, m", "clear, m", 5, 0),
+)
+OF_FLEETS = (
+    Measure("time_on_side_any", "required side seen by at least one, %", "", 5, 2),
+    Measure("time_on_side_any_now", "by the present course, %", "", 5, 2),
+    Measure("time_in_band_any", "one in the band, %", "", 5, 2),
+    Measure("min_separation_m", "least separation, m", "", 5, 0),
+    LEAST,
+    Measure("handovers", "handovers of the side per run", "", 95, 1),
+    Measure("position_error_m", "position error, m", "", 95, 2),
+    Measure("in_ellipse", "target within the 95 % ellipse, %", "", 5, 1),
+)
+EXPLAINED = (
+    "Mean / worst run. Now: on the side by the target's present course. Reversals: moves within 10 s of the last one."
+)
+
+
+def decision_ms(decision_s: npt.NDArray[np.float32]) -> dict[str, float]:
+    """Return percentiles of the processor time of decisions, ms."""
+    p50_s, p99_s = np.percentile(decision_s, (50, 99))
+    return {"p50": 1e3 * float(p50_s), "p99": 1e3 * float(p99_s)}

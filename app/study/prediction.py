@@ -10,12 +10,8 @@ from typing import Any
 import numpy as np
 
 from sidelong.app.config import Config, with_values
-from sidelong.app.study.design import configured, designs
 from sidelong.app.study.judging import RunResult
-from sidelong.app.study.settings import (
-    PREDICTIVE,
-    StudySettings,
-)
+from sidelong.app.study.settings import PREDICTIVE, StudySettings, configured, designs
 from sidelong.app.study.study import one_flown, table_of
 
 FLIGHTS, FLIGHTS_MAX, FLIGHT_S = 20, 80, 600.0  # more flights while the verdict is in doubt
@@ -23,7 +19,7 @@ LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below thes
 
 
 def t_95(freedom: int) -> float:
-    """Return Student's t for a two-sided interval of 95 % with 1 or more degrees of freedom: a flight has no scipy.
+    """Return Student's t for a two-sided interval of 95 %: a flight has no scipy.
 
     With t = sqrt(freedom) tan(angle), its density over the angle is proportional to cos(angle) ** (freedom - 1).
     """
@@ -35,13 +31,9 @@ def t_95(freedom: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """A share of the time, 0..1, over several flights.
+    """A share of the time, 0..1, over several flights: mean with its 95 % confidence interval, and the worst flight.
 
-    Attributes:
-        mean: Of all flights.
-        low: Lower end of the 95 % confidence interval of the mean.
-        high: Upper end of it.
-        worst: Of the worst flight. A further flight is worse with a probability of 1 / (flights + 1).
+    A further flight is worse than that with a probability of 1 / (flights + 1).
     """
 
     mean: float
@@ -66,13 +58,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What simulated flights next to random targets came to.
-
-    Attributes:
-        time_in_band: Share of the time in the range band.
-        time_on_side: Share of the time on the required side; None if no target moved.
-        time_within_pan_limits: Share of the time in which the gimbal can look at the target; None without limits.
-    """
+    """Shares of time in simulated flights next to random targets; None: on side if none moved, pan without limits."""
 
     flights: int
     time_in_band: Share | None
@@ -127,10 +113,7 @@ def predict(
 ) -> Prediction:
     """Fly a configuration that its planner can fly next to random targets, in the closed loop.
 
-    Args:
-        config: The mission. Its planner, aircraft, requirement, sensors and simulated wind count.
-        progress: Called with the share 0..1 of the value table while that is computed.
-        flights: Fly this many; None: until the verdict is clear.
+    progress: called with the share 0..1 of the value table. flights: this many; None: until the verdict is clear.
     """
     settings = studied(config)
     (planner,) = settings.planners
@@ -139,12 +122,7 @@ def predict(
 
 
 def prediction_of(fly: Callable[[int], RunResult], flights: int | None = None) -> Prediction:
-    """Fly until the verdict is clear, ``FLIGHTS_MAX`` flights at most.
-
-    Args:
-        fly: Flies the run with a number, from 0.
-        flights: Fly this many instead.
-    """
+    """Fly runs by their numbers from 0: ``flights``, or until the verdict is clear, ``FLIGHTS_MAX`` at most."""
     flown: list[RunResult] = []
     while True:
         flown += [fly(number) for number in range(len(flown), len(flown) + (flights or FLIGHTS))]

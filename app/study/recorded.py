@@ -32,10 +32,7 @@ _SUFFIXES = (".csv", ".gpx", ".kml", ".kmz")
 
 @dataclass(frozen=True, eq=False)
 class RecordedTarget:
-    """A recorded track from its first point, which is the origin: arrays (n,) at steps of half a second.
-
-    route: what planners know of its path, None: nothing.
-    """
+    """A recorded track from its first point, the origin, at steps of half a second (n,), and its known route."""
 
     name: str
     east_m: FloatArray
@@ -44,17 +41,14 @@ class RecordedTarget:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first point to the last."""
         return STEP_S * (self.east_m.size - 1)
 
     @cached_property
     def key(self) -> int:
-        """A number that is the track's own, whatever its file is called."""
         return int.from_bytes(sha256(self.east_m.tobytes() + self.north_m.tobytes()).digest()[:8])
 
     @cached_property
     def route_key(self) -> str:
-        """A text that is the route's own; empty without a route."""
         if self.route is None:
             return ""
         known = self.route
@@ -65,7 +59,6 @@ class RecordedTarget:
 
     @cached_property
     def speed_p95_m_s(self) -> float:
-        """The speed that is exceeded for a twentieth of the time."""
         return float(np.percentile(np.hypot(*self._velocity_m_s), 95))
 
     @cached_property
@@ -92,15 +85,11 @@ class RecordedTarget:
         return np.stack([east, north, *(v[k] for v in self._velocity_m_s), self._course_rad[k]], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
-        """See :class:`sidelong.app.simulation.target.Target`."""
         return TargetTruth(*map(float, self.sampled(np.array([time_s]))[0]))
 
 
 def prepared(name: str, track: RecordedTrack) -> RecordedTarget:
-    """Resample and smooth a track.
-
-    Gaps are bridged; jumps are taken out: what follows is joined to what was before.
-    """
+    """Resample and smooth a track; gaps are bridged, and what follows a jump is joined to what was before."""
     time_s, east_m, north_m = (np.asarray(values, float) for values in (track.time_s, track.east_m, track.north_m))
     steps_m = np.stack([np.diff(east_m), np.diff(north_m)])
     speed_m_s = np.hypot(*steps_m) / np.diff(time_s)
@@ -130,12 +119,10 @@ def recorded_targets(
     speed_max_m_s: float,
     route_of: Callable[[Path, RecordedTrack], Route | None] = lambda _file, _track: None,
 ) -> RecordedTargets:
-    """Read the .csv, .gpx, .kml and .kmz tracks in folders, or single files.
+    """Read the .csv, .gpx, .kml and .kmz tracks in folders, or single files. Raises InputError when none is left.
 
-    Tables without a track's columns, such as a list of the files, are passed over. Tracks whose 95th percentile of
-    speed is above speed_max_m_s, and those too short or unreadable, are skipped. route_of: finds the route of a
-    track; files NAME.route.* are no tracks.
-    Raises InputError when none is left.
+    Tables without a track's columns are passed over. Tracks whose 95th percentile of speed is above speed_max_m_s,
+    and those too short or unreadable, are skipped. route_of: finds the route of a track; NAME.route.* are no tracks.
     """
     flown, skipped, notes = [], [], []
     for file in _files(places):
@@ -211,11 +198,7 @@ def _displacement(arc_m: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def route_next_to(file: Path, track: RecordedTrack) -> Route | None:
-    """Return the route in NAME.route.csv, .gpx, .geojson or .kml next to a track; None if there is none.
-
-    Raises:
-        InputError: The file is not a route.
-    """
+    """Return the route in NAME.route.csv, .gpx, .geojson or .kml next to a track, or None. Raises InputError."""
     named = [file.with_name(f"{file.stem}.route{suffix}") for suffix in ROUTE_SUFFIXES]
     apart = (".csv", ".txt", file.suffix.lower())
     named += [file.with_suffix(suffix) for suffix in ROUTE_SUFFIXES if suffix not in apart]

@@ -11,8 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from sidelong.app.assembly import tracker_settings
-from sidelong.app.simulation.payload import PayloadErrors
-from sidelong.app.simulation.target import RandomTarget
+from sidelong.app.simulation.target import PayloadErrors, RandomTarget
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.settings import TrackerSettings
@@ -47,8 +46,6 @@ class StopWatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyScene:
-    """The same for every planner."""
-
     name: str
     target: RandomTarget | RecordedTarget
     duration_s: float
@@ -58,22 +55,19 @@ class StudyScene:
 
 
 def scene(settings: StudySettings, number: int) -> StudyScene:
-    """Return the scene of a run, one of ``settings.numbers``."""
     draw, k = divmod(number, settings.runs)
-    if not settings.tracks:
+    if settings.tracks:
+        target: RandomTarget | RecordedTarget = (track := settings.tracks[k])
+        name, duration_s, route = track.name, min(track.duration_s, settings.duration_s), track.route
+        start, sensor = np.random.SeedSequence((settings.seed, track.key, draw)).spawn(2)
+    else:
         seeds = np.random.SeedSequence((settings.seed, k)).spawn(3)
         speed_max_m_s = settings.config.requirement.target_speed_max_m_s
         target = RandomTarget(np.random.default_rng(seeds[0]), settings.duration_s, speed_max_m_s, settings.legs_s)
         start, sensor = np.random.SeedSequence((settings.seed, k, draw)).spawn(2) if draw else seeds[1:]
-        return StudyScene(
-            f"random {k}", target, settings.duration_s, np.random.default_rng(start), np.random.default_rng(sensor)
-        )
-    track = settings.tracks[k]
-    start, sensor = np.random.SeedSequence((settings.seed, track.key, draw)).spawn(2)
-    duration_s = min(track.duration_s, settings.duration_s)
-    return StudyScene(
-        track.name, track, duration_s, np.random.default_rng(start), np.random.default_rng(sensor), track.route
-    )
+        name, duration_s, route = f"random {k}", settings.duration_s, None
+    start_rng, sensor_rng = map(np.random.default_rng, (start, sensor))
+    return StudyScene(name, target, duration_s, start_rng, sensor_rng, route)
 
 
 def first_circle(
@@ -91,7 +85,6 @@ def first_circle(
 
 
 def start_on(settings: StudySettings, flown: StudyScene, circle: Circle) -> AircraftState:
-    """Return an aircraft somewhere on a circle."""
     course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
     return AircraftState(
         0.0,
@@ -103,7 +96,6 @@ def start_on(settings: StudySettings, flown: StudyScene, circle: Circle) -> Airc
 
 
 def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
-    """Return the errors of the payload, and the tracker's settings for it."""
     sensors, limit_rad = settings.config.sensors, settings.aircraft().pan_limit_rad
     errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limit_rad)
     if settings.perfect_sensors:

@@ -23,10 +23,7 @@ LOOPBACK = ("127.0.0.1", "localhost")
 class PageAddress:
     """Address of the page. Any host but loopback requires a token, part of the printed URL. Port 0: any free port.
 
-    opens_browser: whether to open a browser on this desktop.
-    map: background map file. cert, key: PEM files of the server's certificate and its key; with them the page
-    is served over TLS. Raises InputError for an empty host, a number that is no IPv4 address, and one file without
-    the other.
+    cert, key: PEM files, for TLS. Raises InputError for a host that is no IPv4 address, and one file alone.
     """
 
     host: str = LOOPBACK[0]
@@ -56,7 +53,6 @@ class PageAddress:
 
     @property
     def is_local(self) -> bool:
-        """Whether only this machine can reach it."""
         return self.host in LOOPBACK
 
     @property
@@ -81,21 +77,18 @@ def free_port(port: int) -> int:
 
 
 def page_address(view: bool, display: DisplaySection, port: int | None = None) -> PageAddress | None:
-    """Return where a command serves its page, None where it shows none; port: instead of the configured one.
-
-    Raises InputError.
-    """
+    """Return where a command serves its page, None where it shows none. Raises InputError."""
     if display.map_file is not None and not display.map_file.is_file():
         raise InputError(f"display.map_file: there is no file {display.map_file}.")
     if not view:
         return None
-    port = display.port if port is None else port
-    if display.map_file is None:
-        return PageAddress(display.host, port, display.certificate_file, display.key_file)
-    from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need
+    under = None
+    if display.map_file is not None:
+        from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need
 
-    try:
-        under = background(display.map_file, display.map_bounds)
-    except InputError as error:
-        raise InputError(f"display.map_file: {error}") from error
+        try:
+            under = background(display.map_file, display.map_bounds)
+        except InputError as error:
+            raise InputError(f"display.map_file: {error}") from error
+    port = display.port if port is None else port
     return PageAddress(display.host, port, display.certificate_file, display.key_file, under)

@@ -1,7 +1,4 @@
-"""The background map: raster tiles from one file, or one image with its bounds.
-
-A tile is read on request; the file is not cached in memory.
-"""
+"""The background map: raster tiles from one file, each read on request, or one image with its bounds."""
 
 from __future__ import annotations
 
@@ -25,14 +22,9 @@ _SUFFIXES = ".mbtiles, .pmtiles, .png, .jpg or .webp"
 
 
 class MbTiles:
-    """Square pictures of the world in Web Mercator, of an SQLite file, in which ``tiles`` is a table or a view.
+    """Square pictures in Web Mercator of an SQLite file. Raises sqlite3.Error for another file, or a slow query.
 
-    zooms: the least and the greatest there is.
-
-    A view is a program of whoever made the file, so each query has a time limit and each value a size limit.
-
-    Raises:
-        sqlite3.Error: The file is not such a file, or a query took too long.
+    ``tiles`` may be a view, a program of whoever made the file: queries have a time limit, values a size limit.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,7 +41,6 @@ class MbTiles:
         return None if found is None else bytes(found[0])
 
     def any_tile(self) -> bytes:
-        """Return one of its tiles; b'' if it has none."""
         found = self._row("select tile_data from tiles limit 1", (), _OPEN_WITHIN_S)
         return b"" if found is None else bytes(found[0])
 
@@ -77,12 +68,10 @@ class PmTiles:
         self.zooms = (int(header["min_zoom"]), int(header["max_zoom"]))
 
     def tile(self, zoom: int, column: int, row: int) -> bytes | None:
-        """Return a tile."""
         found: bytes | None = self._reader.get(zoom, column, row)
         return found
 
     def any_tile(self) -> bytes:
-        """Return one of its tiles; b'' where there is none."""
         return next((bytes(data) for _, data in self._every()), b"")
 
 
@@ -99,12 +88,10 @@ class Background:
     zooms: tuple[int, int] | None = None
 
     def opened(self) -> Tiles | None:
-        """Return the file's tiles; None of a picture."""
         return _OPENERS[self.path.suffix.lower()](self.path) if self.zooms is not None else None
 
 
 def readable_tile(tiles: Tiles, zoom: int, column: int, row: int) -> bytes | None:
-    """Return a tile; None where there is none, or none that can be read."""
     try:
         return tiles.tile(zoom, column, row)
     except Exception:  # whatever two readers make of a damaged part
@@ -112,10 +99,7 @@ def readable_tile(tiles: Tiles, zoom: int, column: int, row: int) -> bytes | Non
 
 
 def background(path: Path, bounds: tuple[float, float, float, float] | None) -> Background:
-    """Return a map's file, looked into. bounds: of a picture: south, west, north, east, degrees.
-
-    Raises InputError when the page could not show it.
-    """
+    """Return a map's file, looked into; bounds: of a picture, S, W, N, E. Raises InputError if it cannot be shown."""
     if not path.is_file():
         raise InputError(f"{path} is no file; give one that ends in {_SUFFIXES}.")
     suffix = path.suffix.lower()
@@ -158,10 +142,8 @@ def _picture(path: Path, bounds: tuple[float, float, float, float] | None) -> Ba
 
 
 def media_type(data: bytes) -> str | None:
-    """Return what kind of picture this is; None if it is none."""
     return next((media for begin, media in _FORMATS if data.startswith(begin)), None)
 
 
 def is_tile(zoom: int, column: int, row: int) -> bool:
-    """Return whether the tile's coordinates are valid."""
     return 0 <= zoom <= _ZOOM_MAX and max(column, row) < 1 << zoom and min(column, row) >= 0

@@ -53,11 +53,7 @@ class FleetRequests(Protocol):
 class ShownAircraft:
     """A ``FlightDisplay`` of one aircraft around another, which shows it on the page too.
 
-    Attributes:
-        name: In a fleet; '' where there is one aircraft only.
-        encoder: Turns its snapshots into states.
-        snapshot: The latest one.
-        start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
+    start_s: When watching began, on the clock of its vehicle; None: not taken over yet, and times mean nothing.
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, page: ViewDisplay, name: str) -> None:
@@ -65,7 +61,6 @@ class ShownAircraft:
         self.adopt(inner)
 
     def adopt(self, inner: FlightDisplay) -> None:
-        """Show another flight, which the given display shows elsewhere."""
         self._inner = inner
         aircraft = self._config.aircraft
         self.encoder = StateEncoder(aircraft.airspeed_m_s, aircraft.height_m)
@@ -113,7 +108,6 @@ class ShownAircraft:
 
     @property
     def is_flown(self) -> bool:
-        """Whether the aircraft takes requests."""
         return self._request is not None and self.snapshot is not None and math.isfinite(self.snapshot.time_s)
 
     def ask(self, wish: Wish) -> None:
@@ -122,7 +116,6 @@ class ShownAircraft:
             self._request(replace(wish, time_s=self.snapshot.time_s))
 
     def state(self, snapshot: Present) -> Json:
-        """Return the state for the page."""
         return self.encoder.state(snapshot, time.monotonic() - self._received_at_s, self.name)
 
 
@@ -131,16 +124,10 @@ class ViewDisplay(ShownAircraft):
 
     Whatever the page's process does, every call returns at once and raises nothing: the page gets what fits.
 
-    Attributes:
-        requests: Receives the requests to a whole fleet; needed before a button is pressed.
-        service: Takes a request to watch or to release, and who asks; returns whether it is accepted, and a text.
-
     Args:
         displays: Another display of each aircraft, by its name; '' where there is one aircraft only.
-        configs: The configuration of each aircraft, by its name.
-        address: Where the page is served.
         sides: The required side of each target of a fleet.
-        is_service: Watches are begun and released on the page.
+        is_service: Watches are begun and released on the page, by ``service``, which returns whether, and a text.
     """
 
     requests: FleetRequests
@@ -180,7 +167,6 @@ class ViewDisplay(ShownAircraft):
         self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
 
     def of(self, name: str) -> ShownAircraft:
-        """Return the display of one aircraft."""
         return self._shown[name]
 
     # -- life ----------------------------------------------------------------------------------------------
@@ -206,7 +192,6 @@ class ViewDisplay(ShownAircraft):
 
     @property
     def is_served(self) -> bool:
-        """Whether the page's process runs."""
         return self._feed is not None and self._feed.alive
 
     @staticmethod
@@ -228,7 +213,6 @@ class ViewDisplay(ShownAircraft):
 
         Args:
             name: preparing, taking over, flying, ended; of a service also waiting, ready and fault.
-            text: What it does or waits for, in words.
             more: checks (name, ready, text), summary (name, text), next (commands).
         """
         if self._stage != (stage := {"name": name, "text": text, **more}):
@@ -241,7 +225,6 @@ class ViewDisplay(ShownAircraft):
             self.show_stage(name)
 
     def show_end(self, rows: Iterable[tuple[str, ...]], folder: Path) -> None:
-        """Show what a flight came to, and what can be done with its records."""
         commands = f"sidelong report {folder}", f"sidelong replay {folder} --view"
         self.show_stage(
             "ended", summary=[(name, " · ".join(filter(None, values))) for name, *values in rows], next=commands
@@ -266,10 +249,7 @@ class ViewDisplay(ShownAircraft):
         self.pump()
 
     def received(self, aircraft: ShownAircraft, time_s: float | None, kind: str, text: str) -> None:
-        """Add a message of an aircraft to the log of the page; several aircraft share the clock of the first.
-
-        time_s: By its vehicle's clock; None before it flies.
-        """
+        """Add a message to the log, at a time of the vehicle's clock; several aircraft share that of the first."""
         if time_s is not None and aircraft is not self:
             time_s = None if self.snapshot is None or self.start_s is None else self.snapshot.time_s
         self._announced.append([time_s, kind, f"{aircraft.name}: {text}" if aircraft.name else text])
@@ -289,7 +269,6 @@ class ViewDisplay(ShownAircraft):
     # -- to and from the page ------------------------------------------------------------------------------
 
     def pump_if_due(self) -> None:
-        """Send the state to the page if it is due."""
         if time.monotonic() - self._sent_at_s >= _SEND_EVERY_S:
             self.pump()
 
@@ -326,7 +305,6 @@ class ViewDisplay(ShownAircraft):
         return base | {"fleet": list(self._fleet)} if self._fleet else base
 
     def _renew_setting(self) -> None:
-        """Send the setting again if the requirement or the route of a target has changed."""
         snapshots = [one.snapshot for one in self._shown.values() if one.snapshot is not None]
         routes = {one.target: one.route.route for one in snapshots if one.route is not None}
         requirement = self._requirement if self.snapshot is None else self.snapshot.requirement
@@ -368,7 +346,6 @@ class ViewDisplay(ShownAircraft):
         return state | {"start_s": one.start_s, "wanted": self._sides.get(snapshot.target, self._wanted)}
 
     def _answer(self, text: str) -> None:
-        """Answer a request of the page, on the terminal too."""
         self._inner.note(text)
         self._announced.append([None, "operator", text])
 

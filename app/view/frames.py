@@ -1,17 +1,24 @@
-"""A replay as frames for the page (states every 0.2 s, messages, decision times), and its playback."""
+"""A replay as frames for the page (states every 0.2 s, messages, decision times), its playback, and its serving."""
 
 from __future__ import annotations
 
 import bisect
+import contextlib
 import json
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 from sidelong.app.analysis.replay import Replayed, announcements
+from sidelong.app.config import Config
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json, sample
-from sidelong.app.view.state import StateEncoder
+from sidelong.app.view.picture import PictureFile
+from sidelong.app.view.process import page_line, start_page, under_flight
+from sidelong.app.view.shading import Shading
+from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, DecisionRecord
 from sidelong.mission.route.route import Route
@@ -26,8 +33,7 @@ SPEED_MAX = 1000.0
 class Frames:
     """Frames of a replay: times_s, states (JSON); announced: (time_s, kind, text); decided_s: times of decided moves.
 
-    start_s: when tracking began, else time of the first estimate; None if there was neither.
-    routes: the last one given of each target, by its name.
+    start_s: when tracking began, else time of the first estimate. routes: the last one of each target, by its name.
     is_flown: the frames are of an aircraft of its own, not of decisions next to another one's path.
     """
 
@@ -68,17 +74,11 @@ class Frames:
                     del self.times_s[1::2], self.states[1::2]
             yield step
 
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """When it begins and ends; there must be a frame."""
-        return self.times_s[0], self.times_s[-1]
-
     def index(self, time_s: float) -> int:
         """Return the index of the last frame up to a time, or of the first frame if all are later."""
         return max(bisect.bisect_right(self.times_s, time_s) - 1, 0)
 
     def state(self, index: int) -> Json:
-        """Return a frame's state."""
         state: Json = json.loads(self.states[index])
         return state
 
@@ -89,17 +89,13 @@ class Frames:
         return [[round(time_s, 1), *at_m] for time_s, at_m in places]
 
     def announced_between(self, after_s: float, until_s: float) -> list[list[object]]:
-        """Return the latest words of a time, as the page takes them."""
         begin, end = (
             bisect.bisect_right(self.announced, time_s, key=lambda one: one[0]) for time_s in (after_s, until_s)
         )
         return [list(one) for one in self.announced[max(begin, end - _WORDS_MAX) : end]]
 
     def samples(self, begin: int, end: int) -> list[Json]:
-        """Return what plots and the target's path need of frames [begin, end), thinned where they are many.
-
-        They are few enough to be read and sent at once after a jump in a long recording.
-        """
+        """Return what plots and paths need of frames [begin, end), thinned: after a jump all is sent at once."""
         recent = max(self.index(self.times_s[end - 1] - _RECENT_S), begin)
         parts = range(begin, recent), range(recent, end)
         chosen = [k for part in parts for k in part[:: -(-len(part) // _SAMPLES_MAX) or 1]]
@@ -121,14 +117,13 @@ class Player:
     ) -> None:
         self._frames, self._what_if, self._clock = frames, what_if, clock
         self._speed, self._playing = speed, True
-        self._begin_s, self._end_s = frames.span_s
+        self._begin_s, self._end_s = frames.times_s[0], frames.times_s[-1]
         self._at_s = frames.start_s if frames.start_s is not None else self._begin_s
         self._sent = -1  # index of the frame sent last; -1: start again
         self._sent_s = -math.inf
         self._looked_s = clock()
 
     def pressed(self, press: Json) -> None:
-        """Take a button of the page."""
         self._advance()
         match press["action"]:
             case "play":
@@ -188,7 +183,6 @@ class Player:
 
     @property
     def setting(self) -> Json:
-        """What the page needs to know of the whole."""
         decided_s = [round(time_s, 1) for time_s in self._frames.decided_s]
         return {"begin_s": round(self._begin_s, 1), "end_s": round(self._end_s, 1), "decided_s": decided_s}
 
@@ -201,3 +195,52 @@ class Player:
             self._at_s = min(self._at_s + (now_s - self._looked_s) * self._speed, self._end_s)
             self._playing = self._at_s < self._end_s
         self._looked_s = now_s
+
+
+_EVERY_S = 0.125
+
+
+def serve_replay(
+    frames: Frames,
+    what_if: Frames | None,
+    config: Config,
+    address: PageAddress,
+    name: str,
+    speed: float,
+    announce: Callable[[str], object],
+    film: Callable[[float], bytes | None] | None = None,
+) -> None:
+    """Serve until Ctrl-C, or until the page's process ends; film returns the camera's picture of a time."""
+    player = Player(frames, speed, time.monotonic, what_if)
+    feed, url, _ = start_page(address, replay=True)
+    has_ground = config.terrain.folder is not None
+    shading = Shading(config, frames.plane) if has_ground and frames.plane is not None else None
+    setting_sent = False
+    pictures = None if film is None else PictureFile()
+    announce(f"replay: {url} (Ctrl-C ends it)")
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            while feed.alive:
+                for line in feed.lines():
+                    player.pressed(json.loads(line))
+                if feed.ready:
+                    update = player.update() | {"made_s": time.monotonic()}
+                    new_shade = shading is not None and shading.is_new()
+                    if not setting_sent or new_shade:
+                        base = setting(config, frames.plane, name, routes=frames.routes.values())
+                        base |= {"replay": player.setting} | under_flight(address, shading, pictures)
+                        update["setting"], setting_sent = base, True
+                    if pictures is not None and film is not None:
+                        update["picture"] = str(pictures.file)
+                        picture = film(player.at_s)
+                        if picture is not None:
+                            pictures.put(lambda picture=picture: picture)  # type: ignore[misc]
+                    if new_shade and shading is not None:
+                        update["shade"] = str(shading.file)
+                    feed.send(page_line(update))
+                time.sleep(_EVERY_S)
+    finally:
+        feed.close()
+        for one in (shading, pictures):
+            if one is not None:
+                one.close()

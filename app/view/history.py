@@ -36,7 +36,6 @@ class FrameHistory:
         self._lists: dict[str, deque[tuple[int, Any]]] = {name: deque(maxlen=most) for name, most in kept}
 
     def add(self, update: Json) -> None:
-        """Take a message of the program."""
         if update.get("restart"):
             self._forget()
             for key in ("state", "fleet"):
@@ -64,7 +63,7 @@ class FrameHistory:
         epoch, _, number = have.partition(".")
         restart = epoch != self._epoch or not number.isdigit()
         version = -1 if restart else int(number)
-        lists = {name: _newer(self._lists[name], version) for name in _LISTS}
+        lists = {name: [one for number, one in self._lists[name] if number > version] for name in _LISTS}
         lists["trail"] = _thinned(lists["trail"], self._aircraft * _TRAIL_SENT)
         lists["series"] = _thinned(lists["series"], self._aircraft * _SERIES_SENT)
         answer: Json = {"at": self.cursor, "age_s": round(self._clock_s() - self._made_s, 2), **self._kept, **lists}
@@ -77,15 +76,6 @@ class FrameHistory:
         return answer
 
 
-def _newer(kept: deque[tuple[int, Any]], version: int) -> list[Any]:
-    found = []
-    for number, one in reversed(kept):
-        if number <= version:
-            break
-        found.append(one)
-    return found[::-1]
-
-
 def _thinned(items: list[Any], most: int) -> list[Any]:
     """Return at most about this many, the latest whole: what is drawn far back needs less."""
     if len(items) <= most:
@@ -96,12 +86,10 @@ def _thinned(items: list[Any], most: int) -> list[Any]:
 
 
 def samples(update: Json) -> list[Json]:
-    """Return what the plots draw of a message's states."""
     return [sample(state) for state in ([update["state"]] if "state" in update else update.get("fleet", ()))]
 
 
 def sample(state: Json) -> Json:
-    """Return what the plots draw of a state."""
     target, aircraft = state["target"] or {}, state["aircraft"] or {}
     return {
         "name": state["name"],

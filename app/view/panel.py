@@ -1,11 +1,18 @@
-"""The terminal display: a status panel with decisions above it; plain lines if the output is not a terminal."""
+"""The terminal display: a status panel with decisions above it, or plain lines; changes are typed at it."""
 
 from __future__ import annotations
 
+import asyncio
 import math
+import os
+import re
+import sys
+import termios
+import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
-from typing import Self
+from typing import Any, Literal, Self
 
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -16,12 +23,120 @@ from rich.text import Text
 from sidelong.app.config import Config
 from sidelong.app.flight.loop import Wish
 from sidelong.app.link.message import plain
-from sidelong.app.view.prompt import HELP, Keyboard, Prompt
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.mission_change import describe_change
 from sidelong.mission.control.present import Phase, Present, VehicleStatus
-from sidelong.mission.core.events import Announce
+from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Requirement
+
+WHO = "the terminal"
+HELP = "type c to change radius, band, height or side, or to hold, resume, confirm or end"
+_EXAMPLES = "radius 80 | band 120-450 | height 90 | side right | hold | resume | this is it | end"
+_LENGTH_MAX = 60
+_ENTER, _ESCAPE, _ERASE = ("\r", "\n"), "\x1b", ("\x7f", "\b")
+_NUMBER = r"(\d+(?:\.\d+)?)"
+_ORDERS: dict[str, Literal["hold", "resume", "confirm", "end"]] = {
+    "hold": "hold",
+    "resume": "resume",
+    "this is it": "confirm",
+    "end": "end",
+}
+
+
+def read_wish(line: str) -> Wish | None:
+    """Return the change of a line such as "radius 80, side left", its time not set; None if the line is invalid."""
+    order = _ORDERS.get(line.strip())
+    if order is not None:
+        return OperatorRequest(0.0, order, who=WHO)
+    values: dict[str, Any] = {}
+    for part in line.split(","):
+        match part.split(maxsplit=1):
+            case ["radius" | "height" as name, text] if re.fullmatch(_NUMBER, text.strip()):
+                values[f"{name}_m"] = float(text)
+            case ["band", text] if band := re.fullmatch(rf"{_NUMBER}\s*(?:-|to)\s*{_NUMBER}", text.strip()):
+                values["range_min_m"], values["range_max_m"] = map(float, band.groups())
+            case ["side", text]:
+                values["side"] = text.strip()
+            case _:
+                return None
+    return MissionChange(0.0, **values, who=WHO)
+
+
+class Prompt:
+    """The line as it is typed. ``text``: shown to the operator; ``wish``: called with each confirmed request."""
+
+    def __init__(self, wish: Callable[[Wish], object]) -> None:
+        self._wish = wish
+        self._line: str | None = None  # None: nothing is being typed
+        self._asked: Wish | None = None
+        self.text = HELP
+
+    def key(self, key: str) -> None:
+        if self._asked is not None:
+            asked, self._asked = self._asked, None
+            self._show(None)
+            if key in ("y", "Y"):
+                self._wish(asked)
+        elif self._line is None:
+            if key == "c":
+                self._show("")
+        elif key == _ESCAPE:
+            self._show(None)
+        elif key in _ERASE:
+            self._show(self._line[:-1])
+        elif key in _ENTER:
+            self._ask(self._line)
+        elif key.isprintable() and len(self._line) < _LENGTH_MAX:
+            self._show(self._line + key)
+
+    def _ask(self, line: str) -> None:
+        self._asked = read_wish(line)
+        if self._asked is None:
+            self._show("", f"not understood: {line!r}; " if line else "")
+            return
+        asked = self._asked
+        words = describe_change(asked) if isinstance(asked, MissionChange) else line.strip()
+        self.text = f"{words}: y does it, any other key leaves it"
+
+    def _show(self, line: str | None, before: str = "") -> None:
+        self._line = line
+        self.text = HELP if line is None else f"{before}> {line or f'({_EXAMPLES}; Esc leaves)'}"
+
+
+class Keyboard:
+    """Characters of a terminal as they are typed, to a ``Prompt``; made and stopped in the running event loop."""
+
+    def __init__(self, descriptor: int, prompt: Prompt) -> None:
+        self._descriptor, self._prompt = descriptor, prompt
+        self._before = termios.tcgetattr(descriptor)
+        tty.setcbreak(descriptor, termios.TCSANOW)  # Ctrl-C stays what it is
+        asyncio.get_running_loop().add_reader(descriptor, self._read)
+
+    def stop(self) -> None:
+        asyncio.get_running_loop().remove_reader(self._descriptor)
+        with suppress(termios.error):  # it is gone
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
+
+    def _read(self) -> None:
+        try:
+            typed = os.read(self._descriptor, 1024)
+        except OSError:
+            typed = b""
+        if not typed:
+            asyncio.get_running_loop().remove_reader(self._descriptor)
+        for key in typed.decode(errors="replace"):
+            self._prompt.key(key)
+
+
+def keyboard_descriptor() -> int | None:
+    """Return standard input where a person can type there, and is meant for us: not in the background of a shell."""
+    with suppress(OSError, ValueError, AttributeError):
+        descriptor = sys.stdin.fileno()
+        if os.isatty(descriptor) and os.tcgetpgrp(descriptor) == os.getpgrp():
+            return descriptor
+    return None
+
 
 REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
@@ -47,19 +162,11 @@ _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", 
 class Panel:
     """The terminal: a panel at its bottom with messages above it; else plain lines. Use as ``with``.
 
-    Args:
-        console: Where to print.
-        quiet: Print nothing.
-        keyboard: File descriptor of the terminal for typed changes of a single aircraft; None: there is none.
-        names_targets: Whether there are several targets.
+    keyboard: file descriptor of the terminal for typed changes of a single aircraft; None: there is none.
     """
 
     def __init__(
-        self,
-        console: Console,
-        quiet: bool = False,
-        keyboard: int | None = None,
-        names_targets: bool = False,
+        self, console: Console, quiet: bool = False, keyboard: int | None = None, names_targets: bool = False
     ) -> None:
         self.console, self.quiet, self.names_targets = console, quiet, names_targets
         self._descriptor = keyboard
@@ -91,21 +198,13 @@ class Panel:
         return display
 
     def note(self, text: str) -> None:
-        """Print a message."""
         self.print(Text(plain(text)))
 
     def print(self, text: Text) -> None:
-        """Print a line above the panel."""
         if not self.quiet:
             self.console.print(text, soft_wrap=self._live is None)
 
-    @property
-    def is_live(self) -> bool:
-        """Whether there is a panel; without it a line a minute is printed."""
-        return self._live is not None
-
     def typed(self, ask: Callable[[Wish], None]) -> Prompt | None:
-        """Return the line of typed changes, where there is a keyboard."""
         if self._live is None or self._descriptor is None:
             return None
         prompt = Prompt(ask)
@@ -161,13 +260,11 @@ class AircraftDisplay:
 
     def show(self, snapshot: Present) -> None:
         self._snapshot, terminal = snapshot, self._terminal
-        due = not terminal.is_live and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S
-        if due:
+        if terminal._live is None and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S:
             self._plain_s = snapshot.time_s
             terminal.print(Text(self._line(snapshot)))
 
     def _line(self, shown: Present) -> str:
-        """Return the status as one line."""
         parts = [*filter(None, self.cells())]
         if self._start_s is not None:
             parts.append(f"moves {shown.moves}")
@@ -176,7 +273,6 @@ class AircraftDisplay:
         return f"{self._time(shown):>7}  " + self._named("  ".join([*parts, *shown.impaired_inputs]))
 
     def cells(self) -> tuple[str, ...]:
-        """Return the present state, in the columns of a fleet's panel."""
         shown = self._snapshot
         if shown is None:
             return ("",) * 7
@@ -202,7 +298,6 @@ class AircraftDisplay:
     # -- the panel -----------------------------------------------------------------------------------------
 
     def panel(self) -> RenderableType:
-        """Return the panel of a single aircraft."""
         shown = self._snapshot
         if shown is None:
             return Text("")
@@ -226,10 +321,7 @@ class AircraftDisplay:
             yield "target", known
         yield "circle", Text(self._circle(shown))
         sensors = Text()
-        for name, age_s in (
-            ("laser", shown.time_s - shown.range_s),
-            ("gimbal", shown.time_s - shown.gimbal_s),
-        ):
+        for name, age_s in (("laser", shown.time_s - shown.range_s), ("gimbal", shown.time_s - shown.gimbal_s)):
             words = f"{name} {age_s:.1f} s ago" if math.isfinite(age_s) else f"no {name}"
             sensors.append(words + "   ", "" if age_s <= _OLD_S else "yellow")
         sensors.append("link ok" if shown.connected else "link lost", "" if shown.connected else "bold red")
@@ -258,7 +350,6 @@ class AircraftDisplay:
 
 
 def clock(time_s: float) -> str:
-    """Return minutes:seconds."""
     return f"{int(time_s // 60):d}:{int(time_s % 60):02d}"
 
 

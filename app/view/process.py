@@ -66,7 +66,6 @@ class Feed:
         return self.alive and not self._unsent
 
     def flush(self) -> None:
-        """Send what is left of the last line, as far as it fits."""
         if not self._unsent:
             return
         try:
@@ -77,7 +76,6 @@ class Feed:
             self.alive = False
 
     def lines(self) -> list[bytes]:
-        """Return the whole lines that have come since the last call."""
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._out, 65536):
                 self._unread += data
@@ -103,7 +101,6 @@ class Feed:
         raise FeedError(complaint[-1] if complaint else f"it was not ready within {timeout_s:g} s")
 
     def close(self) -> None:
-        """End the process: it exits when its input is closed."""
         self.alive = False
         for stream in (self._process.stdin, self._process.stdout, self._complaints):
             if stream is not None:
@@ -119,23 +116,13 @@ class Feed:
 def start_page(
     address: PageAddress, replay: bool = False, fleet: Sequence[str] = (), service: bool = False
 ) -> tuple[Feed, str, str]:
-    """Start the server and wait for it.
+    """Start the server and wait for it; return the feed to it and the URLs for the operator and for viewers.
 
-    Args:
-        address: Where the page is served.
-        replay: Accept only the requests of a replay's page.
-        fleet: The names of the aircraft that may be relieved.
-        service: Whether watches are begun and released on the page.
-
-    Returns:
-        The feed to the server, and the URLs for the operator and for viewers.
-
-    Raises:
-        InputError: The server does not start, for example because the port is in use.
+    Raises InputError when it does not start, for example because the port is in use.
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
-    feed = Feed(helper_command("sidelong.app.view"), helper_environment())
+    feed = Feed(helper_command("sidelong.app.view.server"), helper_environment())
     options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
     options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
     options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
@@ -150,7 +137,6 @@ def start_page(
 
 
 def under_flight(address: PageAddress, shading: Shading | None, pictures: PictureFile | None) -> Json:
-    """Return the page's settings for map, ground and camera."""
     under = address.map
     layers = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
     shade_m = None if shading is None else shading.edges_m
@@ -158,5 +144,4 @@ def under_flight(address: PageAddress, shading: Shading | None, pictures: Pictur
 
 
 def page_line(values: Json) -> bytes:
-    """Return a line for the page's process."""
     return json.dumps(values, separators=(",", ":"), allow_nan=False).encode()

@@ -7,8 +7,8 @@ import math
 import shutil
 import tempfile
 import threading
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import png
@@ -44,7 +44,6 @@ class Shading:
         return new
 
     def close(self) -> None:
-        """Remove the file."""
         self._maker.join(_END_S)
         shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -56,22 +55,17 @@ class Shading:
         if ground is not None:
             shade = hillshade(ground, _REACH_M)
             self.file.write_bytes(shade.png)
-            self.edges_m = (shade.west_m, shade.south_m, shade.east_m, shade.north_m)
+            self.edges_m = shade.edges_m
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hillshade:
-    """A PNG, north up, and where its edges lie in the plane.
+class Hillshade(NamedTuple):
+    """A PNG, north up, and its edges in the plane: black away from the light, white towards it, slopes less clear.
 
-    Slopes away from the light are black, steep ones towards it white, the steeper the less transparent. Level ground
-    is a little grey, so that gentle slopes towards the light show on a bright page too; voids are left clear.
+    Level ground is a little grey, so that gentle slopes towards the light show on a bright page too; voids are clear.
     """
 
     png: bytes
-    west_m: float
-    south_m: float
-    east_m: float
-    north_m: float
+    edges_m: tuple[float, float, float, float]
 
 
 def hillshade(ground: Ground, reach_m: float = math.inf) -> Hillshade:
@@ -95,13 +89,13 @@ def hillshade(ground: Ground, reach_m: float = math.inf) -> Hillshade:
     picture = io.BytesIO()
     png.Writer(width, height, greyscale=False, alpha=True).write(picture, np.flipud(pixels).reshape(height, -1))
     # A pixel reaches half a step about its post.
-    return Hillshade(
-        picture.getvalue(),
-        ground.west_m + columns[0] * ground.step_east_m - 0.5 * step_east_m,
-        ground.south_m + rows[0] * ground.step_north_m - 0.5 * step_north_m,
-        ground.west_m + columns[-1] * ground.step_east_m + 0.5 * step_east_m,
-        ground.south_m + rows[-1] * ground.step_north_m + 0.5 * step_north_m,
+    first_m, last_m = (
+        (ground.west_m + columns[k] * ground.step_east_m, ground.south_m + rows[k] * ground.step_north_m)
+        for k in (0, -1)
     )
+    half_m = 0.5 * step_east_m, 0.5 * step_north_m
+    edges_m = first_m[0] - half_m[0], first_m[1] - half_m[1], last_m[0] + half_m[0], last_m[1] + half_m[1]
+    return Hillshade(picture.getvalue(), edges_m)
 
 
 def _posts_within(first_m: float, step_m: float, count: int, reach_m: float) -> range:

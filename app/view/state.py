@@ -1,7 +1,4 @@
-"""The data sent to the page, as plain JSON: metres in the plane, radians clockwise from north, seconds.
-
-Unknown values are null: JSON has no NaN.
-"""
+"""The data sent to the page, as JSON: metres in the plane, radians clockwise from north, seconds; unknown: null."""
 
 from __future__ import annotations
 
@@ -27,7 +24,6 @@ from sidelong.mission.viewpoint.side_policy import side_words
 
 
 def _limits(section: type[BaseModel], name: str) -> list[float]:
-    """Return the least and the greatest value of a configuration's field."""
     limits = section.model_fields[name].metadata
     return [next(getattr(limit, key) for limit in limits if hasattr(limit, key)) for key in ("ge", "le")]
 
@@ -49,11 +45,7 @@ def setting(
     requirement: Requirement | None = None,
     routes: Iterable[Route] = (),
 ) -> Json:
-    """Return the settings, which change only on request. name: title of the page.
-
-    The fences are included once the plane is known. requirement: the current one; by default the configured one.
-    routes: the expected route of each target that has one.
-    """
+    """Return what changes on request only; fences are included once the plane is known."""
     requirement = requirement or config.requirement.requirement()
 
     def outlines(polygons: list[list[tuple[float, float]]]) -> list[list[list[float]]]:
@@ -114,11 +106,7 @@ def _other(other: Neighbour, time_s: float) -> Json:
 class WatchShares:
     """The shares of the time so far in band and on side: from the first moment in the band, as a flight is judged.
 
-    They start again when sidelong gets control of the aircraft; a log of another program's flight has none.
-
-    Attributes:
-        in_band: Share of the time in band; None before judging begins.
-        on_side: Share of the time in which the side is known.
+    They start again when sidelong gets control of the aircraft; None before.
     """
 
     def __init__(self) -> None:
@@ -159,13 +147,7 @@ class StateEncoder:
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
     def state(self, snapshot: Present, silent_s: float, name: str = "") -> Json:
-        """Return the state.
-
-        Args:
-            snapshot: Of the mission.
-            silent_s: Time since the last message of the vehicle, s.
-            name: Of the aircraft; '' where there is one only.
-        """
+        """Return the state; silent_s: time since the last message of the vehicle; name: '' for a single aircraft."""
         time_s, vehicle = snapshot.time_s, snapshot.vehicle
         self._shares.note(snapshot)
         return {
@@ -205,7 +187,6 @@ class StateEncoder:
         }
 
     def _asked(self, snapshot: Present) -> Json:
-        """Return the current values of the settings that the operator can change in flight."""
         requirement = snapshot.requirement
         return {
             "radius_m": snapshot.radius_m,

@@ -23,9 +23,8 @@ from sidelong.app.commands.report import write_report
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format
 from sidelong.app.records.log import ContextBuilder, LogContext
-from sidelong.app.report.history import AircraftTrack, HistoryBuilder, curvature_per_m
+from sidelong.app.report.history import AircraftTrack, HistoryBuilder, curvature_per_m, feed, read_flight
 from sidelong.app.report.page import report_page
-from sidelong.app.report.sources import feed, read_flight
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.requirement import Side

@@ -12,8 +12,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.payload import Payload, PayloadErrors
-from sidelong.app.simulation.target import RandomTarget
+from sidelong.app.simulation.target import Payload, PayloadErrors, RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.mission.control.controller import StandoffController, StandoffSettings

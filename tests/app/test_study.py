@@ -22,7 +22,7 @@ from sidelong.app.study.settings import (
     PARK,
     StudySettings,
 )
-from sidelong.app.study.store import MEASURES
+from sidelong.app.study.study import MEASURES
 from tests.studies import run_study
 
 LAWS = (PAPER, LVFG, PARK, ORBIT)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from sidelong.app.commands.study import study
 from sidelong.app.errors import InputError
 from sidelong.app.study.benchmark import CLASSES, TRACKS
-from sidelong.app.study.controller import COLUMNS, ExternalController
+from sidelong.app.study.laws import COLUMNS, ExternalController
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.plan import AircraftState

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from sidelong.app.errors import InputError
-from sidelong.app.study.design import Design
-from sidelong.app.study.parallel import on_cluster
 from sidelong.app.study.settings import (
     LVFG,
     PARK,
+    Design,
     StudySettings,
 )
-from sidelong.app.study.store import MEASURES, ResultStore
-from sidelong.app.study.study import Study
+from sidelong.app.study.study import MEASURES, ResultStore, Study, on_cluster
 from tests.studies import run_study
 
 distributed = pytest.importorskip("distributed")
@@ -53,14 +51,14 @@ def test_a_worker_may_die_and_nothing_is_lost_or_flown_twice(cluster):
 
 
 def test_workers_of_other_code_are_refused(cluster, monkeypatch):
-    monkeypatch.setattr("sidelong.app.study.parallel.code_version", lambda: "0.0.1+other")
+    monkeypatch.setattr("sidelong.app.study.study.code_version", lambda: "0.0.1+other")
     study = Study([Design(SETTINGS)], ResultStore(None))
     with pytest.raises(InputError, match=r"not 0\.0\.1\+other"):
         study.fly(on_cluster(cluster.scheduler_address), lambda _settings: None, 30, lambda _runs: None)
 
 
 def test_no_scheduler_is_reported(monkeypatch):
-    monkeypatch.setattr("sidelong.app.study.parallel._ANSWER_S", 0.2)
+    monkeypatch.setattr("sidelong.app.study.study._ANSWER_S", 0.2)
     study = Study([Design(SETTINGS)], ResultStore(None))
     with pytest.raises(InputError, match="no Dask scheduler answers at tcp://127"):
         study.fly(on_cluster("tcp://127.0.0.1:9"), lambda _settings: None, 30, lambda _runs: None)

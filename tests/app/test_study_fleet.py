@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
-from sidelong.app.study.fleet_study import fleet_json
+from sidelong.app.study.fleet import FleetPlannerName, Loss, fleet_json, run_fleet
 from sidelong.app.study.recorded import own_route, recorded_targets
 from sidelong.app.study.settings import (
     PREDICTIVE,

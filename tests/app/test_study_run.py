@@ -9,7 +9,6 @@ import pytest
 from sidelong.app.simulation.kinematic import STEP_S
 from sidelong.app.simulation.target import RandomTarget, TargetTruth
 from sidelong.app.study import closed_loop
-from sidelong.app.study.design import designs
 from sidelong.app.study.laws import SteeredAircraft, fly_steered, run_law
 from sidelong.app.study.scene import first_circle, scene
 from sidelong.app.study.settings import (
@@ -17,6 +16,7 @@ from sidelong.app.study.settings import (
     PAPER,
     PARK,
     StudySettings,
+    designs,
     studied,
 )
 from sidelong.mission.core.circle import Circle

@@ -15,15 +15,16 @@ from typer.testing import CliRunner
 from sidelong.app.commands.study import study
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
-from sidelong.app.study.design import Design, configured, designs, parsed_sweep
-from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.settings import (
     LVFG,
     PAPER,
+    Design,
     StudySettings,
+    configured,
+    designs,
+    parsed_sweep,
 )
-from sidelong.app.study.store import MEASURES, ResultStore, run_ids
-from sidelong.app.study.study import Study
+from sidelong.app.study.study import MEASURES, ResultStore, Study, on_processes, run_ids
 from tests.studies import run_study
 
 SMALL = StudySettings((LVFG,), runs=4, perfect_sensors=True, duration_s=20.0)
@@ -200,14 +201,14 @@ def test_a_study_that_fails_keeps_what_was_flown(tmp_path):
 
 def test_other_code_is_another_result(monkeypatch):
     own = next(run_ids(SMALL, LVFG))
-    monkeypatch.setattr("sidelong.app.study.store.code_version", lambda: "other")
+    monkeypatch.setattr("sidelong.app.study.study.code_version", lambda: "other")
     assert next(run_ids(SMALL, LVFG)).key != own.key
 
 
 KILLED_AFTER_TWO = """
 import os, signal
 from sidelong.app.cli import main
-from sidelong.app.study.store import ResultStore
+from sidelong.app.study.study import ResultStore
 add, left = ResultStore.add, [1, 1]
 def add_and_die(*arguments):
     add(*arguments)

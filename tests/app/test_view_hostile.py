@@ -22,12 +22,10 @@ from rich.console import Console
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.network import Allowances
-from sidelong.app.view.access import Access
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.guard import Listener
 from sidelong.app.view.panel import Panel
-from sidelong.app.view.server import Server
+from sidelong.app.view.server import Access, Listener, Server
 from sidelong.estimators.frames import LocalPlane
 
 REQUESTS = int(os.environ.get("HOSTILE_REQUESTS", "240"))
@@ -365,7 +363,7 @@ def test_connections_without_a_handshake_are_counted(certificate):
 
 
 def test_a_connection_without_a_handshake_is_closed_in_time(monkeypatch):
-    monkeypatch.setattr("sidelong.app.view.guard._REQUEST_WITHIN_S", 0.01)
+    monkeypatch.setattr("sidelong.app.view.server._REQUEST_WITHIN_S", 0.01)
 
     async def idle() -> bytes:
         listener = Listener(socket.AF_INET, socket.SOCK_STREAM)

@@ -9,8 +9,7 @@ import termios
 import pytest
 from rich.console import Console
 
-from sidelong.app.view.panel import Panel
-from sidelong.app.view.prompt import HELP, WHO, Prompt, read_wish
+from sidelong.app.view.panel import HELP, WHO, Panel, Prompt, read_wish
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import MissionChange, OperatorRequest
 

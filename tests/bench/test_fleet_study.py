@@ -17,16 +17,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sidelong.app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fleet
-from sidelong.app.study.fleet_study import fleet_table, fly_fleets
-from sidelong.app.study.parallel import on_processes
+from sidelong.app.study.fleet import FleetPlannerName, FleetResult, Loss, fleet_table, fly_fleets, run_fleet
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.settings import (
     PREDICTIVE,
     StudySettings,
     studied,
 )
-from sidelong.app.study.study import table_of
+from sidelong.app.study.study import on_processes, table_of
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle

@@ -19,14 +19,12 @@ import numpy as np
 import psutil
 import pytest
 
-from sidelong.app.study.design import Design
-from sidelong.app.study.parallel import on_cluster
 from sidelong.app.study.settings import (
     PREDICTIVE,
+    Design,
     StudySettings,
 )
-from sidelong.app.study.store import MEASURES, ResultStore
-from sidelong.app.study.study import Study, table_of
+from sidelong.app.study.study import MEASURES, ResultStore, Study, on_cluster, table_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PREDICTIVE = StudySettings((PREDICTIVE,))

@@ -20,8 +20,7 @@ from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.simulation.kinematic import Body, Rates, Start
-from sidelong.app.simulation.payload import Payload
-from sidelong.app.simulation.target import RandomTarget
+from sidelong.app.simulation.target import Payload, RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Phase

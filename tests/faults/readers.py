@@ -31,7 +31,7 @@ from sidelong.app.records.journal import Header, JournalReader, encode
 from sidelong.app.records.log import open_log
 from sidelong.app.records.route_file import read_route
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.report.sources import read_summary
+from sidelong.app.report.history import read_summary
 from sidelong.app.sharing.beacon import decode
 from sidelong.app.terrain.elevation_data import Bounds, ElevationData
 from sidelong.app.view.background import background, readable_tile

@@ -17,8 +17,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Start
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.payload import Payload, PayloadErrors
-from sidelong.app.simulation.target import RandomTarget, TargetTruth
+from sidelong.app.simulation.target import Payload, PayloadErrors, RandomTarget, TargetTruth
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.alarms import Alarms
 from sidelong.mission.core.circle import Circle

@@ -15,7 +15,7 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import Header, JournalReader, encode
 from sidelong.app.records.log import open_log
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.report.sources import read_summary
+from sidelong.app.report.history import read_summary
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Announce
 from sidelong.sitl.world.track import read_track

@@ -21,7 +21,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import Recording
 from sidelong.app.records.export import Format
 from sidelong.app.records.run_folder import RunFolder
-from sidelong.app.report.sources import feed
+from sidelong.app.report.history import feed
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading
 from sidelong.mission.core.circle import Circle

@@ -22,7 +22,7 @@ def test_a_hill_is_bright_to_the_north_west_and_dark_to_the_south_east_and_level
     heights = (100.0 * np.exp(-(east**2 + north**2) / 250.0**2)).astype(np.float32)
     heights[-1, -1] = np.nan
     shade = hillshade(Ground(heights, -1000.0, -1000.0, 20.0, 20.0))
-    assert (shade.west_m, shade.south_m, shade.east_m, shade.north_m) == (-1010.0, -1010.0, 1010.0, 1010.0)
+    assert shade.edges_m == (-1010.0, -1010.0, 1010.0, 1010.0)
     seen = pixels(shade)
     assert seen.shape == (101, 101, 4)
     north_west, south_east = seen[40, 40], seen[60, 60]
@@ -38,9 +38,10 @@ def test_the_picture_lies_where_its_ground_is_and_stays_small(ground: Ground, re
     shade = hillshade(ground, reach_m)
     seen = pixels(shade)
     assert max(seen.shape) <= 1200
-    size_m = (shade.east_m - shade.west_m) / seen.shape[1], (shade.north_m - shade.south_m) / seen.shape[0]
+    west_m, south_m, east_m, north_m = shade.edges_m
+    size_m = (east_m - west_m) / seen.shape[1], (north_m - south_m) / seen.shape[0]
     thin = round(size_m[0] / ground.step_east_m)
     assert size_m == pytest.approx((thin * ground.step_east_m, thin * ground.step_north_m))
     if math.isfinite(reach_m) and reach_m > 10.0:
-        assert shade.west_m >= -reach_m - size_m[0] and shade.east_m <= reach_m + size_m[0]
+        assert west_m >= -reach_m - size_m[0] and east_m <= reach_m + size_m[0]
         assert seen[..., 3].max() > 0.3

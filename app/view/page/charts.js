@@ -28,7 +28,7 @@ export function svg(name, attributes = {}, parent = null) {
 }
 
 const isKnown = (value) => value !== null && value !== undefined;
-const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.round(seconds % 60)).padStart(2, "0")}`;
+const clock = (seconds) => `${Math.floor(Math.round(seconds) / 60)}:${String(Math.round(seconds) % 60).padStart(2, "0")}`;
 const byTime = (share) => `oklch(.6 .16 ${Math.round(140 + 170 * share)})`;
 
 export const scale = ([from, to], begin, end) => (value) => begin + ((value - from) / (to - from || 1)) * (end - begin);
