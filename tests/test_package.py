@@ -64,7 +64,8 @@ def test_the_wheel_installs_one_name_with_its_pages(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"sidelong"}
-    assert {"sidelong/py.typed", "sidelong/app/view/page/index.html", "sidelong/sitl/cli.py"} <= set(names)
+    data = {"sidelong/py.typed", "sidelong/app/view/page/charts.js", "sidelong/app/report/report.css"}
+    assert {*data, "sidelong/sitl/cli.py"} <= set(names)
 
 
 @pytest.mark.udp
