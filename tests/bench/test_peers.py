@@ -30,7 +30,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.analysis.truth import read_truth
-from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.flight.shell import free_udp_port
 from sidelong.estimators.frames import LocalPlane
 from tests.autopilot.changing_relay import ChangingRelay
 from tests.autopilot.conftest import Application
