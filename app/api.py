@@ -29,18 +29,12 @@ _WHO = "a program"
 
 
 class Watch:
-    """One watch under way; :func:`watch` makes it.
-
-    Attributes:
-        folder: Where its records are.
-        plane: The local plane of all positions, None before it is known.
-        summary: What was flown, None before the end.
-    """
+    """One watch under way; :func:`watch` makes it."""
 
     def __init__(self, folder: Path, note: Callable[[str], object]) -> None:
-        self.folder = folder
-        self.plane: LocalPlane | None = None
-        self.summary: Summary | None = None
+        self.folder = folder  # where its records are
+        self.plane: LocalPlane | None = None  # of all positions, None before it is known
+        self.summary: Summary | None = None  # None before the end
         self._note = note
         self._request: Callable[[Wish], None] | None = None
         self._news, self._over = asyncio.Event(), False

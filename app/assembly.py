@@ -163,12 +163,10 @@ def prepared(
     announce: Callable[[str], None] = lambda _text: None,
     kind: PlannerKind | None = None,
 ) -> Prepared:
-    """Compile and compute ahead what the control step of a configuration needs.
+    """Compile and compute ahead what the control step of a configuration needs. kind: None: the configured one.
 
-    Args:
-        progress: Receives the share (0 to 1) of the value table's computation, which takes seconds.
-        announce: Receives a sentence before the compilation, which takes up to a minute, once for each version.
-        kind: The kind of planner; None for the configured one, for an aircraft that flies alone.
+    progress: receives the share (0 to 1) of the value table's computation, which takes seconds. announce: receives a
+    sentence before the compilation, which takes up to a minute, once for each version.
     """
     kind = kind or planner_by_name(config.planner.name)
     if not (kind.is_compiled() and is_cached(update)):

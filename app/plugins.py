@@ -29,11 +29,8 @@ def with_plugins(
 ) -> tuple[T, ...]:
     """Return ``own`` and what the entry points of a group name, but for those that are faulty, which are reported.
 
-    Args:
-        group: ``sidelong.planners``, ``sidelong.payloads`` or ``sidelong.autopilots``.
-        methods: What each object needs to have, besides a name.
-        taken: Names that are taken, besides those of ``own``.
-        made: Makes the object of an entry point's name and what it loads; by default it calls a class.
+    methods: what each object needs to have, besides a name. taken: names that are taken, besides those of ``own``.
+    made: makes the object of an entry point's name and what it loads; by default it calls a class.
     """
     objects, names = list(own), {*taken, *(one.name for one in own)}
     for point in entry_points(group=group):
@@ -50,11 +47,8 @@ def with_plugins(
                 fault = f"has the name {one.name!r}, which is taken"
         if fault:
             origin = point.dist.name if point.dist is not None else "a distribution"
-            print(
-                f"sidelong: {origin}: entry point {point.name} of {group} {fault}; it is left out. "
-                f"Repair it or uninstall it.",
-                file=sys.stderr,
-            )
+            entry = f"sidelong: {origin}: entry point {point.name} of {group} {fault}"
+            print(f"{entry}; it is left out. Repair it or uninstall it.", file=sys.stderr)
             continue
         names.add(one.name)
         objects.append(one)

@@ -11,7 +11,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, TypeVar, cast, get_args
 
 from sidelong.app.analysis.replay import Comparison
 from sidelong.app.assembly import MADE_UP_ROUTE, planner_needs, tracker_settings
@@ -27,7 +27,7 @@ from sidelong.mission.control.alarms import Charge
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.surroundings import Surroundings
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import Event, RouteGiven
+from sidelong.mission.core.events import Event
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
@@ -203,22 +203,20 @@ class Participant:
         self.reporter = FleetReporter(self.name)
 
 
+@dataclass(eq=False)
 class Coordination:
     """Steps the coordinator by what the aircraft report, in the order in which it comes.
 
     note receives the name of an aircraft, '' for all, and the text to display.
     """
 
-    def __init__(
-        self,
-        coordinator: FleetCoordinator,
-        journal: JournalWriter,
-        note: Callable[[str, str], object],
-        launch: Callable[[str], object] = lambda _name: None,
-    ) -> None:
-        self.coordinator = coordinator
+    coordinator: FleetCoordinator
+    _journal: JournalWriter
+    _note: Callable[[str, str], object]
+    _launch: Callable[[str], object] = lambda _name: None
+
+    def __post_init__(self) -> None:
         self.changes: dict[str, list[tuple[float, Requirement]]] = defaultdict(list)  # by target, in mission time
-        self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
         self._ahead_s: dict[str, float] = {}  # mission time less the time of each source
         self._utc_rejected = False
@@ -284,7 +282,7 @@ class Coordination:
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
             for news in participant.reporter.after(participant.controller, event, outputs, self.now_s):
-                self.put(_common_heights(news, participant.home_above_m))
+                self.put(_raised(news, participant.home_above_m))
 
         return received
 
@@ -348,7 +346,7 @@ class Coordination:
             match command:
                 case events.Tell():
                     advised = self._participants[command.name]
-                    advised.put_event(_own_heights(command.event, advised.home_above_m))
+                    advised.put_event(_raised(command.event, -advised.home_above_m))
                 case events.FleetAnnounce():
                     self._note(command.name, command.text)
                 case events.RequirementChanged():
@@ -369,33 +367,23 @@ def compare_coordination(coordinator: FleetCoordinator, records: Iterable[object
     return comparison
 
 
-def _common_heights(event: events.FleetEvent, by_m: float) -> events.FleetEvent:
-    """Return what an aircraft reports with heights above the common home."""
-    match event:
-        case events.VehicleReported() if by_m:
-            return replace(event, height_m=event.height_m + by_m)
-        case events.PlansReported() if by_m:
-            return replace(event, present=_raised(event.present, by_m), coming=_raised(event.coming, by_m))
-    return event
+T = TypeVar("T")
 
 
-def _own_heights(
-    advised: FleetAdvice | NeighbourPlanned | RouteGiven, by_m: float
-) -> FleetAdvice | NeighbourPlanned | RouteGiven:
-    """Return an event for an aircraft with heights above its own home."""
-    if by_m == 0.0 or isinstance(advised, RouteGiven):
-        return advised
-    if isinstance(advised, NeighbourPlanned):
-        return replace(advised, present=_raised(advised.present, -by_m), coming=_raised(advised.coming, -by_m))
-    neighbours = tuple(replace(one, height_m=one.height_m - by_m) for one in advised.neighbours)
-    return replace(advised, height_m=advised.height_m - by_m, neighbours=neighbours)
-
-
-def _raised(plan: Plan | None, by_m: float) -> Plan | None:
-    if plan is None or plan.heights is None:
-        return plan
-    heights = plan.heights
-    return replace(plan, heights=HeightProfile(heights.from_m + by_m, heights.to_m + by_m, heights.slope))
+def _raised(item: T, by_m: float) -> T:
+    """Return an event or a plan with its heights above another home."""
+    given: Any = item
+    match given if by_m else None:
+        case events.VehicleReported() | Neighbour():
+            given = replace(given, height_m=given.height_m + by_m)
+        case events.PlansReported() | NeighbourPlanned():
+            given = replace(given, present=_raised(given.present, by_m), coming=_raised(given.coming, by_m))
+        case FleetAdvice():
+            neighbours = tuple(_raised(neighbour, by_m) for neighbour in given.neighbours)
+            given = replace(given, height_m=given.height_m + by_m, neighbours=neighbours)
+        case Plan(heights=HeightProfile() as heights):
+            given = replace(given, heights=HeightProfile(heights.from_m + by_m, heights.to_m + by_m, heights.slope))
+    return cast(T, given)
 
 
 def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda _share: None) -> FleetCoordinator:

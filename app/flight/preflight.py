@@ -32,14 +32,7 @@ from sidelong.app.link.telemetry import (
 from sidelong.app.link.vehicle import REMOTE_ID_STATUS, Vehicle, is_flying, mode_of
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.readings import (
-    BEACON_MESSAGES,
-    IMAGE_TRACKER,
-    GimbalReading,
-    RangeReading,
-    Source,
-    TargetFixReading,
-)
+from sidelong.estimators.sensing import readings
 from sidelong.estimators.tracking.sources import Rank, SourceSelector, range_rank, sight_rank
 from sidelong.mission.core.requirement import Aircraft
 from sidelong.mission.exchange.dialect import Home
@@ -50,7 +43,7 @@ _ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only 
 @dataclass(frozen=True, slots=True)
 class SourceRate:
     kind: str  # range, gimbal or target
-    source: Source  # who sends
+    source: readings.Source  # who sends
     rate_hz: float  # messages per second of the vehicle's clock
     fault: str = ""  # why none of them holds a reading, '' if they do
 
@@ -59,7 +52,7 @@ class SourceRate:
 
     @property
     def _spoken(self) -> str:
-        if self.source.message in BEACON_MESSAGES:
+        if self.source.message in readings.BEACON_MESSAGES:
             return f"{self.source.message} of a beacon at {self.rate_hz:.1f} Hz"
         where = f"component {self.source.component_id} id {self.source.sensor_id}"
         if self.kind == "range":
@@ -75,7 +68,7 @@ class SourceRates:
 
     def begin(self) -> None:
         self._telemetry = Telemetry(self._vehicle.system_id)
-        self._counts: Counter[tuple[str, Source]] = Counter()
+        self._counts: Counter[tuple[str, readings.Source]] = Counter()
         self._begun_s = math.inf  # of this computer's clock
         self._first_s = math.inf  # of the vehicle's
 
@@ -118,18 +111,18 @@ class SourceRates:
         self._begun_s = min(self._begun_s, message.received_s)
         if self._first_s == math.inf and self._telemetry.now_s > -math.inf:
             self._first_s = self._telemetry.now_s
-        if isinstance(event, RangeReading):
+        if isinstance(event, readings.RangeReading):
             self._counts["range", event.source] += 1
-        elif isinstance(event, GimbalReading):
+        elif isinstance(event, readings.GimbalReading):
             self._counts["gimbal", event.source] += 1
-        elif isinstance(event, TargetFixReading):
+        elif isinstance(event, readings.TargetFixReading):
             self._count_fix(event)
 
-    def _count_fix(self, reading: TargetFixReading) -> None:
+    def _count_fix(self, reading: readings.TargetFixReading) -> None:
         self._counts["target", reading.source] += 1
 
 
-def why_unused(config: Config, kind: str, source: Source) -> str:
+def why_unused(config: Config, kind: str, source: readings.Source) -> str:
     """Return why a source of a kind (range, gimbal, target) is never used, and what would use it; '' if it may be."""
     if kind == "target":
         return ""
@@ -138,41 +131,32 @@ def why_unused(config: Config, kind: str, source: Source) -> str:
     return SourceSelector(rank, choice).why_never(source, f"sensors.{kind}_component")
 
 
-def describe_use(config: Config, kind: str, received: Sequence[Source]) -> dict[Source, str]:
+def describe_use(config: Config, kind: str, received: Sequence[readings.Source]) -> dict[readings.Source, str]:
     """Return what becomes of each source of a kind: range, gimbal, or target (a camera's own tracker)."""
-    settings = tracker_settings(config.sensors, config.planner.lost_after_s)
-    if kind == "target":
-        return {
-            source: "used: the target's own"
-            if source.message in BEACON_MESSAGES
-            else "used while no laser is received"
-            for source in received
-        }
-    rank: Rank = range_rank if kind == "range" else sight_rank
+    settings, key = tracker_settings(config.sensors, config.planner.lost_after_s), f"sensors.{kind}_component"
     choice = settings.range_source if kind == "range" else settings.gimbal_source
-    key = f"sensors.{kind}_component"
-    if choice is not None:
-        return {
-            source: f"not used: {why}" if (why := why_unused(config, kind, source)) else f"used: {key} names it"
-            for source in received
-        }
-    ranks = {source: own for source in received if (own := rank(source)) is not None}
+    rank: Rank = range_rank if kind == "range" else sight_rank
+    ranks = {source: own for source in received if kind != "target" and (own := rank(source)) is not None}
     best = min(ranks.values(), default=None)
     first = [source for source, own in ranks.items() if own == best]
-    return {
-        source: f"not used: {why}" if (why := why_unused(config, kind, source)) else _words(source, key, ranks, first)
-        for source in received
-    }
 
+    def use(source: readings.Source) -> str:
+        if kind == "target":
+            own = source.message in readings.BEACON_MESSAGES
+            return "used: the target's own" if own else "used while no laser is received"
+        if why := why_unused(config, kind, source):
+            return f"not used: {why}"
+        if choice is not None:
+            return f"used: {key} names it"
+        if source in first:
+            if len(first) > 1:
+                return f"used if it is received first; select one with {key}"
+            return "used: " + ("the only one" if len(ranks) == 1 else "the payload's own, before what repeats it")
+        repeats = source.component_id == AUTOPILOT_COMPONENT
+        why = "the autopilot only repeats it" if repeats else "it is not fixed to a gimbal"
+        return f"stands by for when the other falls silent: {why}"
 
-def _words(source: Source, key: str, ranks: dict[Source, int], first: Sequence[Source]) -> str:
-    if source in first:
-        if len(first) > 1:
-            return f"used if it is received first; select one with {key}"
-        return "used: " + ("the only one" if len(ranks) == 1 else "the payload's own, before what repeats it")
-    repeats = source.component_id == AUTOPILOT_COMPONENT
-    why = "the autopilot only repeats it" if repeats else "it is not fixed to a gimbal"
-    return f"stands by for when the other falls silent: {why}"
+    return {source: use(source) for source in received}
 
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
@@ -402,7 +386,7 @@ def _limit_checks(
 
 
 def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:
-    if IMAGE_TRACKER not in vehicle.latest:
+    if readings.IMAGE_TRACKER not in vehicle.latest:
         return ()
     known = [name for name in ("CAMERA_FOV_STATUS", "CAMERA_INFORMATION") if name in vehicle.latest]
     remedy = "let the camera send CAMERA_FOV_STATUS: without it the target's place in the image is not used"

@@ -6,6 +6,7 @@ import asyncio
 import math
 import re
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -86,15 +87,16 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = F
         await vehicle.set_rates(UNUSED_HZ, rounds=1)  # some may have been lost
 
 
+@dataclass(eq=False)
 class StreamKeeper:
     """Requests the streams again while one is silent, and when another ground station has slowed one down."""
 
-    def __init__(self, request: Callable[[], Awaitable[None]], note: Callable[[str], object]) -> None:
-        self._request, self._note = request, note
-        self._stale: set[Input] = set()
-        self._requesting = OneTask()
-        self._best_hz: dict[Input, float] = {}
-        self._look_s = float("-inf")
+    _request: Callable[[], Awaitable[None]]
+    _note: Callable[[str], object]
+    _stale: set[Input] = field(default_factory=set)
+    _requesting: OneTask = field(default_factory=OneTask)
+    _best_hz: dict[Input, float] = field(default_factory=dict)
+    _look_s: float = -math.inf
 
     def health_changed(self, change: HealthChanged) -> None:
         """Request again for as long as an input of the autopilot is stale."""

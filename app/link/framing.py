@@ -8,13 +8,10 @@ _KEPT_MAX_BYTES = 4096
 
 
 class Framer:
-    """Incremental parser that continues at the next header after a damaged frame.
+    """Incremental parser that continues at the next header after a damaged frame. Headers are all of one length.
 
-    Args:
-        headers: the byte sequences that frames begin with, all of one length.
-        length_of: returns the length of the frame at the beginning of the buffer; 0: it is not a frame; None: more
-            bytes are needed.
-        is_intact: returns whether the checksum of a complete frame is right.
+    length_of: returns the length of the frame at the beginning of the buffer; 0: it is not a frame; None: more bytes
+    are needed. is_intact: returns whether the checksum of a complete frame is right.
     """
 
     def __init__(

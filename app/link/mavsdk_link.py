@@ -227,28 +227,28 @@ class MavsdkLink:
     # -- parameters ----------------------------------------------------------------------------------------
 
     async def parameter(self, name: str) -> float | None:
-        # MAVSDK requires the type: it reports a wrong type immediately, an unknown name after 3 s.
-        for read in (self._param.get_param_float, self._param.get_param_int):
-            try:
-                return float(await self._bounded(read(name), _PARAMETER_S))
-            except ParamError as error:
-                if error.result.name not in _WRONG_TYPE:
-                    return None
-            except TimeoutError:
-                return None
-        return None
+        param = self._param
+        done, value = await self._typed(lambda: param.get_param_float(name), lambda: param.get_param_int(name))
+        return float(value) if done else None
 
     async def set_parameter(self, name: str, value: float) -> bool:
-        for write, typed in ((self._param.set_param_float, float), (self._param.set_param_int, round)):
+        write_float, write_int = self._param.set_param_float, self._param.set_param_int
+        return (await self._typed(lambda: write_float(name, float(value)), lambda: write_int(name, round(value))))[0]
+
+    async def _typed(self, *calls: Callable[[], Awaitable[Any]]) -> tuple[bool, Any]:
+        """Return whether the call of the right type succeeded, and its result.
+
+        MAVSDK requires the type: it reports a wrong type immediately, an unknown name after 3 s.
+        """
+        for call in calls:
             try:
-                await self._bounded(write(name, typed(value)), _PARAMETER_S)
-                return True
+                return True, await self._bounded(call(), _PARAMETER_S)
             except ParamError as error:
                 if error.result.name not in _WRONG_TYPE:
-                    return False
+                    break
             except TimeoutError:
-                return False
-        return False
+                break
+        return False, None
 
     # -- the traps -----------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ import contextlib
 import itertools
 import math
 import struct
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,7 +56,7 @@ async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSW
     Raises LookupError if it is not received, does not answer, or has fewer than two way points, LinkError if a
     message cannot be sent.
     """
-    with _received(vehicle, system_id) as received:
+    with vehicle.hearing(*_NAMES, system_id=system_id) as received:
         wait_s = max(_HEARTBEAT_S, answer_s)
         heartbeat = await _next(received, lambda message: message.name == "HEARTBEAT", wait_s)
     if heartbeat is None:
@@ -77,7 +77,7 @@ async def read_items(
     Raises LookupError if it does not answer, LinkError if a message cannot be sent.
     """
     address = {"target_system": system_id, "target_component": AUTOPILOT_COMPONENT, "mission_type": mission_type}
-    with _received(vehicle, system_id) as received:
+    with vehicle.hearing(*_NAMES, system_id=system_id) as received:
 
         async def asked(request: str, answers: tuple[str, ...], **fields: int) -> Message:
             def is_answer(message: Message) -> bool:
@@ -103,22 +103,6 @@ async def read_items(
         items = [(await asked("MISSION_REQUEST_INT", ("MISSION_ITEM_INT",), seq=seq)).fields for seq in range(count)]
         await vehicle.link.send("MISSION_ACK", address | {"type": int(mavlink.MAV_MISSION_ACCEPTED)})
     return items
-
-
-@contextlib.contextmanager
-def _received(vehicle: Vehicle, system_id: int) -> Iterator[asyncio.Queue[Message]]:
-    received: asyncio.Queue[Message] = asyncio.Queue()
-
-    def on_message(message: Message) -> None:
-        if (message.system_id, message.component_id) == (system_id, AUTOPILOT_COMPONENT) and message.name in _NAMES:
-            received.put_nowait(message)
-
-    vehicle.bystanders.append(on_message)
-    try:
-        yield received
-    finally:
-        with contextlib.suppress(ValueError):  # a flight that ends takes its listeners with it
-            vehicle.bystanders.remove(on_message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,10 +251,7 @@ def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:
 class ParameterWatch:
     """Reports when another station sets a parameter that matters for the mission.
 
-    Args:
-        bytewise: whether the autopilot sends the bytes of an integer where the float belongs.
-        own: what this mission has set itself, by name.
-        changed: receives the values by key after each change.
+    own: what this mission has set itself, by name. changed: receives the values by key after each change.
     """
 
     def __init__(

@@ -18,16 +18,9 @@ from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.link.message import Message
 from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
+from sidelong.estimators.sensing import readings
 from sidelong.estimators.sensing.clock import VehicleClock
 from sidelong.estimators.sensing.pose import ReadingHistory, gimbal_at
-from sidelong.estimators.sensing.readings import (
-    AttitudeReading,
-    GimbalReading,
-    PositionReading,
-    RangeReading,
-    Source,
-    TargetFixReading,
-)
 from sidelong.mission.core.events import Event, HomeReported, ModeReported, NavigationReported, WindReported
 
 AUTOPILOT_INVALID = int(dialect.MAV_AUTOPILOT_INVALID)
@@ -77,7 +70,7 @@ _UNSTAMPED = frozenset(
 _AUTOPILOT_ALONE = _UNSTAMPED - {"RANGEFINDER", "TARGET_ABSOLUTE"} | {"HEARTBEAT", "GLOBAL_POSITION_INT", "ATTITUDE"}
 
 Fields = Mapping[str, Any]
-_source = lru_cache(maxsize=64)(Source)  # the same few speak all the time
+_source = lru_cache(maxsize=64)(readings.Source)  # the same few speak all the time
 
 
 class Telemetry:
@@ -93,12 +86,12 @@ class Telemetry:
     def __init__(self, system_id: int | None = None) -> None:
         self.system_id = system_id
         self.plane: LocalPlane | None = None
-        self.unusable: Counter[tuple[str, Source, str]] = Counter()
+        self.unusable: Counter[tuple[str, readings.Source, str]] = Counter()
         self._clock = VehicleClock()
         self._wrapped_s = 0.0
         self._yaw_rad: float | None = None
-        self._sight: GimbalReading | None = None
-        self._sights: ReadingHistory[GimbalReading] = ReadingHistory(_SIGHT_AGE_MAX_S)
+        self._sight: readings.GimbalReading | None = None
+        self._sights: ReadingHistory[readings.GimbalReading] = ReadingHistory(_SIGHT_AGE_MAX_S)
         self._half_view: dict[int, tuple[float, float]] = {}  # tangents of half the angles, by camera component
         self._near_origin = 0  # consecutive fixes, up to the number that settles the plane
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
@@ -169,7 +162,7 @@ class Telemetry:
             if math.hypot(east_m, north_m) > _ORIGIN_NEAR_M:
                 self.plane, self._near_origin = LocalPlane(latitude_deg, longitude_deg), 1
                 east_m = north_m = 0.0
-        return PositionReading(
+        return readings.PositionReading(
             time_s,
             east_m,
             north_m,
@@ -192,7 +185,7 @@ class Telemetry:
         if not _finite(*angles):
             return None
         time_s, self._yaw_rad = self._own_seconds(fields["time_boot_ms"]), fields["yaw"]
-        return AttitudeReading(time_s, *angles)
+        return readings.AttitudeReading(time_s, *angles)
 
     def _own_seconds(self, boot_ms: int) -> float:
         """Return a stamp of the vehicle's own, which moves its clock."""
@@ -244,7 +237,7 @@ class Telemetry:
 
     # -- the payload ---------------------------------------------------------------------------------------
 
-    def _note_unusable(self, kind: str, source: Source, why: str) -> None:
+    def _note_unusable(self, kind: str, source: readings.Source, why: str) -> None:
         self.unusable[kind, source, why] += 1
 
     def _distance_sensor(self, message: Message) -> Event | None:
@@ -262,7 +255,7 @@ class Telemetry:
             return None
         covariance_cm2 = fields["covariance"]
         quaternion = fields.get("quaternion") if orientation == _ORIENTATION_CUSTOM else None
-        return RangeReading(
+        return readings.RangeReading(
             time_s=self._payload_seconds(fields["time_boot_ms"]),
             slant_range_m=distance_m,
             source=source,
@@ -278,7 +271,7 @@ class Telemetry:
         if not _finite(distance_m) or distance_m <= 0.0:
             self._note_unusable("range", source, "no echo")
             return None
-        return RangeReading(self.now_s, distance_m, source)
+        return readings.RangeReading(self.now_s, distance_m, source)
 
     def _gimbal(self, message: Message) -> Event | None:
         fields = message.fields
@@ -292,7 +285,7 @@ class Telemetry:
         if frame == "vehicle" and delta_yaw_rad and self._is_heading(delta_yaw_rad):
             # The gimbal's own heading, of the moment of the measurement: the aircraft's need not be interpolated.
             quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
-        self._sight = GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
+        self._sight = readings.GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
         if self._half_view:  # only a camera looks back
             self._sights.add(self._sight)
         return self._sight
@@ -334,7 +327,7 @@ class Telemetry:
         right, down = (2.0 * x - 1.0) * half_view[0], (2.0 * y - 1.0) * half_view[1]
         offset = from_roll_pitch_yaw(0.0, -math.atan2(down, math.hypot(1.0, right)), math.atan(right))
         source = _source(message.name, message.component_id, int(fields.get("camera_device_id") or 0))
-        return GimbalReading(sight.time_s, multiply(sight.quaternion_wxyz, offset), sight.frame, source)
+        return readings.GimbalReading(sight.time_s, multiply(sight.quaternion_wxyz, offset), sight.frame, source)
 
     def _is_heading(self, delta_yaw_rad: float) -> bool:
         """Return whether a yaw is near the aircraft's; 0 is what senders that do not know the field send."""
@@ -350,7 +343,7 @@ class Telemetry:
             return None
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = _source(message.name, message.component_id)
-        return TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
+        return readings.TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
 
     def _target_absolute(self, message: Message) -> Event | None:
         """Take the target's position by another estimator on board, which may use a beacon."""
@@ -362,7 +355,7 @@ class Telemetry:
             return None
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = _source(message.name, message.component_id, int(fields["id"]))
-        return TargetFixReading(self.now_s, east_m, north_m, max(sigmas_m), source)
+        return readings.TargetFixReading(self.now_s, east_m, north_m, max(sigmas_m), source)
 
 
 def gimbal_frame(flags: int) -> Literal["earth", "vehicle", "body"]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, has_fix
@@ -28,29 +29,19 @@ _TURN_OVER_S, _TURN_MAX_RAD_S, _TURN_MIN_RAD_S = 6.0, 0.35, 0.015
 _OWN_M, _OWN_M_S = 60.0, 4.0
 
 
+@dataclass(eq=False)
 class TrafficReader:
-    """Reads messages of all senders; ``report`` returns each aircraft once a second.
+    """Reads messages of all senders; ``report`` returns each aircraft once a second."""
 
-    Args:
-        home_altitude_m: Altitude of the home that heights refer to, above mean sea level, m.
-        own_ids: System ids of the own aircraft.
-        own: Returns the state and the height of the own aircraft, which its own transponder reports, too.
-        ignored: Names of aircraft that are none to keep clear of, such as the target's beacon.
-    """
-
-    def __init__(
-        self,
-        plane: LocalPlane,
-        home_altitude_m: float,
-        own_ids: Collection[int],
-        now_s: Callable[[], float],
-        own: Callable[[], tuple[AircraftState, float] | None] = lambda: None,
-        ignored: Collection[str] = (),
-    ) -> None:
-        self._plane, self._home_altitude_m = plane, home_altitude_m
-        self._own_ids, self._now_s, self._own, self._ignored = own_ids, now_s, own, ignored
-        self._known: dict[str, Neighbour] = {}
-        self._geoid_m = 0.0  # height of the mean sea level above the ellipsoid
+    _plane: LocalPlane
+    _home_altitude_m: float  # of the home that heights refer to, above mean sea level
+    _own_ids: Collection[int]  # system ids of the own aircraft
+    _now_s: Callable[[], float]
+    # State and height of the own aircraft, which its own transponder reports, too.
+    _own: Callable[[], tuple[AircraftState, float] | None] = lambda: None
+    _ignored: Collection[str] = ()  # names of those that are none to keep clear of, such as the target's beacon
+    _known: dict[str, Neighbour] = field(default_factory=dict)
+    _geoid_m: float = 0.0  # height of the mean sea level above the ellipsoid
 
     @property
     def aircraft(self) -> tuple[Neighbour, ...]:

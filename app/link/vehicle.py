@@ -204,20 +204,22 @@ class Vehicle(VehicleMessages):
         return next((link.measured.round_trip_s for link in self.link.recent() if link.in_use), None)
 
     @contextlib.contextmanager
-    def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
-        """Collect the autopilot's messages of these names inside the context."""
+    def hearing(self, *names: str, system_id: int | None = None) -> Iterator[asyncio.Queue[Message]]:
+        """Collect the messages of these names of the autopilot, or of another system's, inside the context."""
         queue: asyncio.Queue[Message] = asyncio.Queue()
+        sender = self.system_id if system_id is None else system_id, AUTOPILOT_COMPONENT
 
         def on_message(message: Message) -> None:
-            if message.name in names and message.component_id == AUTOPILOT_COMPONENT:
+            if message.name in names and (message.system_id, message.component_id) == sender:
                 queue.put_nowait(message)
 
-        self.listeners.append(on_message)
+        listeners = self.listeners if system_id is None else self.bystanders
+        listeners.append(on_message)
         try:
             yield queue
         finally:
             with contextlib.suppress(ValueError):  # a flight that ends takes its listeners with it
-                self.listeners.remove(on_message)
+                listeners.remove(on_message)
 
     async def received(self, name: str, timeout_s: float) -> Message | None:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""

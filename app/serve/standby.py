@@ -45,21 +45,15 @@ class VehicleGoneError(Exception):
 
 
 class Standby:
-    """Judges one session again and again.
-
-    Attributes:
-        missing: What keeps the vehicle from being watched with, in words; '' where it is ready, None before the first
-            check.
-        found: The latest checks.
-    """
+    """Judges one session again and again."""
 
     def __init__(self, session: Session, config: Config) -> None:
         self._session, self._config = session, config
         self._received_s = time.monotonic()
         self._boot_ms = -1
         self._restarted = self._was_missing = False
-        self.missing: str | None = None
-        self.found: tuple[Check, ...] = ()
+        self.missing: str | None = None  # what keeps it from being watched with; '': ready; None: not checked yet
+        self.found: tuple[Check, ...] = ()  # the latest checks
         session.vehicle.listeners.append(self._on_message)
 
     async def run(self) -> None:
@@ -124,14 +118,11 @@ class _Switch:
     A receiver that loses its transmitter may preset any channel. What the autopilot then reports is an unhealthy
     receiver, up to a second or two later, or several channels that jump at once. After that the switch has to be low
     again before it starts anything.
-
-    Attributes:
-        healthy_ms: When the autopilot last reported a healthy receiver; None: not since it reported an unhealthy one.
     """
 
     up: bool | None = None  # its position, None while it is not known
     moved: tuple[bool, int] | None = None  # the position that it was moved to, and when, ms of the vehicle's clock
-    healthy_ms: int | None = None
+    healthy_ms: int | None = None  # when the receiver was last healthy; None: not since it was reported unhealthy
     now_ms: int = 0
     others_us: tuple[int, ...] = ()
 

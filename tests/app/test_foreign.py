@@ -111,7 +111,7 @@ def test_the_turn_of_an_aircraft_is_estimated(received):
 
 
 def test_the_beacon_of_the_target_is_no_traffic():
-    assert TrafficReader(PLANE, 500.0, {1}, lambda: 100.0, ignored=("ADS-B 000ABC",)).report(adsb()) is None
+    assert TrafficReader(PLANE, 500.0, {1}, lambda: 100.0, _ignored=("ADS-B 000ABC",)).report(adsb()) is None
 
 
 def test_the_own_transponder_is_no_traffic():
