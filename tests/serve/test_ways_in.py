@@ -46,8 +46,8 @@ class Transmitter:
     def __init__(self, vehicle):
         autopilot, self._vehicle = vehicle.autopilot, vehicle
         self._pulse_us, self.receives = 1000, True
-        builders, receiver = autopilot._builders, mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-        status = builders[mavlink.MAVLINK_MSG_ID_SYS_STATUS]
+        builder_of, receiver = autopilot._builder_of, mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+        status = builder_of(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
 
         def health():
             message = status()
@@ -61,11 +61,8 @@ class Transmitter:
             pulses = [1500] * 8 + [self._pulse_us] + [65535] * 9
             return mavlink.MAVLink_rc_channels_message(autopilot.boot_ms, 16, *pulses, 200)
 
-        vehicle.do(
-            lambda: builders.update(
-                {mavlink.MAVLINK_MSG_ID_SYS_STATUS: health, mavlink.MAVLINK_MSG_ID_RC_CHANNELS: channels}
-            )
-        )
+        own = {mavlink.MAVLINK_MSG_ID_SYS_STATUS: health, mavlink.MAVLINK_MSG_ID_RC_CHANNELS: channels}
+        vehicle.do(lambda: setattr(autopilot, "_builder_of", lambda number: own.get(number) or builder_of(number)))
 
     def move(self, pulse_us, receives=True):
         """Let channel 9 have another pulse width from now on."""
