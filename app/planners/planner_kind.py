@@ -58,8 +58,7 @@ class PlannerKind(Protocol):
 class CompilesInParts(Protocol):
     """A ``PlannerKind`` whose decisions one process compiles while another computes its tables."""
 
-    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner:
-        """Return a planner that decides by made-up tables."""
+    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner: ...  # with made-up tables
 
 
 class Paper(PlannerKind):

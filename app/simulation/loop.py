@@ -28,28 +28,21 @@ class SimulatedVehicle(Protocol[P]):
     """A vehicle that sends packets of some kind and receives frames, on a clock that the loop moves."""
 
     @property
-    def system_id(self) -> int:
-        """Its MAVLink system id."""
+    def system_id(self) -> int: ...
 
     @property
-    def tick_s(self) -> float:
-        """The time by which the loop moves its clock."""
+    def tick_s(self) -> float: ...  # the time by which the loop moves its clock
 
     @property
-    def time_s(self) -> float:
-        """Its clock, which the loop moves; not the clock in its messages."""
+    def time_s(self) -> float: ...  # its clock, which the loop moves; not the clock in its messages
 
-    def advance(self, to_s: float) -> None:
-        """Fly until a time."""
+    def advance(self, to_s: float) -> None: ...
 
-    def receive(self, frame: bytes) -> None:
-        """Take a frame from sidelong."""
+    def receive(self, frame: bytes) -> None: ...
 
-    def take(self) -> Sequence[P]:
-        """Return what it has sent since the last call."""
+    def take(self) -> Sequence[P]: ...  # what it has sent since the last call
 
-    def messages(self, packet: P, received_s: float) -> Iterable[Message | Reading]:
-        """Return what it sent, after the link: messages, and readings that need no decoding."""
+    def messages(self, packet: P, received_s: float) -> Iterable[Message | Reading]: ...  # what it sent, decoded
 
 
 class ClosedLoop(Generic[P]):

@@ -35,8 +35,7 @@ class TargetTruth:
 
 
 class Target(Protocol):
-    def at(self, time_s: float) -> TargetTruth:
-        """Return the truth at a time from 0 to the end of the motion."""
+    def at(self, time_s: float) -> TargetTruth: ...  # at a time from 0 to the end of the motion
 
 
 class RandomTarget:

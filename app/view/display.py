@@ -22,9 +22,8 @@ from sidelong.app.config import Config
 from sidelong.app.flight.loop import FlightDisplay, TrackRequest, Wish
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json
-from sidelong.app.view.picture import PictureFile
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
-from sidelong.app.view.shading import Shading
+from sidelong.app.view.shading import PictureFile, Shading
 from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
@@ -43,11 +42,9 @@ T = TypeVar("T")
 class FleetRequests(Protocol):
     """What a person may ask of the whole fleet; each returns why not, '' where it is passed on."""
 
-    def watch_from(self, side: Side, who: str) -> str:
-        """Set the required side."""
+    def watch_from(self, side: Side, who: str) -> str: ...
 
-    def relieve(self, name: str, who: str) -> str:
-        """Let another one take that aircraft's place."""
+    def relieve(self, name: str, who: str) -> str: ...
 
 
 class ShownAircraft:
@@ -185,10 +182,9 @@ class ViewDisplay(ShownAircraft):
             self._drain(self._feed)
             self._feed.close()
             self._feed = None
-        if self._shading is not None:
-            self._shading.close()
-        if self._pictures is not None:
-            self._pictures.close()
+        for pictures in (self._shading, self._pictures):
+            if pictures is not None:
+                pictures.close()
 
     @property
     def is_served(self) -> bool:

@@ -15,9 +15,8 @@ from sidelong.app.analysis.replay import Replayed, announcements
 from sidelong.app.config import Config
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json, sample
-from sidelong.app.view.picture import PictureFile
 from sidelong.app.view.process import page_line, start_page, under_flight
-from sidelong.app.view.shading import Shading
+from sidelong.app.view.shading import PictureFile, Shading
 from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, DecisionRecord

@@ -16,8 +16,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json
-from sidelong.app.view.picture import PictureFile
-from sidelong.app.view.shading import Shading
+from sidelong.app.view.shading import PictureFile, Shading
 
 _UP_S = 30.0  # a second or two; a machine that is busy takes many times that
 _END_S = 2.0

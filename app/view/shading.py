@@ -1,4 +1,4 @@
-"""A shaded relief image of the ground under the map, computed in a separate thread."""
+"""Pictures in files for the page: a shaded relief of the ground under the map, and what a camera films."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 import shutil
 import tempfile
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +21,7 @@ from sidelong.app.errors import InputError
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 
+_EVERY_S = 0.2  # between two pictures of a camera
 _REACH_M, _END_S = 15_000.0, 5.0
 _PIXELS_MAX = 1200  # each way
 _STEEPER = 2.0  # gentle hills would hardly be seen
@@ -26,13 +29,35 @@ _LIGHT_FROM_RAD, _LIGHT_ABOVE_RAD = math.radians(315.0), math.radians(45.0)
 _OPACITY_MAX, _LEVEL_GREY = 0.7, 0.25
 
 
-class Shading:
-    """A picture in a file of its own until ``close``; ``edges_m`` (west, south, east, north) once it is there."""
+class PictureFile:
+    """A picture in a file until ``close``: of a camera, a line of JSON with what is drawn on it, then its JPEG.
+
+    The page's server answers from the file: a slow browser delays nothing.
+    """
+
+    def __init__(self, name: str = "picture") -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="sidelong-"))
+        self.file, self._next_s = self._folder / name, 0.0
+
+    def put(self, picture: Callable[[], bytes]) -> None:
+        """Replace the picture, at most five times a second. Raises OSError."""
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s = now_s + _EVERY_S
+            whole = self.file.with_suffix(".new")
+            whole.write_bytes(picture())
+            whole.replace(self.file)
+
+    def close(self) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+class Shading(PictureFile):
+    """The shaded ground, computed in a thread; ``edges_m`` (west, south, east, north) once it is there."""
 
     def __init__(self, config: Config, plane: LocalPlane) -> None:
         self.edges_m: tuple[float, float, float, float] | None = None
-        self._folder = Path(tempfile.mkdtemp(prefix="sidelong-"))
-        self.file = self._folder / "shade.png"
+        super().__init__("shade.png")
         self._announced = False
         self._maker = threading.Thread(target=self._make, args=(config, plane), daemon=True)
         self._maker.start()
@@ -45,7 +70,7 @@ class Shading:
 
     def close(self) -> None:
         self._maker.join(_END_S)
-        shutil.rmtree(self._folder, ignore_errors=True)
+        super().close()
 
     def _make(self, config: Config, plane: LocalPlane) -> None:
         try:
