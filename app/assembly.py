@@ -171,7 +171,11 @@ def prepared(
     kind = kind or planner_by_name(config.planner.name)
     if not (kind.is_compiled() and is_cached(update)):
         _compile(config, kind, announce)
-    return _prepared(config, kind, progress)
+    make_planner = kind.factory(planner_needs(config, progress))
+    _warm_up_planner(config, make_planner)
+    warm_up_exchange()
+    warm_up_track(_track_of(config))
+    return Prepared(config, make_planner)
 
 
 def controller_of(
@@ -212,14 +216,6 @@ def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None])
                 announce(f"compiling planner and filter, once for this version, a minute or two: {10 * announced} %")
             with suppress(subprocess.TimeoutExpired):
                 next(helper for helper in helpers if helper.returncode is None).wait(0.5)
-
-
-def _prepared(config: Config, kind: PlannerKind, progress: Callable[[float], None] = lambda _share: None) -> Prepared:
-    make_planner = kind.factory(planner_needs(config, progress))
-    _warm_up_planner(config, make_planner)
-    warm_up_exchange()
-    warm_up_track(_track_of(config))
-    return Prepared(config, make_planner)
 
 
 def _warm_up_planner(config: Config, make_planner: CheckedPlannerFactory) -> None:

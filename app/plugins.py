@@ -16,16 +16,12 @@ class _Named(Protocol):
 T = TypeVar("T", bound=_Named)
 
 
-def _made(_name: str, loaded: Any) -> Any:
-    return loaded() if isinstance(loaded, type) else loaded
-
-
 def with_plugins(
     group: str,
     own: Sequence[T],
     methods: Sequence[str],
     taken: Sequence[str] = (),
-    made: Callable[[str, Any], Any] = _made,
+    made: Callable[[str, Any], Any] = lambda _name, loaded: loaded() if isinstance(loaded, type) else loaded,
 ) -> tuple[T, ...]:
     """Return ``own`` and what the entry points of a group name, but for those that are faulty, which are reported.
 

@@ -81,7 +81,12 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
         judged = flown.summary, flown.history.moments
         aircraft.append(AircraftPart(name, *judged, offsets_s[name], tracks[name], flown))
     # The figures of a run that was cut off are worth having all the same.
-    summary = _written(folder) if folder.summary.exists() else _summed(asked, aircraft)
+    if folder.summary.exists():
+        summary = _written(folder)
+    else:
+        outcome = "; ".join(sorted({one.summary.outcome for one in aircraft}))
+        by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
+        summary = summarise_fleet(aircraft, asked, outcome, "truth" if by_truth else "estimate")
     name = folder.path.resolve().name
     return FleetFlown(name, journal.header.program, asked, tuple(aircraft), tuple(announced), summary)
 
@@ -99,12 +104,6 @@ def _written(folder: FleetFolder) -> FleetSummary:
     except (KeyError, TypeError) as error:
         raise InputError(f"{name}: a figure is missing or wrong; delete it to have it written again.") from error
     return FleetSummary(**plain, targets=targets, aircraft=aircraft)
-
-
-def _summed(asked: Mapping[str, Asked], aircraft: list[AircraftPart]) -> FleetSummary:
-    by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
-    outcomes = sorted({one.summary.outcome for one in aircraft})
-    return summarise_fleet(aircraft, asked, "; ".join(outcomes), "truth" if by_truth else "estimate")
 
 
 def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:

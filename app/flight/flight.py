@@ -55,7 +55,6 @@ from sidelong.mission.control.present import Phase, Present, VehicleStatus
 from sidelong.mission.core import events
 from sidelong.mission.core.plan import AircraftState, PanLimitPlanner
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
 
@@ -254,9 +253,9 @@ class Flight:
         alarms = AlarmWatch(self._config, self._home_m, self._status, self.put_event, self._send_alarm)
         observed = _Observed(self._display, alarms, observers, self._collector)
         camera = self._runner = self._camera_runner(plane, home)
-        both = stepped if camera is None else _both(camera.stepped, stepped)
+        steps = (stepped,) if camera is None else (camera.stepped, stepped)
         own = self._vehicle, self._telemetry, core, self._recording, observed
-        loop = self._loop = ControlLoop(*own, self._acquired, both, streams.health_changed)
+        loop = self._loop = ControlLoop(*own, self._acquired, steps, streams.health_changed)
         received = loop.put, self._display.note, self._vehicle.listeners
         beacon = await open_beacon(self._config.sharing, plane, self._now_s, *received)
         changes = MissionChanges(self._config, self.controller, self._now_s, loop.put, self._display.say)
@@ -569,14 +568,6 @@ def _fence_ids(vehicle: Vehicle) -> tuple[int, int] | None:
 
 def _place_m(home: Home, plane: LocalPlane) -> tuple[float, float]:
     return plane.east_north_m(home.latitude_deg, home.longitude_deg)
-
-
-def _both(first: Stepped, second: Stepped) -> Stepped:
-    def stepped(event: InboundEvent, outputs: Sequence[Output]) -> None:
-        first(event, outputs)
-        second(event, outputs)
-
-    return stepped
 
 
 def _without_garbage_searches() -> Callable[[], None]:

@@ -91,7 +91,7 @@ class ControlLoop:
     _log: Log
     _display: Display
     _acquired: Callable[[events.ControlAcquired], object]  # called once control of the aircraft is confirmed
-    _stepped: Stepped = lambda _event, _outputs: None  # called after each step
+    _stepped: Sequence[Stepped] = ()  # called after each step
     _health_changed: Callable[[events.HealthChanged], object] = lambda _change: None
     outcome: str | None = None
     failed: TakeoverFailed | None = None  # why control was never acquired
@@ -140,7 +140,8 @@ class ControlLoop:
                 outputs = self.controller.step(event)
                 for output in outputs:
                     self._handle(output)
-                self._stepped(event, outputs)
+                for stepped in self._stepped:
+                    stepped(event, outputs)
                 if isinstance(event, reports.ShutdownRequested):
                     self._end()
                 self._set_timer()

@@ -48,16 +48,12 @@ class SourceRate:
     fault: str = ""  # why none of them holds a reading, '' if they do
 
     def __str__(self) -> str:
-        return self._spoken + (f", but {self.fault}" if self.fault else "")
-
-    @property
-    def _spoken(self) -> str:
-        if self.source.message in readings.BEACON_MESSAGES:
-            return f"{self.source.message} of a beacon at {self.rate_hz:.1f} Hz"
-        where = f"component {self.source.component_id} id {self.source.sensor_id}"
-        if self.kind == "range":
-            where += f" orientation {self.source.orientation}"
-        return f"{self.source.message} of {where} at {self.rate_hz:.1f} Hz"
+        source, sender = self.source, "a beacon"
+        if source.message not in readings.BEACON_MESSAGES:
+            sender = f"component {source.component_id} id {source.sensor_id}"
+            sender += f" orientation {source.orientation}" if self.kind == "range" else ""
+        spoken = f"{source.message} of {sender} at {self.rate_hz:.1f} Hz"
+        return f"{spoken}, but {self.fault}" if self.fault else spoken
 
 
 class SourceRates:

@@ -113,15 +113,11 @@ class MavsdkLink:
 
         Only heartbeats are sent before the vehicle is selected; messages received until then are kept.
 
-        Args:
-            timeout_s: Longest wait for the first heartbeat.
-            role: None: companion where all links are serial or local and a ground station is received, else ground
-                station. PX4 takes the heartbeat of any ground station as its data link, so a companion sends none.
-            settling_s: How long to listen for other vehicles.
+        Without a role it is a companion where all links are serial or local and a ground station is received, else a
+        ground station. PX4 takes the heartbeat of any ground station as its data link, so a companion sends none.
 
-        Raises:
-            InputError: As ``opened_links``; no heartbeat arrives within ``timeout_s``, or several vehicles are
-                received within ``settling_s`` of the first frame and none is selected.
+        Raises InputError as ``opened_links``, if no heartbeat arrives within ``timeout_s``, or if several vehicles
+        are received within ``settling_s`` of the first frame and none is selected.
         """
         # The library's own subscription decodes texts of the vehicle as UTF-8; where that fails, MAVSDK prints the
         # bytes itself, escape sequences and all.
@@ -146,7 +142,8 @@ class MavsdkLink:
                 )
             chosen = min(vehicles) if system_id is None else system_id
             if role is None:
-                role = "companion" if local and _has_station(raw) else "ground"
+                has_station = any(_kinds(frame)[0] == dialect.MAV_TYPE_GCS for frame in list(raw.heartbeats.values()))
+                role = "companion" if local and has_station else "ground"
             own, mav_type = _STATION
             if role == "companion":
                 free = (one for one in _COMPANION_IDS if (chosen, one) not in raw.heartbeats)
@@ -333,10 +330,6 @@ def _vehicles(raw: RawLinks) -> dict[int, Frame]:
         for frame in list(raw.heartbeats.values())
         if frame.component_id == AUTOPILOT_COMPONENT and _kinds(frame)[1] != dialect.MAV_AUTOPILOT_INVALID
     }
-
-
-def _has_station(raw: RawLinks) -> bool:
-    return any(_kinds(frame)[0] == dialect.MAV_TYPE_GCS for frame in list(raw.heartbeats.values()))
 
 
 def _kinds(heartbeat: Frame) -> tuple[int, int]:

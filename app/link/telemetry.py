@@ -237,9 +237,6 @@ class Telemetry:
 
     # -- the payload ---------------------------------------------------------------------------------------
 
-    def _note_unusable(self, kind: str, source: readings.Source, why: str) -> None:
-        self.unusable[kind, source, why] += 1
-
     def _distance_sensor(self, message: Message) -> Event | None:
         fields = message.fields
         distance_m, orientation = fields["current_distance"] * 1e-2, int(fields["orientation"])
@@ -251,7 +248,7 @@ class Telemetry:
             if signal != _SIGNAL_INVALID and distance_m > 0.0:
                 near = distance_m < min_m
                 why = f"nearer than its least range of {min_m:g} m" if near else f"no echo within its {max_m:g} m"
-            self._note_unusable("range", source, why)
+            self.unusable["range", source, why] += 1
             return None
         covariance_cm2 = fields["covariance"]
         quaternion = fields.get("quaternion") if orientation == _ORIENTATION_CUSTOM else None
@@ -269,7 +266,7 @@ class Telemetry:
     def _rangefinder(self, message: Message) -> Event | None:
         distance_m, source = message.fields["distance"], _source(message.name, message.component_id)
         if not _finite(distance_m) or distance_m <= 0.0:
-            self._note_unusable("range", source, "no echo")
+            self.unusable["range", source, "no echo"] += 1
             return None
         return readings.RangeReading(self.now_s, distance_m, source)
 
@@ -278,7 +275,7 @@ class Telemetry:
         quaternion = _quaternion(fields["q"])
         source = _source(message.name, message.component_id, int(fields.get("gimbal_device_id") or 0))
         if quaternion is None:
-            self._note_unusable("gimbal", source, "no orientation")
+            self.unusable["gimbal", source, "no orientation"] += 1
             return None
         frame = gimbal_frame(int(fields["flags"]))
         delta_yaw_rad = fields.get("delta_yaw")

@@ -146,9 +146,16 @@ class PayloadSession:
         for times_s in (self._ranges_s, self._angles_s):
             while times_s and times_s[0] < now_s - _RATE_OVER_S:
                 times_s.popleft()
-        if measured:
-            self._returned(now_s)
-            self._latest_s = now_s
+        if not measured:
+            return measured
+        if self._is_rangeless and self._range_s == now_s:
+            self._is_rangeless = False
+            self._report(f"payload {self._name}: ranges again")
+        if self._is_lost:
+            self._is_lost = self._is_rangeless = False
+            self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
+            self._range_s = now_s  # its laser may take some seconds
+        self._latest_s = now_s
         return measured
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> list[bytes]:
@@ -212,15 +219,6 @@ class PayloadSession:
     def _is_not_understood(self, now_s: float) -> bool:
         """Return whether bytes arrive that are of another protocol, or at another baud rate."""
         return now_s - self._bytes_s < LOST_AFTER_S and not self._driver.identity.model
-
-    def _returned(self, now_s: float) -> None:
-        if self._is_rangeless and self._range_s == now_s:
-            self._is_rangeless = False
-            self._report(f"payload {self._name}: ranges again")
-        if self._is_lost:
-            self._is_lost = self._is_rangeless = False
-            self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
-            self._range_s = now_s  # its laser may take some seconds
 
 
 _CLOSED_RAD = math.radians(1.0)

@@ -92,7 +92,8 @@ class SiyiDriver(FramedDriver):
         least_rad, most_rad = self.identity.pan_limits_rad or (-math.pi, math.pi)
         yaw_rad = min(max(wrap_rad(yaw_rad), least_rad), most_rad)
         pitch_rad = min(max(pitch_rad, _PITCH_MIN_RAD), _PITCH_MAX_RAD)
-        data = struct.pack("<hh", *map(_tenths_deg, (self._yaw_sign * yaw_rad, self._pitch_sign * pitch_rad)))
+        angles_rad = self._yaw_sign * yaw_rad, self._pitch_sign * pitch_rad
+        data = struct.pack("<hh", *(round(10.0 * math.degrees(angle_rad)) for angle_rad in angles_rad))
         return (self._frame_of(_SET_ANGLES, data),)
 
     def _request(self, now_s: float, command: int, data: bytes = b"") -> bytes:
@@ -168,7 +169,3 @@ def _length(buffer: bytes) -> int | None:
 
 def _is_intact(frame: bytes) -> bool:
     return crc_hqx(frame[:-_CRC_BYTES], 0) == int.from_bytes(frame[-_CRC_BYTES:], "little")
-
-
-def _tenths_deg(angle_rad: float) -> int:
-    return round(10.0 * math.degrees(angle_rad))

@@ -60,7 +60,8 @@ class TopotekDriver(FramedDriver):
             self._follows = True
             commands.append(encode(_GIMBAL, "w", "PTZ", "07"))
         for command, angle_rad in (("GAY", self._yaw_sign * yaw_rad), ("GIP", self._pitch_sign * pitch_rad)):
-            commands.append(encode(_GIMBAL, "w", command, f"{_hundredths(angle_rad):04X}{_SPEED:02X}", fixed=False))
+            hundredths_deg = round(wrap_rad(angle_rad) / _ANGLE_UNIT_RAD) & 0xFFFF
+            commands.append(encode(_GIMBAL, "w", command, f"{hundredths_deg:04X}{_SPEED:02X}", fixed=False))
         return commands
 
     def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
@@ -118,7 +119,3 @@ def _length(buffer: bytes) -> int | None:
 
 def _is_intact(frame: bytes) -> bool:
     return frame[-_CHECKSUM_BYTES:] == b"%02X" % (sum(frame[:-_CHECKSUM_BYTES]) & 0xFF)
-
-
-def _hundredths(angle_rad: float) -> int:
-    return round(wrap_rad(angle_rad) / _ANGLE_UNIT_RAD) & 0xFFFF

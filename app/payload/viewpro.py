@@ -44,7 +44,7 @@ _ATTITUDE_AND_POSITION = 0x07
 
 class ViewproDriver(FramedDriver):
     def __init__(self, settings: DriverSettings) -> None:
-        framer = Framer((_HEADER,), _length, _is_intact)
+        framer = Framer((_HEADER,), _length, lambda frame: _xor(frame[3:]) == 0)
         super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, pitch_sign=-1.0)
         self._counter = 0
         self._range_s = -math.inf
@@ -137,10 +137,6 @@ def _length(buffer: bytes) -> int | None:
         return None
     length = buffer[3] & _LENGTH_BITS
     return len(_HEADER) + length if length >= 3 else 0
-
-
-def _is_intact(frame: bytes) -> bool:
-    return _xor(frame[3:]) == 0
 
 
 def _xor(data: bytes) -> int:

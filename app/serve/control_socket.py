@@ -53,10 +53,6 @@ def _is_of(folder: Path, accounts: set[int]) -> bool:
     return stat.S_ISDIR(found.st_mode) and found.st_uid in accounts and not found.st_mode & stat.S_IWOTH
 
 
-def _candidates() -> list[Path]:
-    return [own_path()] if os.environ.get("SIDELONG_SOCKET") else [own_path(), _OF_SYSTEM]
-
-
 @contextlib.asynccontextmanager
 async def serving(path: Path, answer: Answer) -> AsyncIterator[None]:
     """Answer requests inside the context; ``answer`` gets the request and returns the answer's fields.
@@ -147,7 +143,7 @@ def _is_served(path: Path) -> bool:
 def ask(request: str) -> dict[str, Any]:
     """Return the service's answer. Raises InputError where none runs, it does not answer, or another account does."""
     error: OSError | None = None
-    for path in _candidates():
+    for path in (own_path(),) if os.environ.get("SIDELONG_SOCKET") else (own_path(), _OF_SYSTEM):
         try:
             return _asked(path, request)
         except PermissionError as refused:
