@@ -36,6 +36,7 @@ _SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
 _FRESH_S, _NEAR_M = 2.0, 3.0
 _STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
+_ON_WAY_M = 8.0  # how far off its straight way the target may have stopped; what looks like it stands farther off
 _SLACK_M, _SLACK_M_S, _SEARCH_MAX_M = 4.0, 1.0, 45.0  # how far it may be from where it was seen, and how this grows
 _OBJECT_M = 4.5
 _LOOK_S, _TURNS_M = 2.0, 20.0
@@ -473,7 +474,7 @@ class ObjectTracker:
             if speed_m_s > _MOVES_M_S and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
                 moved_m_s = one.speed_m_s(_STANDS_FOR_S)
                 stands = moved_m_s is not None and moved_m_s < _STANDING_SHARE * speed_m_s
-                if stands and (hidden_s < _STOPPED_S or seen_for_s < _STOOD_FOR_S):
+                if stands and (seen_for_s < _STOOD_FOR_S or not self._may_stand(one.latest[1:], hidden_s)):
                     continue  # what stands may have been hidden before, too
                 fits &= moved_m_s is not None
             rated.append((off_m, fits, one))
@@ -481,6 +482,15 @@ class ObjectTracker:
         # The nearest, and not before it is known whether it moves; at first, of two about as near, neither.
         unclear = len(rated) > 1 and rated[0][0] > 0.5 * rated[1][0] and hidden_s < _STOPPED_S
         return rated[0][2] if rated and rated[0][1] and not unclear else None
+
+    def _may_stand(self, at_m: tuple[float, float], hidden_s: float) -> bool:
+        """Return whether the object may have stopped there: on its way, and hidden for long."""
+        speed_m_s = max(math.hypot(*self._velocity_m_s), 1e-3)
+        ahead, aside = (one / speed_m_s for one in self._velocity_m_s)
+        east_m, north_m = at_m[0] - self._at_m[0], at_m[1] - self._at_m[1]
+        along_m = min(max(ahead * east_m + aside * north_m, 0.0), speed_m_s * _STOPPED_S)
+        off_m = math.hypot(east_m - along_m * ahead, north_m - along_m * aside)
+        return hidden_s > _STOPPED_S and off_m < _ON_WAY_M
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,11 +27,11 @@ from sidelong.app.errors import InputError
 Picture = npt.NDArray[np.uint8]
 
 _FORMS = "rtsp://HOST/PATH, udp://HOST:PORT, /dev/videoN or a video file"
-_OPEN_S, _READ_S, _RETRY_S = 5.0, 1.5, 0.5
+_OPEN_S, _READ_S, _RETRY_S, _WHOLE_AFTER_S = 5.0, 1.5, 0.5, 10.0
 _WIDTH_MAX_PX = 1280
 _H264, _VIDEO, _METADATA, _CLOCK_HZ, _DECODED_LATER, _IN_DATAGRAM = 0x1B, 0x100, 0x101, 90_000, 27_000, 7
 _SLICE = re.compile(rb"\x00?\x00\x00\x01[\x01\x05\x21\x25\x41\x45\x61\x65]")  # the first unit of a picture's pixels
-_AHEAD_S, _SAME_S, _JPEG_QUALITY = 3.0, 2e-3, 60
+_GAP_S, _AHEAD_S, _SAME_S, _JPEG_QUALITY = 0.5, 3.0, 2e-3, 60
 _STREAMS = re.compile(r"(rtsps?|udp|tcp|srt|https?)://\S+")
 
 
@@ -61,6 +61,7 @@ class VideoSource:
         self._changed = threading.Condition()
         self._latest: tuple[Picture, float] | None = None
         self.dropped = self.damaged = 0
+        self._damaged_s = -math.inf
         self.ended = False
         self._thread = threading.Thread(target=self._run, name="video", daemon=True)
         self._thread.start()
@@ -91,6 +92,8 @@ class VideoSource:
                         return
             except (av.FFmpegError, OSError, ValueError) as error:
                 why = getattr(error, "strerror", None) or str(error) or type(error).__name__
+                if isinstance(error, av.ExitError):
+                    why = "nothing arrives"  # what a timeout raises
             if self._is_file:
                 break
             if not silent:
@@ -100,6 +103,13 @@ class VideoSource:
         with self._changed:
             self.ended = True
             self._changed.notify_all()
+
+    def _note_damage(self) -> None:
+        """Report damage, once until the video has been whole for some time."""
+        now_s, self.damaged = time.monotonic(), self.damaged + 1
+        if now_s > self._damaged_s + _WHOLE_AFTER_S:
+            self._report(f"video {self._source}: the stream is damaged; pictures are lost or wrong")
+        self._damaged_s = now_s
 
     def _put(self, picture: Picture) -> None:
         with self._changed:
@@ -117,14 +127,19 @@ class VideoSource:
         with av.open(url, format=kind, options=options, timeout=(_OPEN_S, _READ_S)) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"  # threads by picture would each delay it
-            begun_s = first_s = math.nan
+            begun_s = first_s = shown_s = math.nan
             for packet in container.demux(stream):
+                is_damaged = packet.is_corrupt
                 try:
                     frames = packet.decode()
                 except av.FFmpegError:
-                    self.damaged += 1
-                    continue
+                    frames, is_damaged = [], True
+                if is_damaged or any(frame.is_corrupt for frame in frames):
+                    self._note_damage()
                 for frame in frames:
+                    if abs((frame.time or math.nan) - shown_s - 0.5 * _GAP_S) > 0.5 * _GAP_S:
+                        self._note_damage()  # a cut that fits the packets' numbers shows in the times alone
+                    shown_s = frame.time or math.nan
                     if self._paced and frame.time is not None:
                         if math.isnan(first_s):
                             first_s, begun_s = frame.time, time.monotonic()
