@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 from pydantic import (
     AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
@@ -183,14 +182,8 @@ class RequirementSection(Section):
         return self
 
     def requirement(self) -> Requirement:
-        plain = Requirement(
-            self.range_min_m,
-            self.range_max_m,
-            Side.LEFT,
-            self.target_speed_max_m_s,
-            self.threshold,
-            course_horizon_s=self.course_horizon_s,
-        )
+        of_target = Side.LEFT, self.target_speed_max_m_s, self.threshold
+        plain = Requirement(self.range_min_m, self.range_max_m, *of_target, course_horizon_s=self.course_horizon_s)
         return watching_from(plain, self.side)
 
 
@@ -410,16 +403,10 @@ def _beacon(text: str) -> str:
     return text
 
 
-def _not_empty(file: Any) -> Any:
-    if file == "":
-        raise ValueError("is empty; give a route file, or leave it out")
-    return file
-
-
 class RouteSection(Section):
     """The route that the target is expected to follow. Off the route, sidelong plans as without one."""
 
-    file: Annotated[Path, BeforeValidator(_not_empty)] | None = Field(None, examples=["ferry.gpx"])
+    file: Path | None = Field(None, examples=["ferry.gpx"])
     """Route file: .gpx, .geojson, .kml, .cot, or .csv with lat,lon."""
     system_id: int | None = Field(None, ge=1, le=255, examples=[7])
     """MAVLink system id of the target: its mission, once read, takes the place of the file; left out: none."""
@@ -565,14 +552,11 @@ class Config(Section):
 
     def wind_problem(self, airspeed_m_s: float) -> str:
         """Return which configured wind an aircraft of this airspeed cannot fly in, '' where there is none."""
-        winds_m_s = {
-            "simulation.wind_speed_m_s": self.simulation.wind_speed_m_s,
-            "planner.winds_m_s": max(self.planner.winds_m_s, default=0.0),
-        }
-        too_strong = [f"{name}: {wind_m_s:g}" for name, wind_m_s in winds_m_s.items() if wind_m_s >= airspeed_m_s]
-        if not too_strong:
-            return ""
-        return f"{too_strong[0]} m/s is not below aircraft.airspeed_m_s = {airspeed_m_s:g}; lower it, or raise that"
+        simulated_m_s, prepared_m_s = self.simulation.wind_speed_m_s, max(self.planner.winds_m_s, default=0.0)
+        for name, wind_m_s in (("simulation.wind_speed_m_s", simulated_m_s), ("planner.winds_m_s", prepared_m_s)):
+            if wind_m_s >= airspeed_m_s:
+                return f"{name}: {wind_m_s:g} m/s is not below aircraft.airspeed_m_s = {airspeed_m_s:g}; change one"
+        return ""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -590,8 +574,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _sections_agree(self) -> Config:
-        problem = self.wind_problem(self.aircraft.airspeed_m_s)
-        if problem:
+        if problem := self.wind_problem(self.aircraft.airspeed_m_s):
             raise ValueError(problem)
         if self.aircraft.height_above == "ground" and self.terrain.folder is None:
             raise ValueError(
@@ -614,14 +597,14 @@ def room_warning(config: Config) -> str | None:
     widest_m = widest_radius_m(near_m, far_m)
     if radius_m <= 1.05 * widest_m or unflyable(config):
         return None
-    wider = f"requirement.range_max_m {near_m + (far_m - near_m) * radius_m / widest_m:.0f} m at least"
+    advice = f"requirement.range_max_m {near_m + (far_m - near_m) * radius_m / widest_m:.0f} m at least"
     if round(widest_m) >= max(config.aircraft.aircraft().min_radius_m, _RADIUS_MIN_M):
-        advice = f"make it {widest_m:.0f} m at most, or {wider}"
+        advice = f"it {widest_m:.0f} m at most, or {advice}"
     else:
-        advice = f"make {wider}; a smaller circle needs a lower aircraft.airspeed_m_s or a higher bank_max_deg"
+        advice += "; a smaller circle needs a lower aircraft.airspeed_m_s or a higher bank_max_deg"
     return (
         f"aircraft.radius_m = {radius_m:g} leaves little room to move the circle between {near_m:g} and {far_m:g} m, "
-        f"and the side is kept for less of the time; {advice}"
+        f"and the side is kept for less of the time; make {advice}"
     )
 
 
@@ -652,28 +635,23 @@ def setting_notes(config: Config) -> tuple[str, ...]:
     """Return a sentence for each key that has no effect, or that contradicts another one."""
     payload, route, planner = config.payload, config.route, config.planner
     speed_m_s, speed_max_m_s = route.speed_m_s or 0.0, config.requirement.target_speed_max_m_s
-    notes = (
-        *(
-            (payload.kind == MAVLINK, f'payload.{key} has no effect while payload.kind is "mavlink"')
-            for key in _changed_keys(payload)
-            if key != "point_gimbal"
-        ),
-        *(
-            (not route.is_known, f"route.{key} has no effect without route.file or route.system_id")
-            for key in _changed_keys(route)
-        ),
-        (
-            route.is_known and speed_m_s > speed_max_m_s,
+    notes = []
+    if payload.kind == MAVLINK:
+        unused = (key for key in _changed_keys(payload) if key != "point_gimbal")
+        notes += [f'payload.{key} has no effect while payload.kind is "mavlink"' for key in unused]
+    if not route.is_known:
+        notes += [f"route.{key} has no effect without route.file or route.system_id" for key in _changed_keys(route)]
+    elif speed_m_s > speed_max_m_s:
+        notes.append(
             f"route.speed_m_s = {speed_m_s:g} is above requirement.target_speed_max_m_s = {speed_max_m_s:g}; "
-            "change one",
-        ),
-        (
-            planner.lost_after_s > planner.give_up_after_s,
+            "change one"
+        )
+    if planner.lost_after_s > planner.give_up_after_s:
+        notes.append(
             f"planner.lost_after_s = {planner.lost_after_s:g} has no effect above planner.give_up_after_s = "
-            f"{planner.give_up_after_s:g}, when the mission ends",
-        ),
-    )
-    return tuple(sentence for applies, sentence in notes if applies)
+            f"{planner.give_up_after_s:g}, when the mission ends"
+        )
+    return tuple(notes)
 
 
 def _changed_keys(section: Section) -> list[str]:
@@ -718,10 +696,7 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None =
 
     Raises InputError naming the file and the field.
     """
-    values: dict[str, Any] = {}
-    name = "command line"
-    if path is not None:
-        name, values = str(path), read_toml(path)
+    name, values = ("command line", {}) if path is None else (str(path), read_toml(path))
     return _validated(values, overrides or {}, name)
 
 
@@ -732,7 +707,7 @@ def with_values(config: Config, overrides: dict[str, dict[str, Any]], name: str)
 
 def config_from(values: Mapping[str, Any], name: str) -> Config:
     """Return the configuration of a journal's plain values. Raises InputError that begins with ``name``."""
-    return _validated(dict(values), {}, name)
+    return validated(Config, dict(values), name)
 
 
 def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], name: str) -> Config:

@@ -79,40 +79,33 @@ def check(
       sidelong check --airspeed 10 --radius 50 --target-speed 3 --set requirement.range_max_m=400
     """
     checked_output(json)
-    overrides: Overrides = {
+    of_options: Overrides = {
         "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
         "requirement": {"target_speed_max_m_s": target_speed},
         "planner": {"name": planner},
     }
-    overrides = changed_keys(set_, overrides)
-    if not names_a_fleet(config):
-        settings = load_config(config, overrides)
-        check_alone(settings)
-        check_files(settings)
-        if connect is not None:
-            settings = run(_with_fences(settings, connect))
-        print_notes(setting_notes(settings))
-        values, reasons = _checked(settings)
-        write_json(json, values)
-        if reasons:
-            raise InputError(f"infeasible: {reasons}.")
-        console.print("feasible")
-        return
-    if connect is not None:
+    overrides = changed_keys(set_, of_options)
+    fleet = load_fleet(config, overrides) if names_a_fleet(config) else None
+    flown: Config = load_config(config, overrides) if fleet is None else fleet
+    if fleet is None:
+        check_alone(flown)
+    elif connect is not None:
         raise InputError("--connect checks one aircraft; leave it out with a fleet file.")
-    fleet = load_fleet(config, overrides)
-    check_files(fleet, fleet.target)
-    print_notes(setting_notes(fleet))
-    all_values, refused = [], []
-    for member in fleet.members:
-        console.print(f"{member.name}, at {member.config.aircraft.height_m:g} m:")
-        values, reasons = _checked(member.config)
-        all_values.append({"name": member.name, **values})
-        refused += [f"{member.name}: {reasons}"] if reasons else []
-    write_json(json, {"feasible": not refused, "aircraft": all_values})
+    check_files(flown, () if fleet is None else fleet.target)
+    if connect is not None:
+        flown = run(_with_fences(flown, connect))
+    print_notes(setting_notes(flown))
+    found, refused = [], []
+    for name, own in {"": flown}.items() if fleet is None else ((one.name, one.config) for one in fleet.members):
+        if name:
+            console.print(f"{name}, at {own.aircraft.height_m:g} m:")
+        values, reasons = _checked(own)
+        found.append({"name": name, **values} if name else values)
+        refused += [f"{name}: {reasons}" if name else reasons] if reasons else []
+    write_json(json, found[0] if fleet is None else {"feasible": not refused, "aircraft": found})
     if refused:
         raise InputError(f"infeasible: {'; '.join(refused)}.")
-    console.print("feasible, names, links and heights too")
+    console.print("feasible" if fleet is None else "feasible, names, links and heights too")
 
 
 async def _with_fences(settings: Config, url: str) -> Config:

@@ -68,37 +68,29 @@ def connect(
     payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
     of_options: Overrides = {"payload": {"kind": payload_kind, "url": payload_url}, "link": {"urls": urls or None}}
     overrides = changed_keys(set_, of_options)
-    if not names_a_fleet(config):
+    reports, missing = [], []
+    if names_a_fleet(config):
+        if urls or overrides["link"].get("system_id") is not None:
+            raise InputError(f"{config} has the links of its aircraft; leave out the URL and link.system_id.")
+        fleet = load_fleet(config, overrides)
+        check_files(fleet, fleet.target)
+        for member in fleet.members:
+            console.print(f"{member.name}:")
+            try:
+                reports.append({"name": member.name, **run(_report(member.config, listen_s))})
+            except InputError as error:
+                missing.append(f"{member.name}: {error}")
+                console.print(str(error))
+        write_json(json, {"ready": not missing and all(one["ready"] for one in reports), "aircraft": reports})
+    else:
         settings = load_config(config, overrides)
         for url in _links(settings):
             checked_url(url)
         check_single(settings)
-        report = run(_report(settings, listen_s))
-        write_json(json, report)
-        _check_ready([report])
-        return
-    if urls or overrides["link"].get("system_id") is not None:
-        raise InputError(f"{config} has the links of its aircraft; leave out the URL and link.system_id.")
-    fleet = load_fleet(config, overrides)
-    check_files(fleet, fleet.target)
-    reports, missing = [], []
-    for member in fleet.members:
-        console.print(f"{member.name}:")
-        try:
-            report = run(_report(member.config, listen_s))
-        except InputError as error:
-            missing.append(f"{member.name}: {error}")
-            console.print(str(error))
-            continue
-        reports.append({"name": member.name, **report})
-    write_json(json, {"ready": not missing and all(one["ready"] for one in reports), "aircraft": reports})
+        reports.append(run(_report(settings, listen_s)))
+        write_json(json, reports[0])
     if missing:
         raise InputError(" ".join(missing))
-    _check_ready(reports)
-
-
-def _check_ready(reports: list[dict[str, Any]]) -> None:
-    """Raise FlightError, so that a script receives exit code 1, if a vehicle is not ready."""
     failing = [check["name"] for report in reports for check in report["checks"] if not check["ready"]]
     if failing:
         raise FlightError(f"not ready: {', '.join(dict.fromkeys(failing))}; see the lines above.")
@@ -111,8 +103,7 @@ def _links(settings: Config) -> list[str]:
 
 
 def _payload_check(status: PayloadStatus) -> Check:
-    """No range is asked for: on the ground, the laser may well meet nothing."""
-    ready = status.angles_hz > 0.0
+    ready = status.angles_hz > 0.0  # no range is asked for: on the ground, the laser may well meet nothing
     return Check("payload", ready, "its angles arrive" if ready else status.missing[0])
 
 

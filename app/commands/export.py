@@ -129,7 +129,7 @@ def _context(run: RunFolder) -> LogContext:
     if run.tlog.is_file():  # it has the time of day, which the journal lacks
         return open_log(run.tlog).context()
     header = JournalReader(run.journal, JOURNAL_TYPES).header
-    return LogContext(autopilot_by_name(header.autopilot) or AUTOPILOTS[0], None, header.home_altitude_m)
+    return LogContext(autopilot_by_name(header.autopilot) or AUTOPILOTS[0], header.home_altitude_m)
 
 
 def _write_mcap(aircraft: list[_Aircraft], out: Path) -> None:

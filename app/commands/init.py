@@ -207,7 +207,7 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
             example = f'"udpin://0.0.0.0:{14540 + number}"' if key == "url" else _FLEET_EXAMPLES.get(key, number + 1)
             yield f"# {key} = {example}"
     yield ""
-    yield from _comment(f"{TargetSection.__doc__} One [[target]] for each.")
+    yield from _comment("A target that is watched. One [[target]] for each.")
     yield "[[target]]"
     for key, field in TargetSection.model_fields.items():
         yield from _comment(field.description or "")

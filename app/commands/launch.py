@@ -140,20 +140,18 @@ def launch(
     """
     checked_output(json)
     video, payload_kind, payload_url = _payload_keys(payload)
+    of_vehicle = route is not None and route.startswith("mavlink:")
     overrides: Overrides = {
         "camera": {"source": video},
         "payload": {"kind": payload_kind, "url": payload_url},
         "link": {"urls": connect or None},
         "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
-        "simulation": {
-            "target": target if target or config or connect else DEMONSTRATION,
-            "seed": seed,
-            "autopilot": autopilot,
-        },
+        "simulation": {"target": target or (None if config or connect else DEMONSTRATION)}
+        | {"seed": seed, "autopilot": autopilot},
         "requirement": {"side": side, "target_speed_max_m_s": target_speed},
         "terrain": {"folder": None if terrain is None else str(terrain)},
         "planner": {"name": planner},
-        "route": _route_keys(route),
+        "route": {"system_id" if of_vehicle else "file": route.removeprefix("mavlink:") if route else None},
     }
     overrides = changed_keys(set_, overrides)
     if mcap:
@@ -161,22 +159,16 @@ def launch(
 
         mcap_writer_class()
     silent = quiet or str(json) == "-"
-    settings = None
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
-        flown: Config = several
-        if len(several.aircraft) == 1:
-            flown = settings = several.members[0].config
+        flown: Config = several if len(several.aircraft) > 1 else several.members[0].config
     else:
-        flown = settings = load_config(config, overrides)
+        flown = load_config(config, overrides)
     with shielded_output():  # from the first line that is printed
         address = _map_address(view, silent, flown)
         _check_simulated(flown, {"--target": target, "--seed": seed, "--autopilot": autopilot})
-        if settings is None:
-            _check_fleet(several)
-        else:
-            flown = _checked(settings, overrides["simulation"].get("speed"), payload_url)
-        check_space(out, duration, 1 if settings is not None else len(several.aircraft), warn)
+        flown = _checked(flown, overrides["simulation"].get("speed"), payload_url)
+        check_space(out, duration, len(flown.aircraft) if isinstance(flown, FleetFile) else 1, warn)
         # The flight modules take a second to load; report a wrong option first.
         from sidelong.app.commands.flying import fly_recorded  # noqa: PLC0415
 
@@ -186,17 +178,27 @@ def launch(
             raise ended.reason
         heed_interrupts()
         if mcap:
-            _write_mcap(ended.folder.path)
+            from sidelong.app.commands.export import Format, write_export  # noqa: PLC0415  # as above
+
+            write_export(ended.folder.path, Format.MCAP)
         if report:
             write_report(ended.folder.path, ended.folder.path / "report.html")
 
 
-def _checked(settings: Config, speed: float | None, payload_url: str | None) -> Config:
-    settings = _with_simulated_camera(_with_simulated_payload(settings, speed, payload_url))
-    print_notes(check_single(settings))
-    _check_input(settings)
-    print_notes((room_warning(settings), reach_warning(settings), *setting_notes(settings)))
-    return settings
+def _checked(flown: Config, speed: float | None, payload_url: str | None) -> Config:
+    if isinstance(flown, FleetFile):
+        print_notes(check_files(flown, flown.target))
+        for member in flown.members:
+            _check_input(member.config)
+        if flown.link.system_id is not None:
+            raise InputError("link.system_id names one vehicle; give each aircraft of the fleet file its system_id.")
+        print_notes(setting_notes(flown))
+        return flown
+    flown = _with_simulated_camera(_with_simulated_payload(flown, speed, payload_url))
+    print_notes(check_single(flown))
+    _check_input(flown)
+    print_notes((room_warning(flown), reach_warning(flown), *setting_notes(flown)))
+    return flown
 
 
 def _map_address(view: bool | None, silent: bool, settings: Config) -> PageAddress | None:
@@ -234,17 +236,12 @@ def _with_simulated_payload(settings: Config, speed: float | None, url: str | No
         return settings
     if url is not None:
         raise InputError(f"--payload {url}: a simulated vehicle has a simulated payload; give {kind}:// alone.")
-    if speed is not None:
-        if speed > _DRIVER_SPEED_MAX:
-            warn(f"simulation.speed = {speed:g}: above {_DRIVER_SPEED_MAX:g}, readings by {kind} get wrong times.")
-        return settings
-    slower = {"speed": min(settings.simulation.speed, _DRIVER_SPEED_MAX)}
-    return with_values(settings, {"simulation": slower}, "command line")
-
-
-def _route_keys(route: str | None) -> dict[str, Any]:
-    kind, _, system_id = (route or "").partition(":")
-    return {"system_id": system_id} if kind == "mavlink" else {"file": route}
+    if speed is None:
+        slower = {"speed": min(settings.simulation.speed, _DRIVER_SPEED_MAX)}
+        return with_values(settings, {"simulation": slower}, "command line")
+    if speed > _DRIVER_SPEED_MAX:
+        warn(f"simulation.speed = {speed:g}: above {_DRIVER_SPEED_MAX:g}, readings by {kind} get wrong times.")
+    return settings
 
 
 def _check_input(settings: Config) -> None:
@@ -267,22 +264,6 @@ def _check_simulated(settings: Config, options: dict[str, object]) -> None:
             f"{', '.join(given)}: for a simulated vehicle only, and this configuration has a link to a vehicle; "
             "leave the option out to fly that vehicle, or leave --connect and the configured link out to simulate."
         )
-
-
-def _check_fleet(fleet: FleetFile) -> None:
-    print_notes(check_files(fleet, fleet.target))
-    for member in fleet.members:
-        _check_input(member.config)
-    if fleet.link.system_id is not None:
-        raise InputError("link.system_id names one vehicle; give each aircraft of the fleet file its system_id.")
-    print_notes(setting_notes(fleet))
-
-
-def _write_mcap(run: Path) -> None:
-    from sidelong.app.commands.export import write_export  # noqa: PLC0415  # as above
-    from sidelong.app.records.export import Format  # noqa: PLC0415
-
-    write_export(run, Format.MCAP)
 
 
 def _announce(ended: FlightEnded, json: Path | None) -> None:

@@ -89,7 +89,7 @@ def print_whole(table: Table) -> None:
     _Console(file=cast(TextIO, standard), highlight=False, width=max(console.width, needed)).print(table)
 
 
-@contextlib.contextmanager
+@contextmanager
 def shielded_output() -> Iterator[None]:
     """Shield the body of the ``with`` from errors of writing to the terminal."""
     standard.shielded = True
@@ -163,19 +163,6 @@ def checked_file(option: str, path: Path | None) -> None:
         raise InputError(f"{path} is a folder; give a file to {option}.")
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to {option}.")
-
-
-def latitude_longitude_deg(option: str, text: str | None) -> tuple[float, float] | None:
-    """Return what was given as LAT,LON. Raises InputError naming the option."""
-    if text is None:
-        return None
-    try:
-        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{option}: {text!r} is not LAT,LON in degrees such as 36.59,-84.24.") from None
-    if not (abs(latitude_deg) < 89.0 and abs(longitude_deg) <= 180.0):
-        raise InputError(f"{option}: {text} is no place: latitudes go to 89 degrees, longitudes to 180.")
-    return latitude_deg, longitude_deg
 
 
 def _finite(value: Any) -> Any:

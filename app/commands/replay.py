@@ -204,9 +204,8 @@ def _film(run: RunFolder | None) -> Any:
 
 def _flown(folder: RunFolder, asked: _Asked) -> Config:
     """Return the configuration of a flight, or the one in its place."""
-    if asked.config is not None:
-        return load_config(asked.config)
-    return journalled_config(JournalReader(folder.journal, JOURNAL_TYPES))
+    config = asked.config
+    return load_config(config) if config else journalled_config(JournalReader(folder.journal, JOURNAL_TYPES))
 
 
 def _changed(flown: Config, config: Path | None, changes: Overrides) -> Config:
@@ -289,7 +288,7 @@ def _replay_run(
         at = clock(max(controller.time_s - (start_s or 0.0), 0.0))
         say(f"the record ends early, at {at}: {truncated}")
     if what_if is not None:
-        start_s = what_if.fly(settings, journal.header, judged, truth, quiet)
+        start_s = what_if.fly(settings, journal.header, judged, truth)
     return judged.summary(truth, plane, start_s)
 
 
@@ -302,7 +301,7 @@ class _WhatIf:
     def __init__(self, changes: Overrides, from_s: float) -> None:
         self._changes, self.from_s = changes, from_s
 
-    def fly(self, flown: Config, header: Header, judged: _Judged, truth: Truth | None, quiet: bool) -> float:
+    def fly(self, flown: Config, header: Header, judged: _Judged, truth: Truth | None) -> float:
         """Fly to the end of the recording; return when it left it, on the vehicle's clock."""
         from sidelong.app.study.closed_loop import FlownOn, recorded_motion  # noqa: PLC0415  # a replay needs no simulation
 

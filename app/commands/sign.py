@@ -78,26 +78,18 @@ class KeySetup:
             self._frames.put(frame)
         return bool(frames)
 
-    # -- the two things to do ------------------------------------------------------------------------------
-
-    def give(self, timeout_s: float) -> bool:
-        """Set the key up; return whether this link refuses what is unsigned. Raises InputError, FlightError."""
+    def set_up(self, timeout_s: float, remove: bool) -> bool:
+        """Set the key up, or end signing; return whether this link then refuses what is unsigned."""
         system_id = self._checked(timeout_s)
-        setup = dialect.MAVLink_setup_signing_message(
-            system_id, _AUTOPILOT, self._key.key.for_setup(), signing_time(time.time())
-        )
-        if not self._announced(setup, system_id, signed=False, proves=self._fresh):
-            raise FlightError(f"{self._url}: the vehicle does not sign with the key; does its firmware know signing?")
-        return not self._answers_unsigned(system_id)
-
-    def take_back(self, timeout_s: float) -> None:
-        """End signing on the vehicle. Raises as ``give`` does."""
-        system_id = self._checked(timeout_s)
-        setup = dialect.MAVLink_setup_signing_message(system_id, _AUTOPILOT, [0] * KEY_BYTES, 0)
-        if not self._announced(setup, system_id, signed=True, proves=lambda frame: not frame.signed):
-            raise FlightError(f"{self._url}: the vehicle still signs; is this the key that it was given?")
-
-    # -- steps ---------------------------------------------------------------------------------------------
+        secret = ([0] * KEY_BYTES, 0) if remove else (self._key.key.for_setup(), signing_time(time.time()))
+        setup = dialect.MAVLink_setup_signing_message(system_id, _AUTOPILOT, *secret)
+        proves = _is_unsigned if remove else self._fresh
+        if not self._announced(setup, system_id, signed=remove, proves=proves):
+            question = "still signs; is this the key that it was given?"
+            if not remove:
+                question = "does not sign with the key; does its firmware know signing?"
+            raise FlightError(f"{self._url}: the vehicle {question}")
+        return not remove and not self._answers_unsigned(system_id)
 
     def _checked(self, timeout_s: float) -> int:
         """Return the vehicle's system id; refuse an armed vehicle, and one behind a radio."""
@@ -114,19 +106,14 @@ class KeySetup:
         """Send until an autopilot's heartbeat proves that it was taken: the message itself is never answered."""
         for _ in range(_TRIES):
             self._send(setup, signed)
-            proof = self._awaited(
-                _TRY_S, lambda frame: _is_autopilot(frame) and frame.system_id == system_id and proves(frame)
-            )
-            if proof is not None:
+            if self._awaited(_TRY_S, lambda one: _is_autopilot(one) and one.system_id == system_id and proves(one)):
                 return True
         return False
 
     def _answers_unsigned(self, system_id: int) -> bool:
         version = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-        asked = dialect.MAVLink_command_long_message(
-            system_id, _AUTOPILOT, dialect.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0
-        )
-        self._send(asked, signed=False)
+        asked = system_id, _AUTOPILOT, dialect.MAV_CMD_REQUEST_MESSAGE, 0, version, *[0] * 6
+        self._send(dialect.MAVLink_command_long_message(*asked), signed=False)
         answer = dialect.MAVLINK_MSG_ID_COMMAND_ACK
         return self._awaited(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
 
@@ -135,7 +122,8 @@ class KeySetup:
             return self._signing.refusal(frame, signing_time(time.time())) is None
 
     def _send(self, message: Any, signed: bool) -> None:
-        for each in (_heartbeat(), message):
+        kind = dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+        for each in (dialect.MAVLink_heartbeat_message(*kind), message):
             data = Frame(each.pack(self._packer)).renumbered(self._packer.seq, signed=signed)
             self._packer.seq = (self._packer.seq + 1) & 0xFF
             if signed:
@@ -160,10 +148,8 @@ def _is_autopilot(frame: Frame) -> bool:
     return bool(is_heartbeat and frame.payload.ljust(9, b"\0")[5] != AUTOPILOT_INVALID)
 
 
-def _heartbeat() -> Any:
-    return dialect.MAVLink_heartbeat_message(
-        dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-    )
+def _is_unsigned(frame: Frame) -> bool:
+    return not frame.signed
 
 
 def sign(
@@ -200,10 +186,10 @@ def sign(
         KeySetup(connect, used) as setup,
     ):
         say(f"waiting for a heartbeat on {connect}")
+        refuses = setup.set_up(timeout, remove)
         if remove:
-            setup.take_back(timeout)
             console.print("the vehicle no longer signs and accepts commands from any sender")
-        elif setup.give(timeout):
+        elif refuses:
             console.print("the vehicle signs, and refuses frames that are not signed with the key")
         else:
             say("the vehicle signs; on this very port it still takes what is unsigned (ArduPlane does so on USB)")

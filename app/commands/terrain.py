@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -31,17 +32,14 @@ def terrain(
     coverage = data.coverage(_bounds(bounds) if bounds is not None else _outline(data))
     table = Table("tile", "spacing", "covers", "void", "heights above sea", box=None, pad_edge=False)
     for tile in coverage.tiles:
-        heights = "-" if tile.lowest_m is None else f"{tile.lowest_m:.0f} to {tile.highest_m:.0f} m"
-        table.add_row(
-            tile.path.name,
-            f"{tile.spacing_m:.0f} m",
-            f"{100.0 * tile.covered:.1f} %",
-            f"{100.0 * tile.void:.1f} %",
-            heights,
-        )
+        heights = "-" if tile.min_height_m is None else f"{tile.min_height_m:.0f} to {tile.max_height_m:.0f} m"
+        shares = (f"{100.0 * share:.1f} %" for share in (tile.covered, tile.void))
+        table.add_row(tile.file.name, f"{tile.spacing_m:.0f} m", *shares, heights)
     console.print(table)
     say(_words(coverage))
-    write_json(json, _as_json(coverage))
+    tiles = [asdict(tile) | {"file": str(tile.file)} for tile in coverage.tiles]
+    values = {"covered": coverage.covered, "void": coverage.void, "tiles": tiles}
+    write_json(json, {"bounds_deg": astuple(coverage.bounds), **values})
 
 
 def _words(coverage: Coverage) -> str:
@@ -50,26 +48,6 @@ def _words(coverage: Coverage) -> str:
     shares = ((coverage.covered, "covered"), (coverage.void, "void"), (max(missing, 0.0), "without a tile"))
     where = f"{b.south_deg:g},{b.west_deg:g} to {b.north_deg:g},{b.east_deg:g}"
     return f"{where}: " + ", ".join(f"{100.0 * share:.1f} % {what}" for share, what in shares)
-
-
-def _as_json(coverage: Coverage) -> dict[str, Any]:
-    b = coverage.bounds
-    return {
-        "bounds_deg": [b.south_deg, b.west_deg, b.north_deg, b.east_deg],
-        "covered": coverage.covered,
-        "void": coverage.void,
-        "tiles": [
-            {
-                "file": str(tile.path),
-                "spacing_m": tile.spacing_m,
-                "covered": tile.covered,
-                "void": tile.void,
-                "min_height_m": tile.lowest_m,
-                "max_height_m": tile.highest_m,
-            }
-            for tile in coverage.tiles
-        ],
-    }
 
 
 def _outline(data: ElevationData) -> Bounds:

@@ -261,7 +261,7 @@ def export(flights: Sequence[FlownTrack], wanted: Format, out: Path) -> None:
         (flight,) = flights
         if flight.mission is None:
             raise InputError(f"{flight.name} has no mission items to export.")
-        text = _MISSION_WRITERS[wanted](flight)
+        text = _MISSION_WRITERS[wanted](flight, flight.mission)
     else:
         for flight in flights:
             if len(flight.aircraft) < 2:
@@ -270,30 +270,17 @@ def export(flights: Sequence[FlownTrack], wanted: Format, out: Path) -> None:
     out.write_text(text, encoding="utf-8")
 
 
-# -- mission items ------------------------------------------------------------------------------------------
+def _plan(flight: FlownTrack, mission: Mission) -> str:
+    vehicle = mission.airspeed_m_s, mission.mav_autopilot, mission.keep_in, mission.keep_out
+    return plan_file(mission.items, flight.plane, flight.home_altitude_m or 0.0, *vehicle)
 
 
-def _plan(flight: FlownTrack) -> str:
-    mission = flight.mission
-    assert mission is not None  # export() looks
-    return plan_file(
-        mission.items,
-        flight.plane,
-        flight.home_altitude_m or 0.0,
-        mission.airspeed_m_s,
-        mission.mav_autopilot,
-        mission.keep_in,
-        mission.keep_out,
-    )
-
-
-def _waypoints(flight: FlownTrack) -> str:
-    assert flight.mission is not None  # export() looks
+def _waypoints(flight: FlownTrack, mission: Mission) -> str:
     # Mission Planner treats the first line as home, whatever it contains.
     x, y = e7(flight.degrees(0.0, 0.0))
     home = MissionItem(NAV_WAYPOINT, FRAME_GLOBAL, 0.0, 0.0, 0.0, 0.0, x, y, flight.home_altitude_m or 0.0)
     lines = ["QGC WPL 110"]
-    for sequence, item in enumerate((home, *flight.mission.items)):
+    for sequence, item in enumerate((home, *mission.items)):
         parameters = (item.param1, item.param2, item.param3, item.param4)
         values = (
             *(sequence, int(sequence == 0), item.frame, item.command),
@@ -302,9 +289,6 @@ def _waypoints(flight: FlownTrack) -> str:
         )
         lines.append("\t".join(map(str, values)))
     return "\n".join(lines) + "\n"
-
-
-# -- tables -------------------------------------------------------------------------------------------------
 
 
 def _csv(flights: Sequence[FlownTrack]) -> str:
@@ -324,7 +308,9 @@ def _rows(flight: FlownTrack) -> Iterator[dict[str, Any]]:
     ]
     moments += [("aircraft", place.time_s, place, {}) for place in flight.aircraft]
     for name, estimates in flight.of_targets().items():
-        moments += [(name, e.time_s, e, {"sigma_m": _sigma_m(e), "quality": e.quality.value}) for e in estimates]
+        for e in estimates:  # sigma_m: along the worst direction
+            sigma_m = math.sqrt(np.linalg.eigvalsh(e.covariance[:2, :2])[-1])
+            moments.append((name, e.time_s, e, {"sigma_m": sigma_m, "quality": e.quality.value}))
     for what, time_s, place, own in moments:
         latitude_deg, longitude_deg = flight.degrees(place.east_m, place.north_m)
         measured = ("height_m", "velocity_east_m_s", "velocity_north_m_s", "radius_m")
@@ -337,14 +323,6 @@ def _rows(flight: FlownTrack) -> Iterator[dict[str, Any]]:
             "longitude_deg": f"{longitude_deg:.8f}",
             **{name: round(value, 3) if isinstance(value, float) else value for name, value in values.items()},
         }
-
-
-def _sigma_m(estimate: TargetEstimate) -> float:
-    """Return the standard deviation of the position along its worst direction."""
-    return math.sqrt(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1])
-
-
-# -- maps ---------------------------------------------------------------------------------------------------
 
 
 def _geojson(flights: Sequence[FlownTrack]) -> str:
@@ -456,7 +434,7 @@ def _child(parent: Xml.Element, tag: str, text: str | None = None, **attributes:
     return child
 
 
-_MISSION_WRITERS: dict[Format, Callable[[FlownTrack], str]] = {Format.PLAN: _plan, Format.WAYPOINTS: _waypoints}
+_MISSION_WRITERS = {Format.PLAN: _plan, Format.WAYPOINTS: _waypoints}
 _TRACK_WRITERS: dict[Format, Callable[[Sequence[FlownTrack]], str]] = {
     Format.CSV: _csv,
     Format.GEOJSON: _geojson,

@@ -47,46 +47,26 @@ _UNCLASSIFIED, _GENC_THREE_LETTER, _NO_COUNTRY = 1, 14, "XXX"
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What a sensor saw at one moment.
+    """What a sensor saw at one moment."""
 
-    Attributes:
-        ned_from_sight: Attitude of the optical axis: x along it, y to the right, z down.
-        ground_m: Height above home of the ground where it looks.
-        range_m: Measured slant range; None: where the axis meets the ground.
-    """
-
-    ned_from_sight: Quaternion
-    ground_m: float
-    range_m: float | None = None
+    ned_from_sight: Quaternion  # of the optical axis: x along it, y to the right, z down
+    ground_m: float  # height above home of the ground where it looks
+    range_m: float | None = None  # measured slant range; None: where the axis meets the ground
 
 
 @dataclass(frozen=True, slots=True)
 class Marked:
-    """The tracked object in a picture, where it is expected while it is hidden.
+    """The tracked object in a picture, where it is expected while it is hidden."""
 
-    Attributes:
-        size_px: Width and height of the picture.
-        edges_px: Left, top, right and bottom edge of the object.
-        confidence: 0 to 1; 0 while it is hidden.
-    """
-
-    size_px: tuple[int, int]
-    edges_px: tuple[float, float, float, float]
-    confidence: float
+    size_px: tuple[int, int]  # width and height of the picture
+    edges_px: tuple[float, float, float, float]  # left, top, right and bottom edge of the object
+    confidence: float  # 0 to 1; 0 while it is hidden
 
 
 class UasMetadata:
-    """Encodes UAS Datalink Local Sets.
+    """Encodes UAS Datalink Local Sets of a mission. Raises InputError without the package stanag4609.
 
-    Args:
-        name: Of the mission.
-        plane: The local plane.
-        booted: When the vehicle's clock was zero.
-        home_altitude_m: Above sea level.
-        view_rad: Horizontal and vertical field of view.
-
-    Raises:
-        InputError: The package stanag4609 is not installed.
+    booted: when the vehicle's clock was zero. view_rad: horizontal and vertical field of view.
     """
 
     def __init__(

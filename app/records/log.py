@@ -6,23 +6,31 @@ import math
 import re
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
+from typing import ClassVar
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
 from sidelong.app.errors import InputError
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_INVALID, TYPE_FIXED_WING
-from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
-from sidelong.app.records.dataflash import ArdupilotMessages, dataflash_contents, read_dataflash
-from sidelong.app.records.entry import Entry, Translator
+from sidelong.app.records.autopilot_logs import (
+    DATAFLASH_MAGIC,
+    ULOG_MAGIC,
+    ArdupilotMessages,
+    Entry,
+    Px4Messages,
+    Translator,
+    dataflash_contents,
+    read_dataflash,
+    read_ulog,
+    ulog_contents,
+)
 from sidelong.app.records.text_file import Progress, unseen
 from sidelong.app.records.tlog import is_mavlink_1, is_tlog, read_tlog, tlog_contents
-from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
-from sidelong.app.records.ulog import Px4Messages, read_ulog, ulog_contents
 
 _AUTOPILOT_COMPONENT = 1
 _DATED_S = 1e9  # a smaller one was not counted from 1970
@@ -36,22 +44,35 @@ _STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 _TIME_MAX_S = 2.0**32  # the year 2106: a later time of boot is that of a damaged clock
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class LogContext:
-    """booted: when the vehicle's clock was zero. home_altitude_m: above sea level. None where unknown.
+    """What a log's messages of ``NAMES`` state besides the flight, taken in their order.
 
-    restarts: how often the clock began again: the log then holds several flights. kind: MAV_TYPE. firmware: name and
-    release, or ''. system_id: that of the first heartbeat of an autopilot; others: further vehicles.
+    autopilot: until a message names it. home_altitude_m: above sea level. kind: MAV_TYPE. firmware: name and release.
+    system_id: that of the first heartbeat of an autopilot; others: further vehicles.
     """
 
+    NAMES: ClassVar = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT", "STATUSTEXT", "PARAM_VALUE"})
     autopilot: Autopilot = AUTOPILOTS[0]
-    booted: datetime | None = None
     home_altitude_m: float | None = None
-    restarts: int = 0
     kind: int = TYPE_FIXED_WING
     firmware: str = ""
     system_id: int | None = None
-    others: tuple[int, ...] = ()
+    others: set[int] = field(default_factory=set)
+    _boots_s: list[float] = field(default_factory=list)
+    _restarts: Counter[int] = field(default_factory=Counter)  # of each system, as is the next one
+    _latest_ms: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def booted(self) -> datetime | None:
+        """When the vehicle's clock was zero."""
+        boot_s = median(self._boots_s) if self._boots_s else -1.0
+        return datetime.fromtimestamp(boot_s, UTC) if 0.0 <= boot_s < _TIME_MAX_S else None
+
+    @property
+    def restarts(self) -> int:
+        """How often the vehicle's clock began again: the log then holds several flights."""
+        return max(self._restarts.values(), default=0)
 
     @property
     def warning(self) -> str:
@@ -62,47 +83,31 @@ class LogContext:
         if self.kind != TYPE_FIXED_WING:
             return f"warning: the vehicle is of MAV_TYPE {self.kind}, no fixed wing, which the results assume"
         if self.others:
-            others = ", ".join(map(str, self.others))
+            others = ", ".join(map(str, sorted(self.others)))
             return f"warning: the results are of the vehicle of system {self.system_id} only; it also has {others}"
         return ""
-
-
-class ContextBuilder:
-    """Makes a log's context of its messages of ``NAMES``, in order; autopilot: until a message names it."""
-
-    NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT", "STATUSTEXT", "PARAM_VALUE"})
-
-    def __init__(self, autopilot: Autopilot = AUTOPILOTS[0]) -> None:
-        self._autopilot, self._kind, self._firmware = autopilot, TYPE_FIXED_WING, ""
-        self._home_m: float | None = None
-        self._reckoned_m: float | None = None  # home's altitude by a position
-        self._boots_s: list[float] = []
-        self._restarts: Counter[int] = Counter()  # of each system, as is the next one
-        self._latest_ms: dict[int, float] = {}
-        self._system_id: int | None = None
-        self._others: set[int] = set()
 
     def take(self, message: Message) -> None:
         fields, system_id = message.fields, message.system_id
         if message.component_id != _AUTOPILOT_COMPONENT:
             return
         is_vehicle = message.name == "HEARTBEAT" and fields["autopilot"] != AUTOPILOT_INVALID
-        if is_vehicle and self._system_id is None:
-            self._system_id = system_id
-        if self._system_id not in (None, system_id):
+        if is_vehicle and self.system_id is None:
+            self.system_id = system_id
+        if self.system_id not in (None, system_id):
             if is_vehicle:
-                self._others.add(system_id)
+                self.others.add(system_id)
         elif message.name == "HEARTBEAT":
             known = autopilot_by_mav_autopilot(int(fields["autopilot"]))
             if known is not None:
-                self._autopilot = known
+                self.autopilot = known
                 self._is_of_kind(int(fields.get("type") or TYPE_FIXED_WING))
         elif message.name == "STATUSTEXT":
             self._text(str(fields["text"]))
         elif message.name == "PARAM_VALUE":
             self._parameter(str(fields["param_id"]), fields["param_value"])
         elif message.name == "HOME_POSITION":
-            self._home_m = fields["altitude"] * 1e-3
+            self.home_altitude_m = fields["altitude"] * 1e-3
         else:
             self._position(message)
 
@@ -111,16 +116,16 @@ class ContextBuilder:
         stamp_ms = fields["time_boot_ms"]
         self._restarts[system_id] += stamp_ms < self._latest_ms.get(system_id, -math.inf) - _RESTARTED_MS
         self._latest_ms[system_id] = stamp_ms
-        if self._reckoned_m is None and fields["lat"]:
-            self._reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
+        if self.home_altitude_m is None and fields["lat"]:
+            self.home_altitude_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
         if len(self._boots_s) < _STAMPS and message.received_s > _DATED_S:
             self._boots_s.append(message.received_s - stamp_ms * 1e-3)
 
     def _text(self, text: str) -> None:
         firmware = _FIRMWARE.match(text)
         if firmware:
-            self._firmware = self._firmware or firmware[0].strip()
-            self._autopilot = autopilot_by_mav_autopilot(_ARDUPILOT if firmware[1] else _PX4) or self._autopilot
+            self.firmware = self.firmware or firmware[0].strip()
+            self.autopilot = autopilot_by_mav_autopilot(_ARDUPILOT if firmware[1] else _PX4) or self.autopilot
             self._is_of_kind(_TYPES.get(firmware[1], TYPE_FIXED_WING))
 
     def _parameter(self, name: str, value: float) -> None:
@@ -131,16 +136,8 @@ class ContextBuilder:
 
     def _is_of_kind(self, kind: int) -> None:
         """Note the vehicle's MAV_TYPE by one source; if several differ, it is not a fixed wing."""
-        if self._kind == TYPE_FIXED_WING:
-            self._kind = kind
-
-    def context(self) -> LogContext:
-        boot_s = median(self._boots_s) if self._boots_s else -1.0
-        booted = datetime.fromtimestamp(boot_s, UTC) if 0.0 <= boot_s < _TIME_MAX_S else None
-        home_m = self._reckoned_m if self._home_m is None else self._home_m
-        restarts, others = max(self._restarts.values(), default=0), tuple(sorted(self._others))
-        own = self._kind, self._firmware, self._system_id
-        return LogContext(self._autopilot, booted, home_m, restarts, *own, others)
+        if self.kind == TYPE_FIXED_WING:
+            self.kind = kind
 
 
 _NAMED_AT_MOST = 20
@@ -164,16 +161,16 @@ class RecordedLog:
 
     def messages(self, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Message]:
         """Yield the messages of the ``wanted`` names in order; raises InputError when the file cannot be read."""
-        builder = ContextBuilder(autopilot_by_mav_autopilot(self.mav_autopilot) or AUTOPILOTS[0])
+        context = LogContext(autopilot_by_mav_autopilot(self.mav_autopilot) or AUTOPILOTS[0])
         try:
-            for message in self._messages(self.path, {*wanted, *builder.NAMES}, progress):
-                if message.name in builder.NAMES:
-                    builder.take(message)
+            for message in self._messages(self.path, {*wanted, *context.NAMES}, progress):
+                if message.name in context.NAMES:
+                    context.take(message)
                 if message.name in wanted:
                     yield message
         except OSError as error:
             raise _unreadable(self.path, error) from error
-        self._context = builder.context()
+        self._context = context
 
     def context(self) -> LogContext:
         """Return what the log contains besides the flight; it is read for that unless its messages have been."""
@@ -247,14 +244,9 @@ def _translated(
 _TLOG_NAMES = ("DISTANCE_SENSOR", "RANGEFINDER"), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
 _ULOG_NAMES = ("distance_sensor",), ("gimbal_device_attitude_status",)
 _DATAFLASH_NAMES = ("RFND", "MNT.Dist"), ("MNT",)
+_FROM_DATAFLASH, _FROM_ULOG = _translated(ArdupilotMessages, read_dataflash), _translated(Px4Messages, read_ulog)
 _KINDS = (
     ("tlog", *_TLOG_NAMES, _ARDUPILOT, read_tlog, tlog_contents),
-    ("ULog", *_ULOG_NAMES, _PX4, _translated(Px4Messages, read_ulog), ulog_contents),
-    (
-        "DataFlash log",
-        *_DATAFLASH_NAMES,
-        _ARDUPILOT,
-        _translated(ArdupilotMessages, read_dataflash),
-        dataflash_contents,
-    ),
+    ("ULog", *_ULOG_NAMES, _PX4, _FROM_ULOG, ulog_contents),
+    ("DataFlash log", *_DATAFLASH_NAMES, _ARDUPILOT, _FROM_DATAFLASH, dataflash_contents),
 )

@@ -81,19 +81,12 @@ def stamp(time_ns: int) -> dict[str, int]:
 
 
 def _schema(value: Any) -> dict[str, Any]:
-    match value:
-        case dict():
-            return {"type": "object", "properties": {name: _schema(item) for name, item in value.items()}}
-        case list():
-            return {"type": "array", "items": _schema(value[0]) if value else {}}
-        case bool():
-            return {"type": "boolean"}
-        case str():
-            return {"type": "string"}
-        case int():
-            return {"type": "integer"}
-        case _:
-            return {"type": "number"}
+    if isinstance(value, dict):
+        return {"type": "object", "properties": {name: _schema(item) for name, item in value.items()}}
+    if isinstance(value, list):
+        return {"type": "array", "items": _schema(value[0]) if value else {}}
+    kinds = ((bool, "boolean"), (str, "string"), (int, "integer"))
+    return {"type": next((name for kind, name in kinds if isinstance(value, kind)), "number")}
 
 
 def _without_nan(value: Any) -> Any:
@@ -126,7 +119,6 @@ _COLOURS = {
     "route": (0.95, 0.80, 0.20, 0.6),
     "plan": (0.55, 0.35, 0.85, 1.0),
 }
-_LINE_PIXELS = {"sight": 1.0}
 _BALL_M = 4.0
 
 
@@ -304,21 +296,9 @@ def _plane_from_body(roll_rad: float, pitch_rad: float, yaw_rad: float) -> dict[
 
 def line(name: str, places: Iterable[Place]) -> dict[str, Any]:
     """Return the entity ``name`` as a line through the places, in the frame ``plane``."""
-    return _entity(
-        name,
-        lines=[
-            {
-                "type": _LINE_STRIP,
-                "pose": _pose((0.0, 0.0, 0.0)),
-                "thickness": _LINE_PIXELS.get(name, 3.0),
-                "scale_invariant": True,
-                "points": [_xyz(place) for place in places],
-                "color": _colour(name),
-                "colors": [],
-                "indices": [],
-            }
-        ],
-    )
+    drawn = {"type": _LINE_STRIP, "thickness": 1.0 if name == "sight" else 3.0, "scale_invariant": True}
+    placed = {"pose": _pose((0.0, 0.0, 0.0)), "points": [_xyz(place) for place in places]}
+    return _entity(name, lines=[drawn | placed | {"color": _colour(name), "colors": [], "indices": []}])
 
 
 def ball(name: str, place: Place) -> dict[str, Any]:
@@ -327,14 +307,8 @@ def ball(name: str, place: Place) -> dict[str, Any]:
 
 
 def _entity(name: str, **shapes: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        "frame_id": "plane",
-        "id": name,
-        "lifetime": _FOREVER,
-        "frame_locked": True,
-        "metadata": [],
-        **{shape: shapes.get(shape, []) for shape in _SHAPES},
-    }
+    about = {"frame_id": "plane", "id": name, "lifetime": _FOREVER, "frame_locked": True, "metadata": []}
+    return about | {shape: shapes.get(shape, []) for shape in _SHAPES}
 
 
 def _pose(place: Place) -> dict[str, Any]:

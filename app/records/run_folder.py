@@ -90,13 +90,11 @@ class _Folder:
         """Return the summary; raises InputError when the run did not get as far as writing one."""
         remedy = "the run has not ended in order; without this file its figures are made of the journal"
         text = read_text(self.summary, _SUMMARY_MAX_BYTES, remedy)
-        try:
+        with contextlib.suppress(ValueError, RecursionError):
             summary = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{self.summary}: is no JSON; {remedy}.") from error
-        if not isinstance(summary, dict):
-            raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
-        return summary
+            if isinstance(summary, dict):
+                return summary
+        raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write the summary whole or not at all."""
@@ -141,7 +139,6 @@ class FleetFolder(_Folder):
     journal = _File("fleet.jsonl")
 
     def make(self, name: str) -> RunFolder:
-        """Make an aircraft's run folder. Raises InputError when it cannot be made."""
         folder = RunFolder(self.path / name)
         with _making(self.path):
             folder.path.mkdir(parents=True)

@@ -224,9 +224,7 @@ class BeaconInput(asyncio.DatagramProtocol):
         if not self._is_ours(report) or self._now_s() == -math.inf:
             return
         if not -_AGE_MAX_S <= report.age_s <= _AGE_MAX_S:
-            self._announce_once(
-                "the beacon's clock is off, or its messages are late, by more than 2 s: it is not used"
-            )
+            self._announce_once("the beacon's clock is off, or its messages come late, by over 2 s: it is not used")
             return
         if not (abs(report.latitude_deg) <= 90.0 and abs(report.longitude_deg) <= 180.0):
             return

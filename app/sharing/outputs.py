@@ -75,7 +75,7 @@ class StreamSender:
         announce: Callable[[str], None],
     ) -> None:
         self._address, self._tls, self._announce = address, tls, announce
-        self._server_name = (server_name or address.host) if tls is not None else None
+        self._server_name = None if tls is None else server_name or address.host
         self._writer: asyncio.StreamWriter | None = None
         self._announced = ""
         self._task = asyncio.create_task(self._run())
@@ -207,17 +207,16 @@ class FollowTargetOutput(_Periodic):
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self._send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
         sigma_m = math.sqrt(max(float(estimate.covariance[0, 0] + estimate.covariance[1, 1]), 0.0))
+        where = round(latitude_deg * 1e7), round(longitude_deg * 1e7), altitude_m
+        velocity_ned_m_s = [estimate.velocity_north_m_s, estimate.velocity_east_m_s, 0.0]
+        attitude = [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3  # with acceleration and rates: not known
         self._send(
             mavlink.MAVLink_follow_target_message(
                 round(time_s * 1000.0),
                 _POSITION_AND_VELOCITY,
-                round(latitude_deg * 1e7),
-                round(longitude_deg * 1e7),
-                altitude_m,
-                [estimate.velocity_north_m_s, estimate.velocity_east_m_s, 0.0],
-                [0.0] * 3,
-                [1.0, 0.0, 0.0, 0.0],
-                [0.0] * 3,
+                *where,
+                velocity_ned_m_s,
+                *attitude,
                 [sigma_m, 0.0, 0.0],
                 0,
             )

@@ -242,12 +242,12 @@ _METRES_PER_DEG = 111_320.0
 class TileCoverage:
     """What one tile has of some bounds: shares 0..1 of the bounds, heights above sea level, None where all void."""
 
-    path: Path
+    file: Path
     spacing_m: float
     covered: float
     void: float
-    lowest_m: float | None
-    highest_m: float | None
+    min_height_m: float | None
+    max_height_m: float | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from sidelong.app.commands.export import write_export
 from sidelong.app.commands.report import write_report
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import Format
-from sidelong.app.records.log import ContextBuilder, LogContext
+from sidelong.app.records.log import LogContext
 from sidelong.app.report.history import AircraftTrack, HistoryBuilder, curvature_per_m, feed, read_flight
 from sidelong.app.report.page import report_page
 from sidelong.estimators.terrain.ground import Ground
@@ -210,10 +210,10 @@ def test_a_log_of_two_flights_is_named_by_each_command(tmp_path):
 
 
 def context_of(messages) -> LogContext:
-    builder = ContextBuilder()
+    context = LogContext()
     for one in messages:
-        builder.take(one)
-    return builder.context()
+        context.take(one)
+    return context
 
 
 def test_of_a_log_of_two_vehicles_only_the_first_counts_and_the_other_is_named():

@@ -20,9 +20,8 @@ from sidelong.app.assembly import tracker_of
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.records.dataflash import read_dataflash
+from sidelong.app.records.autopilot_logs import read_dataflash, read_ulog
 from sidelong.app.records.log import open_log
-from sidelong.app.records.ulog import read_ulog
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.core.events import WindReported
