@@ -178,7 +178,8 @@ def launch(
             raise ended.reason
         heed_interrupts()
         if mcap:
-            from sidelong.app.commands.export import Format, write_export  # noqa: PLC0415  # as above
+            from sidelong.app.commands.export import write_export  # noqa: PLC0415  # as above
+            from sidelong.app.records.export import Format  # noqa: PLC0415
 
             write_export(ended.folder.path, Format.MCAP)
         if report:

@@ -84,6 +84,7 @@ def _sorted(entries: list[Entry]) -> list[Entry]:
 
 Made = Iterator[tuple[str, dict[str, Any]]]
 """Message names with their fields but for time_boot_ms, which is the entry's time."""
+Maker = Callable[[Entry], Made | None]
 
 
 def global_position(
@@ -106,7 +107,7 @@ class Translator:
     from boot.
     """
 
-    def __init__(self, makers: Mapping[str, Callable[[Entry], Made | None]]) -> None:
+    def __init__(self, makers: Mapping[str, Maker]) -> None:
         self._makers, self.names = makers, frozenset(makers)
         self._boot_s = 0.0
         self._base_us: int | None = None
@@ -245,9 +246,19 @@ class ArdupilotMessages(Translator):
     """
 
     def __init__(self) -> None:
-        own = {"GPS": self._gps, "POS": self._position, "RFND": self._rangefinder, "MNT": self._mount}
-        texts = {"MSG": self._text, "VER": self._text, "PARM": self._parameter, "ATT": self._attitude}
-        of_ekf = {"XKF1": self._ekf, "NKF1": self._ekf, "XKF2": self._wind, "NKF2": self._wind}
+        own: dict[str, Maker] = {
+            "GPS": self._gps,
+            "POS": self._position,
+            "RFND": self._rangefinder,
+            "MNT": self._mount,
+        }
+        texts: dict[str, Maker] = {
+            "MSG": self._text,
+            "VER": self._text,
+            "PARM": self._parameter,
+            "ATT": self._attitude,
+        }
+        of_ekf: dict[str, Maker] = {"XKF1": self._ekf, "NKF1": self._ekf, "XKF2": self._wind, "NKF2": self._wind}
         super().__init__(own | texts | of_ekf)
         self._velocity_ned_m_s: tuple[float, float, float] | None = None
         self._has_ekf = False
@@ -476,15 +487,26 @@ class Px4Messages(Translator):
     """
 
     def __init__(self) -> None:
-        positions = {
+        positions: dict[str, Maker] = {
             "home_position": self._home,
             "vehicle_gps_position": self._gps,
             "vehicle_global_position": self._global_position,
             "vehicle_local_position": self._local_position,
         }
-        sensors = {"distance_sensor": self._distance_sensor, "gimbal_device_attitude_status": self._gimbal}
-        of_ekf = {"vehicle_attitude": self._attitude, "wind": self._wind, "wind_estimate": self._wind}
-        about = {"vehicle_status": self._status, TYPE_PARAMETER: self._parameter, FIRMWARE: self._firmware}
+        sensors: dict[str, Maker] = {
+            "distance_sensor": self._distance_sensor,
+            "gimbal_device_attitude_status": self._gimbal,
+        }
+        of_ekf: dict[str, Maker] = {
+            "vehicle_attitude": self._attitude,
+            "wind": self._wind,
+            "wind_estimate": self._wind,
+        }
+        about: dict[str, Maker] = {
+            "vehicle_status": self._status,
+            TYPE_PARAMETER: self._parameter,
+            FIRMWARE: self._firmware,
+        }
         super().__init__(positions | sensors | of_ekf | about)
         self._home_altitude_m = math.nan
         self._local: Mapping[str, Any] = {}

@@ -193,6 +193,7 @@ def test_keys_without_effect_are_noted(tmp_path):
         (["launch", "--airspeeed", "3"], "No such option: --airspeeed (Possible options: --airspeed"),
         (["export", "run", "--format", "gpxx"], "Invalid value for '--format': 'gpxx' is not one of 'plan'"),
         (["launch", "--duration", "inf"], "Invalid value for '--duration'"),
+        (["study", "--duration", "0"], "Invalid value for '--duration'"),
         (["connect", "udpin://127.0.0.1:1", "--listen", "inf"], "Invalid value for '--listen'"),
         (["check", "--radius", "wide"], "'wide' is neither a number of metres nor auto"),
     ],

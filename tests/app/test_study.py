@@ -101,7 +101,6 @@ def test_the_command_prints_a_table_and_writes_its_files(command, tmp_path):
         (("--set", "simulation.wind_speed_m_s=90"), "simulation.wind_speed_m_s"),
         (("--set", "study.legs_s=[200,40]"), "study.legs_s"),
         (("--set", "study.legs_s=fast"), "study.legs_s"),
-        (("--duration", "0"), "--duration"),
         (("--report", "study.doc"), "study.doc"),
         (("--report", "nowhere/study.html"), "nowhere"),
         (("--json", "nowhere/study.json"), "nowhere"),
