@@ -1,0 +1,92 @@
+"""The camera of a flight: what it shows, records and passes on, from rendered pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from sidelong.app.camera.runner import CameraRunner, Here
+from sidelong.app.camera.video import VideoReplay
+from sidelong.app.config import CameraSection
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, Source
+from sidelong.sitl.world.picture import CameraPose, Scenery
+
+VIEW_DEG, SIZE_PX, RATE_HZ, BEGIN_S, PICTURES = 12.0, (640, 360), 15.0, 20.0, 30
+HERE_M, TARGET_M = (0.0, -200.0, 100.0), (0.0, 0.0)
+PITCH_RAD = -math.atan2(100.0, 200.0)
+ESTIMATE = TargetEstimate(BEGIN_S, *TARGET_M, 0.0, 0.0, np.diag([9.0, 4.0, 0.1, 0.1]), TrackQuality.GOOD, BEGIN_S)
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """Return the pictures of the page, the messages of the camera and the recording of two seconds."""
+    record = tmp_path_factory.mktemp("run") / "video.ts"
+    taken, shown = [], []
+    vehicle = SimpleNamespace(system_id=1, take=taken.append)
+    tracker = SimpleNamespace(parent_from_mount=(1.0, 0.0, 0.0, 0.0), estimate=lambda _time_s: ESTIMATE)
+    runner = CameraRunner(
+        CameraSection(source="/dev/null", view_deg=VIEW_DEG, delay_s=0.0),
+        vehicle,
+        tracker,
+        lambda _east_m, _north_m: 0.0,
+        lambda _text: None,
+        Here("a flight", LocalPlane(47.4, 8.5), 400.0),
+        record=record,
+        show=lambda picture: shown.append(picture()),
+    )
+    scenery = Scenery(np.zeros((60, 2)), lambda _e, _n: 0.0, 3, trees=0.0, lookalikes=0.0)
+    sight = from_roll_pitch_yaw(0.0, PITCH_RAD, 0.0)
+    for k in range(PICTURES):
+        time_s = BEGIN_S + k / RATE_HZ
+        runner._timeline.on_message(time_s, 1000.0 + time_s)
+        for reading in (
+            PositionReading(time_s, *HERE_M, 0.0, 0.0, 0.0),
+            AttitudeReading(time_s, 0.0, 0.0, 0.0),
+            GimbalReading(time_s, sight, "earth", Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)),
+        ):
+            runner.camera.event(reading)
+        if k == 1:
+            runner.camera.follow(0.5, 0.5)
+        picture = scenery.picture(time_s, CameraPose(HERE_M, 0.0, PITCH_RAD), math.radians(VIEW_DEG), SIZE_PX)
+        runner._take(picture, 1000.0 + time_s)
+    runner._output.close()
+    runner._marks.close()
+    return shown, taken, record
+
+
+def test_the_page_gets_object_estimate_and_ellipse_in_the_picture(ran):
+    marks, jpeg = ran[0][-1].split(b"\n", 1)
+    marks = json.loads(marks)
+    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape == (360, 640, 3)
+    assert marks["state"] == "object"
+    left, top, right, bottom = marks["box"]
+    assert left < 0.5 < right
+    assert top < 0.5 < bottom
+    assert marks["estimate"] == pytest.approx([0.5, 0.5], abs=0.01)
+    # Three times the root of chi-square's 5.99, at the focal length and range of the picture.
+    focal, range_m = 0.5 / math.tan(math.radians(0.5 * VIEW_DEG)), math.hypot(100.0, 200.0)
+    widths = [x for x, _ in marks["ellipse"]]
+    assert 0.5 * (max(widths) - min(widths)) == pytest.approx(3.0 * 2.448 * focal / range_m, rel=0.03)
+
+
+def test_the_flight_gets_the_tracking_status_stamped_at_capture(ran):
+    (first, *_) = (message.fields for message in ran[1])
+    assert first["tracking_status"] == 1
+    assert first["point_x"] == pytest.approx(0.5, abs=0.02)
+    assert BEGIN_S < first["capture_s"] < BEGIN_S + 1.0
+    assert len(ran[1]) == pytest.approx(PICTURES / RATE_HZ / 0.4, abs=1.5)
+
+
+def test_the_recording_is_played_in_step_with_what_was_drawn(ran):
+    replay = VideoReplay(ran[2])
+    marks = json.loads(replay.shown(BEGIN_S + 1.0).split(b"\n", 1)[0])
+    assert marks["time_s"] == pytest.approx(BEGIN_S + 1.0, abs=1.0 / RATE_HZ)
+    assert marks["state"] == "object"
