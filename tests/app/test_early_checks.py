@@ -47,7 +47,10 @@ from tests.command_line import sidelong
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--set", "aircraft.radius_m=15"], "at least 22.95"),
         (["study", "--scheduler", "here"], "--scheduler: 'here' is no address"),
         (["study", "--store", "tests"], "tests is a folder; give a file to --store"),
-        (["study", "--set", "simulation.home=[47.4,8.5]"], "simulation.home: it places the study on elevation data"),
+        (
+            ["study", "--set", "simulation.home=[47.4,8.5]"],
+            "--set: simulation.home places the study on elevation data",
+        ),
         (
             ["study", "--set", "study.legs_s=[20,60]", "--targets", "tests"],
             "study.legs_s: recorded targets move",
