@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sidelong.app.assembly import ground_of, stand_on_ground, tracker_of
-from sidelong.app.commands.options import SetOption, changed_keys
+from sidelong.app.commands.options import PayloadOption, SetOption, changed_keys
 from sidelong.app.commands.output import console, say
 from sidelong.app.config import Config, load_config
 from sidelong.app.config_files import check_files
@@ -22,7 +22,7 @@ from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.message import Message
 from sidelong.app.link.transport import checked_url
 from sidelong.app.link.vehicle import home_of
-from sidelong.app.payload.registry import KIND_NAMES, read_payload
+from sidelong.app.payload.registry import read_payload
 from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing
 from sidelong.mission.core.events import Event
@@ -34,24 +34,11 @@ _STATUS_EVERY_S, _ASK_EVERY_S = 5.0, 1.0
 
 
 def camera(
-    source: Annotated[
-        str | None,
-        typer.Argument(help="Video: rtsp://HOST/PATH, udp://HOST:PORT, /dev/videoN or a file; else camera.source."),
-    ] = None,
-    connect: Annotated[
-        list[str] | None, typer.Option(help="MAVSDK URL of the vehicle that carries it; else link.url.")
-    ] = None,
-    payload: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KIND://HOST[:PORT]",
-            help=f"Point the gimbal by its own protocol ({', '.join(KIND_NAMES[1:])}), not by the gimbal manager.",
-        ),
-    ] = None,
+    source: Annotated[str | None, typer.Argument(help="rtsp://, udp://, /dev/videoN or a file.")] = None,
+    connect: Annotated[list[str] | None, typer.Option(help="MAVSDK URL of its vehicle; else link.url.")] = None,
+    payload: PayloadOption = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) with a [camera].")] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0.5, help="End after this long, s; without it when interrupted.")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.5, help="End after this long, s; else by Ctrl-C.")] = None,
     set_: SetOption = None,
 ) -> None:
     """Be the MAVLink camera of a vehicle: track what a station clicks in the video, and keep the gimbal on it.

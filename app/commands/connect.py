@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from sidelong.app.assembly import tracker_of
-from sidelong.app.commands.options import Overrides, SetOption, changed_keys
+from sidelong.app.commands.options import Overrides, PayloadOption, SetOption, changed_keys
 from sidelong.app.commands.output import JsonOption, checked_output, console, say, write_json
 from sidelong.app.commands.payload import degrees_of, payload_lines, payload_values
 from sidelong.app.config import Config, load_config
@@ -25,7 +25,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.stored import read_table
 from sidelong.app.link.transport import checked_url
 from sidelong.app.link.vehicle import home_of, mode_of, reported_pan_limits_rad, request_pan_limits
-from sidelong.app.payload.registry import KIND_NAMES, read_payload
+from sidelong.app.payload.registry import read_payload
 from sidelong.app.payload.session import PayloadStatus, contradiction, pan_words
 from sidelong.app.process import run
 from sidelong.app.records.sensing import Sensing
@@ -33,22 +33,10 @@ from sidelong.mission.core.events import Event
 
 
 def connect(
-    urls: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="MAVSDK URL of the vehicle; several links to one; without it as the configuration has it."
-        ),
-    ] = None,
+    urls: Annotated[list[str] | None, typer.Argument(help="MAVSDK URLs of the vehicle; else link.url.")] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
-    listen_s: Annotated[
-        float, typer.Option("--listen", min=0.5, max=3600.0, help="Listen to the sensors this long, s.")
-    ] = 3.0,
-    payload: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KIND://HOST[:PORT]", help=f"Read the payload by its own protocol: {', '.join(KIND_NAMES)}."
-        ),
-    ] = None,
+    listen_s: Annotated[float, typer.Option("--listen", min=0.5, max=3600.0, help="Listen this long, s.")] = 3.0,
+    payload: PayloadOption = None,
     set_: SetOption = None,
     json: JsonOption = None,
 ) -> None:

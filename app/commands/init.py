@@ -126,9 +126,7 @@ def init(
             help=f"Begin with an airframe ({', '.join(PRESETS)}), a payload ({', '.join(PAYLOAD_PRESETS)}), or both.",
         ),
     ] = None,
-    fleet: Annotated[
-        int | None, typer.Option(min=2, max=MAX_AIRCRAFT, help="Number of aircraft for one target.")
-    ] = None,
+    fleet: Annotated[int | None, typer.Option(min=2, max=MAX_AIRCRAFT, help="Number of aircraft.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
     """Write a configuration file with every key, its unit, limits and default, to be changed as needed.

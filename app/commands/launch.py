@@ -69,54 +69,39 @@ _DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive
 def launch(
     config: ConfigArgument = None,
     fleet: Annotated[int | None, _MISSION(min=1, max=MAX_AIRCRAFT, help="Number of aircraft for one target.")] = None,
-    connect: Annotated[
-        list[str] | None,
-        _VEHICLE(help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated."),
-    ] = None,
+    connect: Annotated[list[str] | None, _VEHICLE(help="MAVSDK URL of a vehicle; twice for two links.")] = None,
     payload: Annotated[
         str | None,
         _PAYLOAD(
             metavar="KIND://HOST[:PORT]",
-            help=f"Read laser and gimbal by the payload's own protocol: {', '.join(KIND_NAMES)}; "
-            "KIND:// alone with a simulated vehicle. Or a camera's video: rtsp://, udp://; video:// simulated.",
+            help=f"{', '.join(KIND_NAMES)}; a camera's video: rtsp://, udp://; simulated: KIND://, video://.",
         ),
     ] = None,
     route: Annotated[
         str | None,
         _MISSION(
             metavar="FILE|mavlink:ID",
-            help="Route that the target is expected to follow: .gpx, .geojson, .kml, .cot, or .csv with lat,lon; "
-            "or the mission of the MAVLink system ID, which is the target.",
+            help="Expected route of the target: a file, or the mission of MAVLink system ID, which is the target.",
         ),
     ] = None,
     target: Annotated[
         str | None,
         _SIMULATION(
             metavar="MOTION|FILE[#NAME]",
-            help="Simulated target: a built-in motion or a track (.gpx, .csv, .kml, .geojson); of several that NAME.",
+            help="Simulated target: a motion, or a track (.gpx, .csv, .kml, .geojson).",
         ),
     ] = None,
     target_speed: TargetSpeedOption = None,
     airspeed: AirspeedOption = None,
     radius: RadiusOption = None,
-    duration: Annotated[
-        float, _MISSION(min=1.0, max=1e6, help="Watch this long, s of the vehicle's time.")
-    ] = _DURATION_S,
+    duration: Annotated[float, _MISSION(min=1.0, max=1e6, help="Watch this long, s.")] = _DURATION_S,
     seed: Annotated[int | None, _SIMULATION(help="Seed of the simulation's noise.")] = None,
-    side: Annotated[
-        str | None, _MISSION(help="Watch from left or right of its motion, either, or bearings like 120-200.")
-    ] = None,
-    autopilot: Annotated[
-        str | None, _SIMULATION(help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.")
-    ] = None,
+    side: Annotated[str | None, _MISSION(help="Watch from left, right, either or bearings (120-200).")] = None,
+    autopilot: Annotated[str | None, _SIMULATION(help="arduplane or px4; of a fleet in turn: a,b.")] = None,
     planner: PlannerOption = None,
-    view: Annotated[
-        bool | None, MAP("--view/--no-view", help="Show a live map in the browser; by default in a desktop session.")
-    ] = None,
+    view: Annotated[bool | None, MAP("--view/--no-view", help="Live map in the browser [on a desktop].")] = None,
     report: Annotated[bool, OUTPUT("--report", help="Write report.html into the run folder.")] = False,
-    mcap: Annotated[
-        bool, OUTPUT("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
-    ] = False,
+    mcap: Annotated[bool, OUTPUT("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler.")] = False,
     terrain: TerrainOption = None,
     set_: SetOption = None,
     out: Annotated[Path, OUTPUT(help="Where run folders are made.")] = Path("runs"),

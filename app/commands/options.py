@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sidelong.app.errors import InputError
+from sidelong.app.payload.registry import KIND_NAMES
 from sidelong.app.planners.registry import PLANNER_NAMES
 
 Overrides = dict[str, dict[str, Any]]
@@ -35,34 +36,24 @@ def _parsed(words: str) -> float | str:
 
 
 RadiusOption = Annotated[
-    Any,
-    AIRCRAFT(
-        parser=_parsed,
-        metavar="M|auto",
-        help="Radius of the circle, m; auto: 3.5 s of flight, with room in the range band.",
-    ),
+    Any, AIRCRAFT(parser=_parsed, metavar="M|auto", help="Radius of the circle, m; auto: 3.5 s of flight.")
 ]
 """A float, or "auto"."""
 
 AirspeedOption = Annotated[float | None, AIRCRAFT(help="Airspeed while circling, m/s.")]
-VehicleOption = Annotated[
-    str | None, typer.Option("--connect", metavar="URL", help="Check with the fences that this vehicle stores, too.")
-]
+VehicleOption = Annotated[str | None, typer.Option("--connect", metavar="URL", help="Check with its fences, too.")]
 TargetSpeedOption = Annotated[float | None, AIRCRAFT(help="Highest speed to expect of the target, m/s.")]
 PlannerOption = Annotated[str | None, AIRCRAFT(help=f"{' or '.join(PLANNER_NAMES)}; else as configured.")]
 TerrainOption = Annotated[Path | None, AIRCRAFT(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.")]
 ConfigArgument = Annotated[Path | None, typer.Argument(help="Configuration (TOML).")]
 ConfigOption = Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")]
-TruthOption = Annotated[
-    Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
+TruthOption = Annotated[Path | None, typer.Option(help="CSV with the true track; a run folder may have its own.")]
+PayloadOption = Annotated[
+    str | None, typer.Option(metavar="KIND://HOST[:PORT]", help=f"By its own protocol: {', '.join(KIND_NAMES)}.")
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        help="Any key of the configuration, such as link.system_id=2; sidelong init lists them (repeatable).",
-    ),
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Any key that sidelong init lists (repeatable)."),
 ]
 
 

@@ -85,16 +85,13 @@ def payload(
     device: Annotated[
         str | None,
         typer.Argument(
-            metavar="KIND://HOST[:PORT]",
-            help=f"The payload, also KIND:///dev/NAME[:BAUD]; KIND: {', '.join(KIND_NAMES[1:])}.",
+            metavar="KIND://HOST[:PORT]", help=f"Also KIND:///dev/NAME[:BAUD]; {', '.join(KIND_NAMES[1:])}."
         ),
     ] = None,
     to: Annotated[str | None, typer.Option(metavar="udpout:HOST:PORT", help="Publish as MAVLink there.")] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) with a [payload].")] = None,
     system_id: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id to publish as.")] = 1,
-    duration: Annotated[
-        float | None, typer.Option(min=0.5, help="End after this long, s; without it when interrupted.")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.5, help="End after this long, s; else by Ctrl-C.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Read one payload by its own protocol and print what it delivers; with --to, publish it as MAVLink.

@@ -79,20 +79,11 @@ def replay(
     config: ConfigOption = None,
     planner: PlannerOption = None,
     set_: SetOption = None,
-    what_if: Annotated[
-        list[str] | None,
-        typer.Option("--what-if", metavar="KEY=VALUE", help="Fly on with another value, next to its target."),
-    ] = None,
-    from_: Annotated[
-        float, typer.Option("--from", min=0.0, help="Fly on from this time of the watch, s; with --what-if.")
-    ] = 0.0,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
-    ] = False,
+    what_if: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE", help="Fly on with another value.")] = None,
+    from_: Annotated[float, typer.Option("--from", min=0.0, help="What if from this time on, s of the watch.")] = 0.0,
+    verify: Annotated[bool, typer.Option("--verify", help="Compare every decision with the flight's.")] = False,
     view: Annotated[bool, MAP("--view", help="Show the replay on a live map in the browser.")] = False,
-    view_speed: Annotated[
-        float, MAP(min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.")
-    ] = 10.0,
+    view_speed: Annotated[float, MAP(min=0.1, max=SPEED_MAX, help="Recorded over wall time, with --view.")] = 10.0,
     quiet: Annotated[bool, OUTPUT("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:

@@ -18,10 +18,7 @@ from sidelong.app.records.text_file import write_text
 
 def report(
     run: Annotated[Path, typer.Argument(help="A run folder, or a recorded tlog.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="The page; otherwise report.html in the run folder, or next to the log."),
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="The page [in the run folder, or by the log].")] = None,
     truth: TruthOption = None,
     config: ConfigOption = None,
 ) -> None:

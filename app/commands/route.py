@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json as json_format
 import os
 from pathlib import Path
@@ -43,17 +41,12 @@ def route(
     file: Annotated[
         Path,
         typer.Argument(
-            metavar="FILE[#NAME]",
-            help="Route: .gpx, .geojson, .kml, .kmz, .csv, .plan, .waypoints; its line NAME; with --from written.",
+            metavar="FILE[#NAME]", help=".gpx, .geojson, .kml, .kmz, .csv, .plan or .waypoints; with --from written."
         ),
     ],
-    source: Annotated[
-        Path | None, typer.Option("--from", metavar="RUN", help="Make FILE of the target's path in this run or log.")
-    ] = None,
+    source: Annotated[Path | None, typer.Option("--from", metavar="RUN", help="Make FILE of this flight.")] = None,
     lap: Annotated[bool, typer.Option("--lap", help="The last way point connects to the first one.")] = False,
-    tolerance: Annotated[
-        float, typer.Option(min=1.0, max=200.0, help="Standard deviation of the target's lateral offset, m.")
-    ] = 10.0,
+    tolerance: Annotated[float, typer.Option(min=1.0, max=200.0, help="1-sigma lateral offset, m.")] = 10.0,
     png: Annotated[Path | None, typer.Option(help="Draw the route into this file.")] = None,
     json: JsonOption = None,
 ) -> None:
@@ -166,11 +159,7 @@ def _write_from(source: Path, file: Path) -> None:
 
 
 def _csv(places_deg: list[tuple[float, float]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        [("lat", "lon"), *((f"{latitude:.7f}", f"{longitude:.7f}") for latitude, longitude in places_deg)]
-    )
-    return text.getvalue()
+    return "lat,lon\n" + "".join(f"{latitude:.7f},{longitude:.7f}\n" for latitude, longitude in places_deg)
 
 
 def _geojson(places_deg: list[tuple[float, float]]) -> str:

@@ -99,59 +99,27 @@ _BATCHES_EACH = 16  # for each process at least, so that little is lost when a s
 
 def study(
     context: typer.Context,
-    config: Annotated[
-        Path | None, typer.Argument(help="Aircraft, requirement and sensors of a mission (TOML).")
-    ] = None,
-    targets: Annotated[
-        list[Path] | None,
-        _TARGETS(help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx)."),
-    ] = None,
-    routes: Annotated[
-        bool,
-        _TARGETS(help="Let the predictive planner know NAME.route.csv (.gpx, .geojson, .kml) next to each track."),
-    ] = False,
-    runs: Annotated[
-        int | None, _TARGETS(min=1, help="Number of targets; default 20 random ones, or all recorded.")
-    ] = None,
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML) of aircraft and mission.")] = None,
+    targets: Annotated[list[Path] | None, _TARGETS(help="Folder of recorded targets (.csv, .gpx).")] = None,
+    routes: Annotated[bool, _TARGETS(help="Plan with the route next to each track, NAME.route.csv.")] = False,
+    runs: Annotated[int | None, _TARGETS(min=1, help="Number of targets [20, or all recorded].")] = None,
     run: Annotated[list[int] | None, _TARGETS(min=0, help="Fly only the run of this number (repeatable).")] = None,
     seed: Annotated[int, _TARGETS(min=0, help="Seed of all targets and noise.")] = 1,
     planner: Annotated[list[str] | None, _COMPARISON(help="Compare only this planner (repeatable).")] = None,
-    controller: Annotated[
-        str | None,
-        _COMPARISON(help="Command of your own controller: states as CSV rows in, a turn rate out for each."),
-    ] = None,
-    benchmark: Annotated[
-        bool, _COMPARISON("--benchmark", help="Fly the fixed targets, aircraft and noise of the benchmark.")
-    ] = False,
+    controller: Annotated[str | None, _COMPARISON(help="Command of your own controller.")] = None,
+    benchmark: Annotated[bool, _COMPARISON("--benchmark", help="Fly the fixed benchmark.")] = False,
     airspeed: AirspeedOption = None,
     radius: RadiusOption = None,
     target_speed: TargetSpeedOption = None,
     autopilot: Annotated[str, AIRCRAFT(help="The simulated autopilot that flies: arduplane or px4.")] = "arduplane",
-    sweep: Annotated[
-        list[str] | None,
-        _COMPARISON(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        _TARGETS(min=10.0, max=86400.0, help="Longest run, s; default 1200, or a recorded target's whole track."),
-    ] = None,
-    fleet: Annotated[
-        int,
-        AIRCRAFT(
-            min=1, max=6, help="Number of aircraft on each target, with joint decisions and phased guidance laws."
-        ),
-    ] = 1,
-    terrain: Annotated[
-        Path | None, AIRCRAFT(help="Compare the default planner with and without this elevation data (folder).")
-    ] = None,
+    sweep: Annotated[list[str] | None, _COMPARISON(help="KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable).")] = None,
+    duration: Annotated[float | None, _TARGETS(min=10.0, max=86400.0, help="Longest run, s [1200].")] = None,
+    fleet: Annotated[int, AIRCRAFT(min=1, max=6, help="Number of aircraft on each target.")] = 1,
+    terrain: Annotated[Path | None, AIRCRAFT(help="Compare with and without this elevation data.")] = None,
     set_: SetOption = None,
     jobs: Annotated[int | None, _COMPUTATION(min=1, help="Processes; by default one for each core.")] = None,
-    scheduler: Annotated[
-        str | None, _COMPUTATION(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
-    ] = None,
-    store: Annotated[
-        Path | None, _COMPUTATION(help="Store each result in this SQLite file; stored runs are not flown again.")
-    ] = None,
+    scheduler: Annotated[str | None, _COMPUTATION(help="Address of a Dask scheduler: tcp://HOST:PORT.")] = None,
+    store: Annotated[Path | None, _COMPUTATION(help="Keep results in this SQLite file for the next time.")] = None,
     export: Annotated[Path | None, OUTPUT(help="Write a row for each run to this .csv file.")] = None,
     report: Annotated[Path | None, OUTPUT(help="Write a page with all figures to this .html file.")] = None,
     json: JsonOption = None,

@@ -16,9 +16,7 @@ from sidelong.app.terrain.elevation_data import Bounds, Coverage, ElevationData
 
 def terrain(
     folder: Annotated[Path, typer.Argument(help="Folder of SRTM .hgt tiles or GeoTIFF files, or one of them.")],
-    bounds: Annotated[
-        str | None, typer.Option(metavar="S,W,N,E", help="Degrees; without it the outline of all tiles.")
-    ] = None,
+    bounds: Annotated[str | None, typer.Option(metavar="S,W,N,E", help="Degrees [outline of all tiles].")] = None,
     json: JsonOption = None,
 ) -> None:
     """Show the area that elevation data covers and where it is void.
