@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,19 +135,18 @@ _SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by th
 _UNSEEN_S = 10.0  # lasers miss for up to 8 s all the time
 _SIDE_MARGIN_RAD = math.radians(3.0)  # the course of the target is hardly known better
 _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
+LOW_BATTERY = 1.2
+"""The battery is low when the flight time left is below this many times the time to fly home."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """An alarm: raised after ``after_s`` of its fault, if it is ``sure`` then, and cleared ``clear_s`` after it."""
+    """An alarm: raised after ``after_s`` of its fault, and cleared ``clear_s`` after it."""
 
-    key: str
-    text: Callable[[Alarms, Present], str]
     advice: str
     held: str = ""  # the advice while the circle is held, if another one
     after_s: float = 0.0
     clear_s: float = 2.0
-    sure: Callable[[Present], bool] = lambda _now: True
 
 
 class Alarms:
@@ -156,15 +155,18 @@ class Alarms:
     def __init__(self) -> None:
         self.active: tuple[Alarm, ...] = ()  # in the order of their rules
         self._begun_s: float | None = None
-        self.was_in_band = self.was_on_side = False
+        self._was_in_band = self._was_on_side = False
         self._wrong_since_s: dict[str, float] = {}
         self._right_since_s: dict[str, float] = {}
 
     def update(self, now: Present) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
         """Process a state with the vehicle's status; return the alarms that it raises, and those that it clears."""
-        self._remember(now)
-        before = {alarm.key: alarm for alarm in self.active}
-        after = {rule.key: self._judged(rule, before.get(rule.key), now) for rule in _RULES}
+        if now.phase.in_control and self._begun_s is None:
+            self._begun_s = now.time_s
+        self._was_in_band |= now.in_band is True
+        self._was_on_side |= now.on_side is True
+        texts, before = self._texts(now), {alarm.key: alarm for alarm in self.active}
+        after = {key: self._judged(key, texts.get(key, ""), before.get(key), now) for key in ALARM_KEYS}
         self.active = tuple(alarm for alarm in after.values() if alarm is not None)
         raised = tuple(alarm for alarm in self.active if alarm.key not in before)
         return raised, tuple(alarm for key, alarm in before.items() if after[key] is None)
@@ -175,97 +177,57 @@ class Alarms:
         self.active = tuple(replace(alarm, acknowledged=True) if alarm.key == key else alarm for alarm in self.active)
         return known
 
-    def _remember(self, now: Present) -> None:
-        if now.phase.in_control and self._begun_s is None:
-            self._begun_s = now.time_s
-        self.was_in_band |= now.in_band is True
-        self.was_on_side |= now.on_side is True
-
-    def _judged(self, rule: _Rule, before: Alarm | None, now: Present) -> Alarm | None:
-        if not now.connected and rule.key not in ("link", "yield"):
+    def _judged(self, key: str, text: str, before: Alarm | None, now: Present) -> Alarm | None:
+        if not now.connected and key not in ("link", "yield"):
             return before  # nothing new is known of it
-        text = rule.text(self, now)
-        countdown_s = now.gives_up_in_s if rule.key == "target" else None
+        rule, countdown_s = _RULES[key], now.gives_up_in_s if key == "target" else None
         if text:
             advice = rule.held if rule.held and now.phase is Phase.HOLDING else rule.advice
-            self._right_since_s.pop(rule.key, None)
-            wrong_since_s = self._wrong_since_s.setdefault(rule.key, now.time_s)
+            self._right_since_s.pop(key, None)
+            wrong_since_s = self._wrong_since_s.setdefault(key, now.time_s)
             if before is not None:
                 return replace(before, text=text, advice=advice, countdown_s=countdown_s)
-            if now.time_s - wrong_since_s >= rule.after_s and rule.sure(now):
-                return Alarm(rule.key, text, advice, now.time_s, countdown_s)
-            return None
-        self._wrong_since_s.pop(rule.key, None)
-        right_since_s = self._right_since_s.setdefault(rule.key, now.time_s)
+            # The estimate's error alone may put the aircraft beyond the side's border.
+            is_unsure = key == "side" and now.beyond_side_rad < _SIDE_MARGIN_RAD
+            is_due = now.time_s - wrong_since_s >= rule.after_s and not is_unsure
+            return Alarm(key, text, advice, now.time_s, countdown_s) if is_due else None
+        self._wrong_since_s.pop(key, None)
+        right_since_s = self._right_since_s.setdefault(key, now.time_s)
         settled = not now.phase.in_control or now.time_s - right_since_s >= rule.clear_s
         return None if settled else before
 
-    def is_late(self, now: Present) -> bool:
-        """Return whether the aircraft has had the time to reach band and side."""
-        return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
+    def _texts(self, now: Present) -> dict[str, str]:
+        """Return the present faults in words, by the key of their alarms."""
+        status, unseen_s, texts = now.vehicle, now.unseen_s, {"separation": now.separation}
+        if not now.connected:
+            silent = _duration(0.0 if status is None else status.silent_s)
+            texts["link"] = f"nothing received from the aircraft for {silent}; it keeps circling"
+        if now.phase is Phase.YIELDED and now.over:
+            texts["yield"] = f"control was given up: {now.over}"
+        if not now.phase.in_control:
+            return texts
+        if unseen_s is not None and (now.is_lost or unseen_s >= _UNSEEN_S):
+            texts["target"] = f"the target has not been seen for {_duration(unseen_s)}"
+            if now.gives_up_in_s is not None:
+                home = now.give_up_action == "return"
+                does = "flies home" if home else "stays on its circle and the mission ends"
+                texts["target"] += f"; the aircraft {does} in {_duration(now.gives_up_in_s)}"
+        is_late = self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
+        if not now.breach and now.in_band is False and (self._was_in_band or is_late):
+            texts["band"] = f"the range of {now.range_m:.0f} m is outside the required band"
+        if not now.breach and now.on_side is False and (self._was_on_side or is_late):
+            texts["side"] = "the aircraft is not on the required side"
+        if not now.turn_payload:
+            bad = (one for one in now.health if one.input in _INPUTS and one.state in _BAD)
+            texts |= {"object": now.other_object, **{one.input.value: one.text for one in bad}}
+        if status is not None:
+            gps = f"GPS: {status.gps}" if status.gps_good is False else ""
+            texts |= {"gps": gps, "charge": status.battery_doubt, "battery": _low_battery(status)}
+        return texts
 
 
-def _duration(time_s: float) -> str:
-    """Return a time in words: seconds, or m:ss from a minute and a half on."""
-    whole_s = round(max(time_s, 0.0))
-    return f"{whole_s} s" if whole_s < 90 else f"{whole_s // 60}:{whole_s % 60:02d} min"
-
-
-def _link(_alarms: Alarms, now: Present) -> str:
-    silent_s = 0.0 if now.vehicle is None else now.vehicle.silent_s
-    return "" if now.connected else f"nothing received from the aircraft for {_duration(silent_s)}; it keeps circling"
-
-
-def _yielded(_alarms: Alarms, now: Present) -> str:
-    return f"control was given up: {now.over}" if now.phase is Phase.YIELDED and now.over else ""
-
-
-def _separation(_alarms: Alarms, now: Present) -> str:
-    return now.separation
-
-
-def _target(_alarms: Alarms, now: Present) -> str:
-    if not now.phase.in_control or now.unseen_s is None or not (now.is_lost or now.unseen_s >= _UNSEEN_S):
-        return ""
-    text = f"the target has not been seen for {_duration(now.unseen_s)}"
-    if now.gives_up_in_s is None:
-        return text
-    does = "flies home" if now.give_up_action == "return" else "stays on its circle and the mission ends"
-    return f"{text}; the aircraft {does} in {_duration(now.gives_up_in_s)}"
-
-
-def _band(alarms: Alarms, now: Present) -> str:
-    is_judged = now.phase.in_control and not now.breach and (alarms.was_in_band or alarms.is_late(now))
-    wrong = is_judged and now.in_band is False
-    return f"the range of {now.range_m:.0f} m is outside the required band" if wrong else ""
-
-
-def _side(alarms: Alarms, now: Present) -> str:
-    is_judged = now.phase.in_control and not now.breach and (alarms.was_on_side or alarms.is_late(now))
-    return "the aircraft is not on the required side" if is_judged and now.on_side is False else ""
-
-
-def _well_beyond_side(now: Present) -> bool:
-    """Return whether the estimate's error alone cannot have put the aircraft beyond the side's border."""
-    return not now.beyond_side_rad < _SIDE_MARGIN_RAD
-
-
-def _input(watched: Input) -> Callable[[Alarms, Present], str]:
-    def text(_alarms: Alarms, now: Present) -> str:
-        bad = (report.text for report in now.health if report.input is watched and report.state in _BAD)
-        return next(bad, "") if now.phase.in_control and not now.turn_payload else ""
-
-    return text
-
-
-def _gps(_alarms: Alarms, now: Present) -> str:
-    status = now.vehicle
-    return f"GPS: {status.gps}" if now.phase.in_control and status is not None and status.gps_good is False else ""
-
-
-def _battery(_alarms: Alarms, now: Present) -> str:
-    status = now.vehicle
-    if not now.phase.in_control or status is None or status.battery_percent is None:
+def _low_battery(status: VehicleStatus) -> str:
+    if status.battery_percent is None:
         return ""
     if status.endurance_s is None or status.home_s is None:
         low = status.battery_percent < _RESERVE_PERCENT_WARNED and not status.battery_doubt
@@ -273,12 +235,10 @@ def _battery(_alarms: Alarms, now: Present) -> str:
     return describe_battery(status) if battery_is_low(status.endurance_s, status.home_s) else ""
 
 
-def _charge(_alarms: Alarms, now: Present) -> str:
-    return now.vehicle.battery_doubt if now.phase.in_control and now.vehicle is not None else ""
-
-
-def _object(_alarms: Alarms, now: Present) -> str:
-    return now.other_object if now.phase.in_control and not now.turn_payload else ""
+def _duration(time_s: float) -> str:
+    """Return a time in words: seconds, or m:ss from a minute and a half on."""
+    whole_s = round(max(time_s, 0.0))
+    return f"{whole_s} s" if whole_s < 90 else f"{whole_s // 60}:{whole_s % 60:02d} min"
 
 
 def describe_battery(status: VehicleStatus) -> str:
@@ -291,10 +251,6 @@ def describe_battery(status: VehicleStatus) -> str:
     text += f"; about {max(status.endurance_s or 0.0, 0.0):.0f} s"
     text += f" at {status.battery_a:.0f} A" if status.battery_a else ""
     return f"{text}; home is {home_s:.0f} s away"
-
-
-LOW_BATTERY = 1.2
-"""The battery is low when the flight time left is below this many times the time to fly home."""
 
 
 def battery_is_low(left_s: float, home_s: float) -> bool:
@@ -322,24 +278,20 @@ _INPUTS = {
     Input.ORDERS: "take over to move the aircraft, or press Hold to keep it circling here",
 }
 _HELD = "press Resume: while you hold the circle it is not relocated"
-_RULES = (
-    _Rule("yield", _yielded, "you, or another station, fly the aircraft; resume to let sidelong watch on"),
-    _Rule("separation", _separation, "change the height of one of the two, or take over", clear_s=0.0),
-    _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
-    _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
-    _Rule("charge", _charge, "check the battery's sensor, and watch its voltage", after_s=2.0),
-    _Rule("object", _object, "look at it: press This is it, or point the payload at the target", clear_s=0.0),
-    _Rule(
-        "target",
-        _target,
+_RULES = {
+    "yield": _Rule("you, or another station, fly the aircraft; resume to let sidelong watch on"),
+    "separation": _Rule("change the height of one of the two, or take over", clear_s=0.0),
+    "link": _Rule("check radio and antenna; to act now use the transmitter", clear_s=0.0),
+    "battery": _Rule("let it fly home now, or switch to RTL", after_s=2.0),
+    "charge": _Rule("check the battery's sensor, and watch its voltage", after_s=2.0),
+    "object": _Rule("look at it: press This is it, or point the payload at the target", clear_s=0.0),
+    "target": _Rule(
         "point the camera at the target, or press Hold to keep circling here",
-        held="point the camera at the target; the aircraft keeps circling here until you press Resume",
+        "point the camera at the target; the aircraft keeps circling here until you press Resume",
     ),
-    *(_Rule(watched.value, _input(watched), advice, clear_s=0.0) for watched, advice in _INPUTS.items()),
-    _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),
-    _Rule("band", _band, "wait for the next relocation, or change the band or the circle", _HELD, after_s=2.0),
-    _Rule(
-        "side", _side, "wait for the next relocation, or change the side", _HELD, after_s=20.0, sure=_well_beyond_side
-    ),
-)
-ALARM_KEYS = tuple(rule.key for rule in _RULES)
+    **{watched.value: _Rule(advice, clear_s=0.0) for watched, advice in _INPUTS.items()},
+    "gps": _Rule("the positions are uncertain: be ready to take over", after_s=2.0),
+    "band": _Rule("wait for the next relocation, or change the band or the circle", _HELD, after_s=2.0),
+    "side": _Rule("wait for the next relocation, or change the side", _HELD, after_s=20.0),
+}
+ALARM_KEYS = tuple(_RULES)
