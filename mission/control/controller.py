@@ -114,10 +114,7 @@ _OFTEN, _OFTEN_S = 3, 120.0  # that the aircraft leaves its line: it may not fol
 _BACK_AGAIN_S = 20.0  # after which the way back to height or fence is commanded again
 _SAME_HOME_M = 2.0  # against which the present plan was sent
 _NEAR_SHARE = 1.25  # of its radius: from there an autopilot joins a circle without leaving it far
-_RETREAT_S, _RETREAT_GAIN = (
-    20.0,
-    0.25,
-)  # a retreat lasts, unless another gains this share of the range
+_RETREAT_S, _RETREAT_GAIN = 20.0, 0.25  # a retreat lasts, unless another gains this share of the range
 _BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _KEEP_CLEAR_EVERY_S, _BETTER_SHARE = 5.0, 0.1  # a new plan has this time to show what it does
@@ -289,61 +286,24 @@ class StandoffController:
 
     def snapshot(self) -> Present:
         """Return what an operator sees now."""
-        settings, changes, tracker = self.settings, self.changes, self.tracker
-        return Present(
-            self.time_s,
-            self.phase,
-            settings.requirement,
-            self.aircraft,
-            self.estimate,
-            self._course.made_good_rad,
-            self._course.present_rad,
-            self.present,
-            self.coming,
-            self.decision,
-            self._wind,
-            changes.moves,
-            changes.uploads,
-            changes.failures,
-            self.latency.expected_s,
-            self._mode,
-            math.nan if self._height_m is None else self._height_m,
-            self._attitude,
-            settings.aircraft.radius_m,
-            settings.aircraft.pan_limit_rad,
-            self._height_asked_m,
-            self._range_s,
-            self._gimbal_s,
-            self._nis,
-            tracker.sightings,
-            tracker.rejected,
-            tracker.delays,
-            settings.give_up_after_s,
-            settings.give_up_action,
-            self._connected,
-            self.planning.target,
-            self.planning.turn_payload,
-            self._over,
-            self.planning.too_near(self.time_s) or self._traffic_text,
-            self.health.reports,
-            self._unknown(),
-            self._position_age_s,
-            self.planning.route_progress,
-            changes.stuck(self.time_s),
-            self._home_m,
-            (math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m),
-            self._object.reason,
-            traffic=self.surroundings.separation.traffic,
-        )
-
-    @property
-    def _traffic_text(self) -> str:
-        return "" if self.encounter is None or self.encounter.share >= 1.0 else str(self.encounter)
-
-    @property
-    def _position_age_s(self) -> float:
-        known = self.time_s > -math.inf
-        return max(self.door.clock.now_s - self.time_s, self.health.silent_s) if known else 0.0
+        settings, changes, tracker, now_s = self.settings, self.changes, self.tracker, self.time_s
+        planning = self.planning
+        target = self.estimate, self._course.made_good_rad, self._course.present_rad
+        plans = self.present, self.coming, self.decision, self._wind
+        counts = changes.moves, changes.uploads, changes.failures, self.latency.expected_s
+        flown = math.nan if self._height_m is None else self._height_m, self._attitude
+        limits = settings.aircraft.radius_m, settings.aircraft.pan_limit_rad, self._height_asked_m
+        payload = self._range_s, self._gimbal_s, self._nis, tracker.sightings, tracker.rejected, tracker.delays
+        ending = settings.give_up_after_s, settings.give_up_action
+        traffic = "" if self.encounter is None or self.encounter.share >= 1.0 else str(self.encounter)
+        fleet = planning.target, planning.turn_payload, self._over, planning.too_near(now_s) or traffic
+        age_s = max(self.door.clock.now_s - now_s, self.health.silent_s) if now_s > -math.inf else 0.0
+        moved_m = math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m
+        health = self.health.reports, self._unknown(), age_s, planning.route_progress, changes.stuck(now_s)
+        first = now_s, self.phase, settings.requirement, self.aircraft, *target, *plans, *counts, self._mode
+        later = *flown, *limits, *payload, *ending, self._connected, *fleet, *health, self._home_m, moved_m
+        every = *first, *later, self._object.reason
+        return Present(*every, traffic=self.surroundings.separation.traffic)
 
     def _unknown(self) -> str:
         unseen_s = math.inf if self.estimate is None else self.time_s - self.estimate.last_sighting_s
@@ -364,12 +324,9 @@ class StandoffController:
             return ""
         range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
         requirement = self.settings.requirement
-        margin_m = min(range_m - requirement.range_min_m, requirement.range_max_m - range_m)
-        return (
-            f"the payload may have drifted: the target can be {wander_m:.0f} m elsewhere"
-            if wander_m > margin_m
-            else ""
-        )
+        if wander_m <= min(range_m - requirement.range_min_m, requirement.range_max_m - range_m):
+            return ""
+        return f"the payload may have drifted: the target can be {wander_m:.0f} m elsewhere"
 
     def _read(self, reading: Reading) -> None:
         tracker = self.tracker
@@ -385,7 +342,7 @@ class StandoffController:
         match reading:
             case AttitudeReading():
                 self._attitude = reading
-                self.envelope.note(reading)
+                self.envelope.turns.note(reading)
             case RangeReading() if reading.source == tracker.ranges.chosen:
                 self._range_s = max(self._range_s, reading.time_s)
             case GimbalReading() if reading.source == tracker.gimbals.chosen:
@@ -469,9 +426,8 @@ class StandoffController:
             self._end(Phase.ENDED, reason)
             return (End(self.time_s, self.settings.give_up_action, reason),)
         if not self.envelope.has_room:
-            return self._hold_away(
-                aircraft, present, self._seen(target), "no circle that can be flown fits the band; the target moves"
-            )
+            why = "no circle that can be flown fits the band; the target moves"
+            return self._hold_away(aircraft, present, self._seen(target), why)
         fault = bool(self.health.payload_fault)
         reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
         if reach is not None:
@@ -503,15 +459,13 @@ class StandoffController:
         news = self.planning.route_news()
         announced: tuple[StepOutput, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
-            decision = replace(
-                decision, plan=None, reason=f"staying: {self._doubt_of_place} and may be too near there"
-            )
+            reason = f"staying: {self._doubt_of_place} and may be too near there"
+            decision = replace(decision, plan=None, reason=reason)
         if self._spare_m:
             seen, plan = self._seen(target), decision.plan
             if plan is not None and not self._keeps_away(plan, seen, LEAVE_S, self._spare_m):
-                decision = replace(
-                    decision, plan=None, reason="staying: the aircraft may not follow that path closely"
-                )
+                reason = "staying: the aircraft may not follow that path closely"
+                decision = replace(decision, plan=None, reason=reason)
             if decision.plan is None and (away := self._hold_away(aircraft, present, seen, "the target moves")):
                 return away
         if decision.plan is not None:
@@ -797,7 +751,7 @@ class StandoffController:
 
     def _end(self, phase: Phase, reason: str) -> None:
         self.phase, self._over, self.resuming = phase, reason, False
-        self.changes.withdraw()
+        self.changes.under_way = None
 
     def _link_reported(self, event: LinkReported | RoundTripReported) -> tuple[StepOutput, ...]:
         if isinstance(event, RoundTripReported):
@@ -930,9 +884,8 @@ class StandoffController:
             return ()
         latency_s, radius_m, circle = self.latency.expected_s, self.settings.aircraft.radius_m, present.circle
         if self.settings.aircraft.configured is not None and circle.radius_m < radius_m:
-            return self._way_out(
-                aircraft, present, f"flying a circle of {radius_m:.0f} m, as wide as the aircraft needs"
-            )
+            reason = f"flying a circle of {radius_m:.0f} m, as wide as the aircraft needs"
+            return self._way_out(aircraft, present, reason)
         if circle.radius_m != radius_m:
             start = dead_reckoned(aircraft, latency_s)
             circle = Circle.tangent_to(start.east_m, start.north_m, start.course_rad, radius_m, circle.clockwise)
@@ -950,23 +903,16 @@ class StandoffController:
 
 
 def _announced(event: AlarmReported) -> tuple[Announce]:
-    match event.stage:
-        case "raised":
-            return (Announce(event.time_s, "alarm", f"alarm: {event.text}"),)
-        case "cleared":
-            return (Announce(event.time_s, "clear", f"alarm over: {event.text}"),)
-        case "acknowledged":
-            return (Announce(event.time_s, "clear", f"alarm acknowledged: {event.key}"),)
+    if event.stage == "raised":
+        return (Announce(event.time_s, "alarm", f"alarm: {event.text}"),)
+    text = f"alarm over: {event.text}" if event.stage == "cleared" else f"alarm acknowledged: {event.key}"
+    return (Announce(event.time_s, "clear", text),)
 
 
 def _state_of(reading: PositionReading, bank_rad: float) -> AircraftState:
-    ground_speed_m_s = math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s)
-    return AircraftState(
-        reading.time_s,
-        reading.east_m,
-        reading.north_m,
-        math.atan2(reading.velocity_east_m_s, reading.velocity_north_m_s),
-        ground_speed_m_s,
-        # A coordinated turn at this bank bends the flown line by g tan(bank) across it.
-        GRAVITY_M_S2 * math.tan(bank_rad) / max(ground_speed_m_s, 5.0) ** 2,
-    )
+    east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
+    course_rad, ground_speed_m_s = math.atan2(east_m_s, north_m_s), math.hypot(east_m_s, north_m_s)
+    # A coordinated turn at this bank bends the flown line by g tan(bank) across it.
+    curvature_per_m = GRAVITY_M_S2 * math.tan(bank_rad) / max(ground_speed_m_s, 5.0) ** 2
+    place = reading.time_s, reading.east_m, reading.north_m
+    return AircraftState(*place, course_rad, ground_speed_m_s, curvature_per_m)

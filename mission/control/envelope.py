@@ -149,7 +149,7 @@ class Envelope:
         self._to_m, self._plan = math.nan, None  # type: tuple[float, Plan | None]
         self._track: deque[tuple[float, float, float]] = deque()  # of the target
         self._wind, self._airspeed_m_s = Wind(), math.nan
-        self._turns = _Turns()
+        self.turns = _Turns()
         self._reported_rad = self._reached_rad = math.inf  # bank limits
         self._rolls_rad_s, self._short, self._leaving = math.inf, 0, 0
         self._limit, self._learned_s, self._now_s = "", -math.inf, -math.inf  # what was learned last, and when
@@ -178,13 +178,9 @@ class Envelope:
             self._reported_rad = limit_rad
             self._learn(f"by its parameters it banks {math.degrees(bank_rad):.0f} degrees at most")
 
-    def note(self, reading: AttitudeReading) -> None:
-        """Process an attitude."""
-        self._turns.note(reading)
-
     def _judge_roll(self, goal_rad: float) -> None:
         """Learn a roll rate that is not exceeded while the aircraft, far off its plan, rolls towards its bank."""
-        own, rate_rad_s = self.aircraft, self._turns.roll_rate_rad_s(goal_rad)
+        own, rate_rad_s = self.aircraft, self.turns.roll_rate_rad_s(goal_rad)
         planned_rad_s = own.airspeed_m_s**3 * sharpness_per_m2(own.airspeed_m_s, craft_of(own)) / GRAVITY_M_S2
         if rate_rad_s < min(_ROLL_SHORT * planned_rad_s, self._rolls_rad_s):
             self._rolls_rad_s = rate_rad_s
@@ -201,7 +197,7 @@ class Envelope:
             return
         tangent = math.tan(own.bank_max_rad)
         if bank_rad < own.bank_max_rad:
-            tangent = self._turns.efficiency * math.tan(bank_rad)
+            tangent = self.turns.efficiency * math.tan(bank_rad)
         limited = replace(
             own,
             bank_max_rad=math.atan(tangent),
@@ -223,17 +219,17 @@ class Envelope:
         before_m, self.off_m = self.off_m, math.hypot(here.east_m - point.east_m, here.north_m - point.north_m)
         is_leaving = self.off_m > before_m + _LEAVES_M and not self._path.arrives
         self._leaving = self._leaving + 1 if is_leaving else 0
-        bank_rad = self._turns.bank_rad()
+        bank_rad = self.turns.bank_rad()
         if bank_rad is None:
             self._short = 0
             if self.off_m > _OFF_M and self._leaving >= _STEADY_S:
-                per_m = point.curvature_per_m / self._turns.efficiency
+                per_m = point.curvature_per_m / self.turns.efficiency
                 self._judge_roll(math.atan(here.ground_speed_m_s**2 * per_m / GRAVITY_M_S2))
             return
-        self._turns.learn(bank_rad, _airspeed_m_s(here, now.wind))
+        self.turns.learn(bank_rad, _airspeed_m_s(here, now.wind))
         sense = math.copysign(1.0, point.curvature_per_m)
         reached_rad = sense * bank_rad
-        needed = here.ground_speed_m_s**2 * abs(point.curvature_per_m) / GRAVITY_M_S2 / self._turns.efficiency
+        needed = here.ground_speed_m_s**2 * abs(point.curvature_per_m) / GRAVITY_M_S2 / self.turns.efficiency
         east_m, north_m = here.east_m - point.east_m, here.north_m - point.north_m
         right_m = east_m * math.cos(point.course_rad) - north_m * math.sin(point.course_rad)
         is_short = (

@@ -341,10 +341,6 @@ class PlanChanges:
         self.under_way = PlanChange(command)
         return Announce(time_s, kind, text or reason), command
 
-    def withdraw(self) -> None:
-        """Let go of the plan under way."""
-        self.under_way = None
-
     def stuck(self, now_s: float) -> str:
         """Return why plans do not get through: several in a row, or all of some time, have failed; '' if they do."""
         is_tried = self._in_vain > 1 and self.under_way is not None
