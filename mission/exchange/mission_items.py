@@ -22,7 +22,7 @@ from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, Upl
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.exchange.dialect import AutopilotDialect, ExchangeSettings, Home
+from sidelong.mission.exchange.dialect import AutopilotDialect, ExchangeSettings
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
 from sidelong.mission.exchange.outbox import CANCELLED, Outbox
@@ -236,113 +236,6 @@ def place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
 
 _DURATION_WEIGHT = 0.5
 _LOSES_UPLOADS = 5  # number of uploads for which a link that lost items is treated as lossy
-
-
-class MissionUpload:
-    """Writes only the items that differ, where the autopilot stores them one by one."""
-
-    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, home: Home, ownership: MissionOwnership) -> None:
-        self._outbox, self._quirks, self._ownership = outbox, dialect.quirks, ownership
-        self._tail = dialect.tail(home)
-        self._onboard: tuple[MissionItem | None, ...] = ()  # None where a failed upload leaves doubt
-        self._write: MissionWrite | None = None
-        self._result: WriteResult | None = None
-        self._began_s = 0.0
-        self._since_lost = _LOSES_UPLOADS  # number of uploads without a lost item
-        self.took_s = 0.0
-        self.round_trip_s = 0.0
-        self.differs = ""  # what of the last upload was read back otherwise
-
-    @property
-    def under_way(self) -> bool:
-        """Whether something is being written."""
-        return self._write is not None
-
-    @property
-    def next_timer_s(self) -> float:
-        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
-        return self._write.next_timer_s if self._write is not None else math.inf
-
-    def adopted(self, items: tuple[MissionItem, ...]) -> None:
-        """Register the items that were read from the vehicle."""
-        self._onboard = items
-
-    def begin(self, items: Sequence[MissionItem], bound_s: float, marked: Callable[[], int]) -> None:
-        """Begin the upload of a mission; ``marked`` returns the number of the item to fly once it is accepted.
-
-        Items that are never reached are added at the end (PX4 wants a landing).
-        """
-        items, self._result = (*items, *self._tail), None
-        changed = range(len(items))
-        if len(self._onboard) == len(items):
-            differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
-            if not differing:
-                self._result = WriteResult.ACCEPTED
-                return
-            if self._quirks.stores_items_one_by_one:
-                changed = range(differing[0], differing[-1] + 1)
-        self._began_s = self._outbox.time_s
-        self._ownership.writing(len(items))
-        self._write = MissionWrite(
-            self._outbox,
-            self._quirks,
-            items,
-            changed,
-            self._outbox.link_s + bound_s,
-            marked,
-            self._ownership.mission_ids,
-            self._ownership.doubtful,
-            self.round_trip_s,
-            self._since_lost < _LOSES_UPLOADS,
-        )
-
-    def receive(self, report: VehicleReport) -> None:
-        """Process a report of the autopilot."""
-        if self._write is not None:
-            self._write.receive(report)
-
-    def expire(self) -> None:
-        """Do what is due."""
-        if self._write is not None:
-            self._write.expire()
-
-    def break_off(self) -> None:
-        """Write not one item more."""
-        if self._write is not None:
-            self._write.cancel()
-
-    def forget(self) -> None:
-        """Ignore further messages about the running upload; what is on board is then unknown."""
-        if self._write is not None:
-            self._ownership.written(self._write.items, 0, False)
-        self._write = self._result = None
-        self._onboard = ()
-
-    def ended(self) -> WriteResult | None:
-        """Return, once, what became of the upload; None while it goes on."""
-        write, result = self._write, self._result
-        if write is not None and write.result is not None:
-            self._write, result, self.differs = None, write.result, write.differs
-            self._learn(write, result)
-        self._result = None
-        return result
-
-    def _learn(self, write: MissionWrite, result: WriteResult) -> None:
-        self._since_lost = 0 if write.has_lost else self._since_lost + 1
-        if write.round_trip_s is not None:
-            self.round_trip_s = write.round_trip_s
-            self._ownership.measured(write.round_trip_s)
-        if result is WriteResult.ACCEPTED:
-            self.took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self.took_s)
-            self._onboard = write.items
-        elif len(write.items) == len(self._onboard):
-            doubtful = zip(write.items, self._onboard, strict=True)
-            self._onboard = tuple(b if a == b else None for a, b in doubtful)
-        else:
-            self._onboard = ()
-        self._ownership.written(write.items, write.mission_id, result is WriteResult.ACCEPTED)
-
-
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
 _NEGLIGIBLE_S, _MISSED_S = 0.3, 1.0  # a report may have been missed before
 _REPEAT_AHEAD_S, _REPEAT_ROUND_TRIPS = 1.0, 1.5  # a repeated request may arrive so late
@@ -386,7 +279,11 @@ class MissionItemBackend:
         self._not_taken: _Change | None = None  # the latest one; if it is flown after all, that is still reported
         self._left: MissionLayout | None = None  # the line before, until an item of the present one was reported
         self._ownership = MissionOwnership(outbox, dialect.quirks)
-        self._upload = MissionUpload(outbox, dialect, settings.home, self._ownership)
+        self._write: MissionWrite | None = None
+        self._onboard: tuple[MissionItem | None, ...] = ()  # None where a failed upload leaves doubt
+        self._began_s = self._took_s = 0.0  # of the upload, and what one takes, on the vehicle's clock
+        self._round_trip_s = 0.0  # of the link's clock
+        self._since_lost = _LOSES_UPLOADS  # number of uploads without a lost item
         self._current: MissionCurrentReported | None = None
         self._target: PositionTargetReported | None = None
         self._aircraft: AircraftState | None = None
@@ -405,7 +302,7 @@ class MissionItemBackend:
     @property
     def idle(self) -> bool:
         """Whether nothing is under way that should end before the program does."""
-        return not self._upload.under_way and (self._change is None or self._change.stage is not _Stage.ACTIVATING)
+        return self._write is None and (self._change is None or self._change.stage is not _Stage.ACTIVATING)
 
     @property
     def next_timer_s(self) -> float:
@@ -415,7 +312,7 @@ class MissionItemBackend:
         if self._waits:
             return -math.inf
         activation = self._change.activation if self._change is not None else None
-        parts = [part.next_timer_s for part in (self._upload, self._read, activation) if part is not None]
+        parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
         return min([*parts, self._ownership.next_timer_s])
 
     # -- the first mission ---------------------------------------------------------------------------------
@@ -427,8 +324,7 @@ class MissionItemBackend:
         items = (*head, *lead_in, *self.line(plan))
         layout = MissionLayout(items, len(head), first, len(items), self._dialect.min_items).filled()
         self.load_result, self._loading = None, layout
-        self._upload.begin(layout.items, _FIRST_UPLOAD_S, lambda: layout.head)
-        self._judge_upload()
+        self._begin_write(layout.items, _FIRST_UPLOAD_S, lambda: layout.head)
 
     def adopt(self, round_trip_s: float) -> None:
         """Begin to read the mission that is flown; the result is in ``adopted``."""
@@ -452,11 +348,10 @@ class MissionItemBackend:
         min_items = self._dialect.min_items
         kept = max(last + 1, min_items)
         self._layout = MissionLayout(items[:kept], head, max(first, head), last + 1, min_items).filled()
-        self._upload.adopted(items)
+        self._onboard = items
         self._ownership.adopted(self._current)
         item = items[last]
-        east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
-        return Circle(east_m, north_m, abs(item.param3), item.param3 > 0.0)
+        return Circle(*place_of(item, self._settings.plane), abs(item.param3), item.param3 > 0.0)
 
     @property
     def line_first(self) -> int:
@@ -485,7 +380,7 @@ class MissionItemBackend:
     def upload(self, command: UploadPlan) -> None:
         """Bring a plan to the autopilot without flying it yet."""
         change = self._change
-        busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
+        busy = self._write is not None or (change is not None and change.stage is _Stage.ACTIVATING)
         if busy or self._closed or self._layout is None:
             self._announce(command.number, "failed", "the plan before is not settled" if busy else "the flight ends")
             return
@@ -507,7 +402,7 @@ class MissionItemBackend:
             change.command,
             change.layout,
             self._layout,
-            self._upload.round_trip_s,
+            self._round_trip_s,
             self._target,
             read_in_order=not self._dialect.quirks.stores_items_one_by_one,
         )
@@ -526,8 +421,9 @@ class MissionItemBackend:
             return
         if self._read is not None:
             self._read.expire()
-        self._upload.expire()
-        self._judge_upload()
+        if self._write is not None:
+            self._write.expire()
+        self._judge_write()
         change = self._change
         if self._queued is not None:
             self._lay_out(self._queued)
@@ -560,7 +456,7 @@ class MissionItemBackend:
         if path is None:
             return layout.first
         late_s = self._outbox.time_s - plan.departure_s
-        on_the_way_s = self._outbox.vehicle_s(self._upload.round_trip_s)
+        on_the_way_s = self._outbox.vehicle_s(self._round_trip_s)
         if change.activation.repeated:  # the previous request may have arrived, and this one may be delayed
             late_s = max(late_s, 0.0) + _REPEAT_AHEAD_S + _REPEAT_ROUND_TRIPS * on_the_way_s
         elif on_the_way_s > _NEGLIGIBLE_S:
@@ -583,13 +479,56 @@ class MissionItemBackend:
     def _begin_upload(self, layout: MissionLayout, command: UploadPlan) -> None:
         # Long after its departure a plan is of no use, and a better one waits until this upload has ended.
         bound_s = min(_UPLOAD_S, max(command.plan.departure_s - self._outbox.time_s, 0.0) + _USELESS_S)
-        self._upload.begin(layout.items, bound_s, self._marked)
-        self._judge_upload()
+        self._begin_write(layout.items, bound_s, self._marked)
 
-    def _judge_upload(self) -> None:
-        result = self._upload.ended()
-        if result is None:
+    def _begin_write(self, items: Sequence[MissionItem], bound_s: float, marked: Callable[[], int]) -> None:
+        """Write the items that differ; ``marked`` returns the number of the item to fly once they are accepted."""
+        quirks, ownership = self._dialect.quirks, self._ownership
+        items = (*items, *self._dialect.tail(self._settings.home))
+        changed = range(len(items))
+        if len(self._onboard) == len(items):
+            differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
+            if not differing:
+                self._written(WriteResult.ACCEPTED)
+                return
+            if quirks.stores_items_one_by_one:
+                changed = range(differing[0], differing[-1] + 1)
+        self._began_s, deadline_s = self._outbox.time_s, self._outbox.link_s + bound_s
+        ownership.writing(len(items))
+        self._write = MissionWrite(
+            self._outbox,
+            quirks,
+            items,
+            changed,
+            deadline_s,
+            marked,
+            ownership.mission_ids,
+            ownership.doubtful,
+            self._round_trip_s,
+            self._since_lost < _LOSES_UPLOADS,
+        )
+
+    def _judge_write(self) -> None:
+        write = self._write
+        if write is None or write.result is None:
             return
+        self._write = None
+        self._since_lost = 0 if write.has_lost else self._since_lost + 1
+        if write.round_trip_s is not None:
+            self._round_trip_s = write.round_trip_s
+            self._ownership.measured(write.round_trip_s)
+        if write.result is WriteResult.ACCEPTED:
+            self._took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self._took_s)
+            self._onboard = write.items
+        elif len(write.items) == len(self._onboard):
+            doubtful = zip(write.items, self._onboard, strict=True)
+            self._onboard = tuple(b if a == b else None for a, b in doubtful)
+        else:
+            self._onboard = ()
+        self._ownership.written(write.items, write.mission_id, write.result is WriteResult.ACCEPTED)
+        self._written(write.result, write.differs)
+
+    def _written(self, result: WriteResult, differs: str = "") -> None:
         change = self._change
         if change is None:
             self.load_result = result
@@ -601,13 +540,12 @@ class MissionItemBackend:
         elif (
             result is WriteResult.TIMEOUT
             and not self._closed
-            and self._outbox.time_s + self._upload.took_s < change.command.plan.departure_s
+            and self._outbox.time_s + self._took_s < change.command.plan.departure_s
         ):
             self._begin_upload(change.layout, change.command)
         else:
             self._change = None
-            why = f"upload {result}: {self._upload.differs}" if self._upload.differs else f"upload {result}"
-            self._announce(change.command.number, "failed", why)
+            self._announce(change.command.number, "failed", f"upload {result}{differs and f': {differs}'}")
 
     def _marked(self) -> int:
         """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.
@@ -615,7 +553,7 @@ class MissionItemBackend:
         That is the item flown at that moment, so a waypoint passed during the upload is not flown again.
         """
         assert self._layout is not None
-        return flown_after(self._layout, self.flown_index, self._aircraft, self._settings.plane, self._upload.took_s)
+        return flown_after(self._layout, self.flown_index, self._aircraft, self._settings.plane, self._took_s)
 
     # -- what is reported ----------------------------------------------------------------------------------
 
@@ -638,9 +576,9 @@ class MissionItemBackend:
             self._read.receive(report)
         frozen = self._ownership.frozen
         self._ownership.receive(report)
-        if not frozen:
-            self._upload.receive(report)
-            self._judge_upload()
+        if not frozen and self._write is not None:
+            self._write.receive(report)
+            self._judge_write()
         change = self._change
         match report:
             case MissionCurrentReported():
@@ -654,7 +592,7 @@ class MissionItemBackend:
                     self._judge_activation(change)
             case MissionCountReported() if change is not None and change.activation is not None:
                 change.activation.counted()
-            case MissionItemReported() if not self._upload.under_way and self._layout is not None:
+            case MissionItemReported() if self._write is None and self._layout is not None:
                 self._ownership.item(report, self._layout)
         self._waits = self._waits or (frozen and not self._ownership.frozen)
 
@@ -680,7 +618,7 @@ class MissionItemBackend:
         if before is None or now is None or layout is None or now.seq <= before.seq or before.seq not in layout:
             return
         # Reports may have come late, all at once: the vehicle's clock counts.
-        since_s = aircraft.time_s - before.aircraft.time_s + self._outbox.vehicle_s(self._upload.round_trip_s)
+        since_s = aircraft.time_s - before.aircraft.time_s + self._outbox.vehicle_s(self._round_trip_s)
         flown_m = aircraft.ground_speed_m_s * (_MISSED_S + since_s)
         begun_m = before.begun.east_m, before.begun.north_m
         if is_skipped(layout, now.seq, begun_m, aircraft, self._settings.plane, flown_m):
@@ -705,13 +643,16 @@ class MissionItemBackend:
         if late is None or seq not in late.layout:
             return
         change = self._change
-        self._upload.break_off()
+        if self._write is not None:
+            self._write.cancel()
         if change is not None and change.activation is not None and seq in change.layout:
             return
         command = self._queued if change is None else change.command
         if command is not None:
             self._queued = self._change = None
-            self._upload.forget()
+            if self._write is not None:
+                self._ownership.written(self._write.items, 0, False)
+            self._write, self._onboard = None, ()
             self._announce(command.number, "failed", "the plan before was taken after all")
         self._fly(late, seq)
 
@@ -722,7 +663,7 @@ class MissionItemBackend:
 
     def _audit(self) -> None:
         index, layout = self.flown_index, self._layout
-        can_ask = not self._upload.under_way and layout is not None and index is not None and index in layout
+        can_ask = self._write is None and layout is not None and index is not None and index in layout
         self._ownership.audit(index if can_ask else None)
 
     # -- reporting -----------------------------------------------------------------------------------------
