@@ -24,6 +24,7 @@ import itertools
 import math
 import operator
 import statistics
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -209,29 +210,6 @@ class _Sample(NamedTuple):
     off_level: float  # how far the target is off the ground, as a share of the own height over it; NaN: unknown
 
 
-class _History:
-    """Rows of the latest readings at a time; the first column is that time."""
-
-    def __init__(self, columns: int) -> None:
-        self._rows, self._count = np.empty((2048, columns)), 0
-
-    def add(self, row: tuple[float, ...]) -> None:
-        if self._count == len(self._rows):
-            kept = self.since(row[0] - _WINDOW_S).copy()
-            if len(kept) > len(self._rows) // 2:
-                self._rows = np.empty((2 * len(self._rows), len(row)))
-            self._rows[: len(kept)], self._count = kept, len(kept)
-        self._rows[self._count] = row
-        self._count += 1
-
-    def since(self, time_s: float) -> FloatArray:
-        rows = self._rows[: self._count]
-        return rows[np.searchsorted(rows[:, 0], time_s) :]
-
-    def clear(self) -> None:
-        self._count = 0
-
-
 class _Repeats:
     """Notices a value that stays the same although the aircraft's motion has to change it."""
 
@@ -297,7 +275,7 @@ class PayloadFit:
         self._turned_rad = self._closed = self._passed = self._swept_rad = 0.0
         self._sight: tuple[float, float] | None = None
         self._range_noted: RangeReading | None = None
-        self._history = _History(17)
+        self._history: list[tuple[float, ...]] = []  # the latest readings at a time, which is the first number
         self._row_s = self._axis_s = self._sampled_s = self._judged_s = self._since_s = -math.inf
         self._expect_another_laser()
         self._expect_another_gimbal()
@@ -317,8 +295,7 @@ class PayloadFit:
         self._frame_fault = self._unit_fault = self._drift_fault = ""
         self._drift = self._drift_seen = ""
         self._drifting = 0
-        # A large yaw error that is to be corrected; how much better the verdict is, difference of -ln likelihood.
-        self.yaw_error_rad = self._turn_rad = self.evidence = 0.0
+        self.yaw_error_rad = self._turn_rad = 0.0  # the first one is large, and to be corrected
         self._sound: Fit | None = None
         self._erring: Fit | None = None  # while that explains the readings far better
         self._factor = 1.0  # of the ranges, in that
@@ -458,7 +435,12 @@ class PayloadFit:
         if attitude is not None:
             turned = attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
         forward, right, down = sight_direction(gimbal.quaternion_wxyz)
-        self._history.add((now_s, *place, *motion, *turned, gimbal.time_s, forward, right, down, *self._ranged))
+        self._history.append((now_s, *place, *motion, *turned, gimbal.time_s, forward, right, down, *self._ranged))
+        if self._history[0][0] < now_s - 2.0 * _WINDOW_S:
+            del self._history[: bisect_left(self._history, (now_s - _WINDOW_S,))]
+
+    def _since(self, time_s: float) -> FloatArray:
+        return np.array(self._history[bisect_left(self._history, (time_s,)) :]).reshape(-1, 17)
 
     def _travel(self, now: PositionReading) -> None:
         """Add up how far the aircraft has turned, come along the line of sight, and by what angle gone past it."""
@@ -783,7 +765,7 @@ class PayloadFit:
             self._judge_drift(now_s)
         if self._drift_fault or now_s < self._fit_s:
             return
-        rows = self._history.since(max(now_s - _WINDOW_S, self._since_s))
+        rows = self._since(max(now_s - _WINDOW_S, self._since_s))
         span_s = now_s - float(rows[0, 0]) if len(rows) else 0.0
         self._fit_s = now_s + min(max(_GROWTH * span_s, _EVERY_MIN_S), _EVERY_MAX_S)
         self.fit(now_s)
@@ -792,7 +774,7 @@ class PayloadFit:
         self, now_s: float, window_s: float, delays_s: tuple[float, float], since_s: float | None = None
     ) -> Readings | None:
         """Return the readings of the last seconds, stamped without delays; None while there are too few."""
-        rows = self._history.since(max(now_s - window_s, (self._since_s if since_s is None else since_s) + 1e-6))
+        rows = self._since(max(now_s - window_s, (self._since_s if since_s is None else since_s) + 1e-6))
         positions, attitudes, sights = _stamped(rows[:, 1:6]), _stamped(rows[:, 7:11]), _stamped(rows[:, 11:15])
         ranges, frame = _stamped(rows[:, 15:17]), list(FRAMES).index(self._frame)
         needed = [positions, sights, ranges] + ([attitudes] if frame else [])
@@ -870,8 +852,7 @@ class PayloadFit:
         start = np.array([0.0, 0.0, *best.shared[2:]])
         erring = self._erring is not None
         kept = self._solve(readings, pinned, start, best.scale_m, erring=erring, factor=self._factor)
-        self.evidence = kept.cost - best.cost
-        return self.evidence > (_GAIN if self._late_count > 1 else _GAIN_AT_ONCE)
+        return kept.cost - best.cost > (_GAIN if self._late_count > 1 else _GAIN_AT_ONCE)
 
     def _solve(
         self,
@@ -929,7 +910,7 @@ class PayloadFit:
         if self.on_hills:  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
             is_better |= best.scale_m < _CALM_ON_HILLS_M and best.scale_m < _CALMER_ON_HILLS * sound.scale_m
         if is_large and is_possible and is_better:
-            self._erring, self._factor, self.evidence = best, factor, evidence
+            self._erring, self._factor = best, factor
             return best
         self._erring, self._factor = None, 1.0
         return sound
@@ -999,7 +980,6 @@ class PayloadFit:
             by_range if range_gain > _SUSPICIOUS else None,
         )
         if sector and gain > max(yaw_gain, range_gain):
-            self.evidence = gain
             return "sector", sector
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
@@ -1015,13 +995,12 @@ class PayloadFit:
         is_yaw = yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
         opposite = looks_long and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
         is_pitch = abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range
-        for what, is_it, gain, numbers in (
-            ("pitch", is_pitch or opposite, range_gain, (math.degrees(pitch_rad),)),
-            ("range", is_range and range_gain > yaw_gain, range_gain, (60.0 * by_range.shared[5], range_m)),
-            ("yaw", is_yaw, yaw_gain, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad))),
+        for what, is_it, numbers in (
+            ("pitch", is_pitch or opposite, (math.degrees(pitch_rad),)),
+            ("range", is_range and range_gain > yaw_gain, (60.0 * by_range.shared[5], range_m)),
+            ("yaw", is_yaw, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad))),
         ):
             if is_it:
-                self.evidence = gain
                 return what, _DRIFTS[what].format(*numbers)
         return "", ""
 
@@ -1049,7 +1028,7 @@ class PayloadFit:
         The height of the target over the ground shows them.
         """
         time_s, slant_m, _ = readings.ranges.T
-        rows = self._history.since(time_s[0] - _GAP_MAX_S)
+        rows = self._since(time_s[0] - _GAP_MAX_S)
         level_m = slant_m * np.cos(down_rad)
         off_m = np.interp(time_s, rows[:, 1], rows[:, 6]) - slant_m * np.sin(down_rad)
         length = len(time_s) // _BLOCKS

@@ -13,13 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-from sidelong.estimators.sensing.readings import (
-    AttitudeReading,
-    GimbalReading,
-    PositionReading,
-    RangeReading,
-    Source,
-)
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
 from sidelong.estimators.tracking.payload_fit import OFTEN, PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector
