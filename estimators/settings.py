@@ -22,15 +22,8 @@ class SourceChoice:
 
     def matches(self, source: Source) -> bool:
         """Return whether a source matches the selection; None matches any."""
-        return all(
-            wanted is None or wanted == found
-            for wanted, found in (
-                (self.message, source.message),
-                (self.component_id, source.component_id),
-                (self.sensor_id, source.sensor_id),
-                (self.orientation, source.orientation),
-            )
-        )
+        names = "message", "component_id", "sensor_id", "orientation"
+        return all(getattr(self, name) in (None, getattr(source, name)) for name in names)
 
 
 @dataclass(frozen=True, slots=True)

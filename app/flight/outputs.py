@@ -30,8 +30,7 @@ from sidelong.app.sharing.outputs import (
     StreamSender,
     tls_context,
 )
-from sidelong.estimators.ellipse import confidence_ellipse
-from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality, confidence_ellipse
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.rotations import rotate
 from sidelong.estimators.sensing.readings import TargetFixReading

@@ -27,8 +27,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.errors import InputError
 from sidelong.app.network import NetworkAddress
-from sidelong.estimators.ellipse import confidence_ellipse
-from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality, confidence_ellipse
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.plan import AircraftState

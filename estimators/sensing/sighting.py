@@ -16,6 +16,7 @@ Source: docs/explanation/filter.md#measurement.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -106,20 +107,11 @@ class Sighting:
 
     def without(self, yaw_rad: float, pitch_rad: float, range_m: float) -> Sighting:
         """Return what a payload without these errors would have measured."""
-        return Sighting(
-            self.time_s,
-            self.slant_range_m - range_m,
-            self.bearing_rad - yaw_rad,
-            self.depression_rad + pitch_rad,
-            self.range_sigma_m,
-            self.bearing_sigma_rad,
-            self.depression_sigma_rad,
-            self.aircraft_east_m,
-            self.aircraft_north_m,
-            self.aircraft_height_m,
-            self.quality,
-            self.payload,
-            self.has_range,
+        return replace(
+            self,
+            slant_range_m=self.slant_range_m - range_m,
+            bearing_rad=self.bearing_rad - yaw_rad,
+            depression_rad=self.depression_rad + pitch_rad,
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -186,24 +186,18 @@ class Pairing:
         # Several ranges between two lines of sight share the noise of these: none may count it as its own.
         shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))
         self._paired_s = max(self._paired_s, time_s)
+        position_m = settings.position_sigma_m  # alike in all three axes it adds to each measured number separately
+        yaw_rad, pitch_rad = shared * settings.yaw_sigma_rad, shared * settings.pitch_sigma_rad
+        level_m = range_m * max(math.cos(sight.depression_rad), 0.01)
         return Sighting(
-            time_s=time_s,
-            slant_range_m=range_m,
-            bearing_rad=sight.bearing_rad,
-            depression_rad=sight.depression_rad,
-            # The same position error in all three axes adds to each measured number separately.
-            range_sigma_m=math.hypot(range_sigma_m, settings.position_sigma_m),
-            bearing_sigma_rad=math.hypot(
-                shared * settings.yaw_sigma_rad,
-                attitude_sigma_rad,
-                settings.position_sigma_m / (range_m * max(math.cos(sight.depression_rad), 0.01)),
-            ),
-            depression_sigma_rad=math.hypot(
-                shared * settings.pitch_sigma_rad, attitude_sigma_rad, settings.position_sigma_m / range_m
-            ),
-            aircraft_east_m=aircraft_m[0],
-            aircraft_north_m=aircraft_m[1],
-            aircraft_height_m=aircraft_m[2],
+            time_s,
+            range_m,
+            sight.bearing_rad,
+            sight.depression_rad,
+            math.hypot(range_sigma_m, position_m),
+            math.hypot(yaw_rad, attitude_sigma_rad, position_m / level_m),
+            math.hypot(pitch_rad, attitude_sigma_rad, position_m / range_m),
+            *aircraft_m,
             quality=None if reading is None else reading.quality,
             has_range=reading is not None,
         )
@@ -212,9 +206,7 @@ class Pairing:
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
 
 _AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
-
 _FOLLOWS_RAD = math.radians(5.0)
-
 _LATE_S = 0.4  # of a payload with this delay or more, the present estimate is mostly a prediction
 _REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
 _YAW_SIGMA_MIN_RAD, _YAW_SHARED_RAD = math.radians(0.1), math.radians(1.5)
@@ -275,21 +267,15 @@ class Tracker:
                 made += self._usable_fix(reading)
         if self._pairing.waiting or self._pairing.alone:
             made += self._pairing.completed()
-            if self.ends_on_ground:
-                self._fit_on_ground(made)
+            for one in made:  # ends of lines of sight on the ground take the place of ranges
+                if isinstance(one, Sighting) and not one.has_range:
+                    self.payload.ground_range(one.time_s + self._pairing.gimbal_delay_s, one.slant_range_m)
         if not made:
             return ()
         outcomes = tuple([self._track.add(one) for one in made])
-        for outcome in outcomes:
-            self.sightings += 1
-            self.rejected += not outcome.accepted
+        self.sightings += len(outcomes)
+        self.rejected += sum([not one.accepted for one in outcomes])
         return outcomes
-
-    def _fit_on_ground(self, made: Iterable[AnySighting]) -> None:
-        """Give the payload fit the ends of lines of sight on the ground in place of ranges."""
-        for one in made:
-            if isinstance(one, Sighting) and not one.has_range:
-                self.payload.ground_range(one.time_s + self._pairing.gimbal_delay_s, one.slant_range_m)
 
     def _follow_payload(self, now_s: float) -> None:
         """Use what the payload fit has found: the one place that corrects, and that undoes wrong sightings."""
@@ -467,7 +453,10 @@ class Tracker:
         attitude = self._poses.attitudes.newest()
         if expected is None or (attitude is None and reading.frame != "earth"):
             then = self._contradicting.get(reading.source)
-            return then is None or _turned_rad(then, reading.quaternion_wxyz) > _FOLLOWS_RAD
+            if then is None:
+                return True
+            cosine = abs(sum(a * b for a, b in zip(then, reading.quaternion_wxyz, strict=True)))  # of half the turn
+            return 2.0 * math.acos(min(cosine, 1.0)) > _FOLLOWS_RAD
         sight = line_of_sight(reading, attitude, self._pairing.parent_from_mount)
         bearing_rad, slant_range_m, sigma_m = expected
         off_rad = abs(wrap_rad(sight.bearing_rad - bearing_rad))
@@ -581,8 +570,3 @@ class Tracker:
         sigma_rad = max(self._settings.yaw_bias_sigma_rad, known.yaw_sigma_rad, fitted)
         limit_rad = max(_YAW_UNEXPECTED_RAD, _YAW_SIGMAS * sigma_rad)
         return known.yaw_bias_rad if abs(known.yaw_bias_rad) > limit_rad else 0.0
-
-
-def _turned_rad(then: Quaternion, now: Quaternion) -> float:
-    """Return the angle between two orientations."""
-    return 2.0 * math.acos(min(abs(sum(a * b for a, b in zip(then, now, strict=True))), 1.0))

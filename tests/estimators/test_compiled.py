@@ -49,10 +49,10 @@ def test_change_of_a_kernel_or_of_what_it_imports_uses_another_folder(tmp_path):
             code.write("# another version\n")
         return outer(tmp_path, PYTHONPATH=str(tmp_path / "copy"))[0]
 
-    unrelated = folder_after_a_change_of("estimators/ellipse.py")
+    unrelated = folder_after_a_change_of("estimators/rotations.py")
     imported = folder_after_a_change_of("mission/core/requirement.py")
     kernel = folder_after_a_change_of("estimators/filters/imm_kernel.py")
-    assert folder_after_a_change_of("estimators/ellipse.py") == kernel
+    assert folder_after_a_change_of("estimators/rotations.py") == kernel
     assert len({unrelated, imported, kernel}) == 3
 
 

@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.estimators.ellipse import confidence_ellipse
-from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality, confidence_ellipse
 
 
 def test_two_sigmas_are_not_95_percent_in_two_dimensions():
