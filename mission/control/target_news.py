@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
@@ -261,39 +260,27 @@ class AnotherObject:
             self.suspect(now_s, reason, is_shadow=True)
 
 
-class _Sight(StrEnum):
-    SEEN = "seen"
-    UNSEEN = "unseen"
-    LOST = "lost"
-
-
 class TargetNews:
-    """Keeps the latest announcement."""
+    """Announces when the target comes in sight or out of it, and when it is lost."""
 
     def __init__(self) -> None:
-        self._announced: _Sight | None = None
+        self._announced = ""
 
     def announce(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
-        """Return whether the target has come in sight or out of it since the last announcement."""
+        """Return what has changed since the last announcement."""
         unseen_s = time_s - estimate.last_sighting_s
-        sight = _Sight.SEEN
+        sight = "unseen" if unseen_s > _AFTER_S else "seen"
         if estimate.quality is TrackQuality.LOST:
-            sight = _Sight.LOST
-        elif unseen_s > _AFTER_S:
-            sight = _Sight.UNSEEN
+            sight = "lost"
         before, self._announced = self._announced, sight
-        if sight is before:
+        if sight == before:
             return ()
-        match sight:
-            case _Sight.SEEN:
-                text = "the target is in sight" + (" again" if before is not None else "")
-            case _Sight.UNSEEN:
-                text = f"the target has not been seen for {unseen_s:.0f} s; its track goes on by its last motion"
-            case _Sight.LOST:
-                text = (
-                    f"the target is lost: {estimate.reason or f'not seen for {unseen_s:.0f} s'}; holding the circle"
-                )
-        return (Announce(time_s, "track", text),)
+        texts = {
+            "seen": "the target is in sight" + (" again" if before else ""),
+            "unseen": f"the target has not been seen for {unseen_s:.0f} s; its track goes on by its last motion",
+            "lost": f"the target is lost: {estimate.reason or f'not seen for {unseen_s:.0f} s'}; holding the circle",
+        }
+        return (Announce(time_s, "track", texts[sight]),)
 
 
 _BLIND_S = 20.0  # longer than a laser or a beacon misses

@@ -99,13 +99,12 @@ class CommandExchange:
 
     def _send(self) -> None:
         command = self._command
+        size, unused = (7, 0.0) if command.frame is None else (4, math.nan)
+        values = [*command.params, *([unused] * (size - len(command.params)))]
+        fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
         if command.frame is None:
-            values = [*command.params, *([0.0] * (7 - len(command.params)))]
-            fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
             self._outbox.send("COMMAND_LONG", command=command.command, confirmation=self._sends, **fields)
         else:
-            values = [*command.params, *([math.nan] * (4 - len(command.params)))]
-            fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
             place = {"x": command.x, "y": command.y, "z": command.z}
             fixed = {"frame": command.frame, "current": 0, "autocontinue": 0}
             self._outbox.send("COMMAND_INT", command=command.command, **fixed, **fields, **place)
