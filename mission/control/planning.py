@@ -29,7 +29,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, off_track, point_at
 from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe, progress_of
-from sidelong.mission.route.progress_kernel import Progress, fresh_progress, reset
+from sidelong.mission.route.progress_kernel import fresh_progress, reset
 from sidelong.mission.route.route import Route, route_from
 
 WINDS_MAX = 5
@@ -87,14 +87,12 @@ class Planning:
             self._route = route_from(given) if given.east_m else None
         except ValueError as error:
             return f"the route is not used: {error}"
-        self._route_reported, self._progress = (False, False), self._fresh_progress()
+        self._route_reported = False, False
+        self._progress = fresh_progress(0 if self._route is None else self._route.east_m.size)
         self.planner.follow(self._route, self._progress)
         if self._route is None:
             return "no route of the target is known"
         return f"the target is expected on a route of {self._route.length_m:.0f} m"
-
-    def _fresh_progress(self) -> Progress:
-        return fresh_progress(0 if self._route is None else self._route.east_m.size)
 
     @property
     def route_progress(self) -> RouteProgress | None:

@@ -431,8 +431,9 @@ class Plausibility:
             return None
         self._overtaken |= reading.time_s < self.clock.now_s - _OVERTAKEN_S
         self.velocity.take(reading)
-        was_rejecting = self.position.rejected_since_s is not None
-        self._await_after_silence(reading.time_s)
+        was_rejecting, last = self.position.rejected_since_s is not None, self.position.accepted
+        if last is not None and reading.time_s - last.time_s > SILENT_S:
+            self._awaited_s = dict.fromkeys((*self._good_s, *self._faults), reading.time_s)
         sound = not self._faults or self._fault(reading.time_s) is None
         taken = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
         if self.position.two_places_m is not None:
@@ -450,11 +451,6 @@ class Plausibility:
         if self._faults or self.doubt is not None or self.position.rejected_since_s is not None:
             self._judge(reading.time_s)
         return taken
-
-    def _await_after_silence(self, now_s: float) -> None:
-        last = self.position.accepted
-        if last is not None and now_s - last.time_s > SILENT_S:
-            self._awaited_s = dict.fromkeys((*self._good_s, *self._faults), now_s)
 
     def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
         """Return whether a stamp belongs to the vehicle's clock; ``place`` is the position reported with it."""

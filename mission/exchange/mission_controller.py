@@ -201,7 +201,9 @@ class MissionController:
         for output in outputs:
             self._outputs.append(output)
             if isinstance(output, Yield | End):
-                self._fall_silent()
+                self._silent = True
+                self._takeover.stop()
+                self._outbox.sent.clear()
                 if isinstance(output, End) and output.action == "return":
                     self._way_home = CommandExchange(self._outbox, self._dialect.return_home())
             elif self._silent:
@@ -210,8 +212,3 @@ class MissionController:
                 self._backend.upload(output)
             elif isinstance(output, ActivatePlan):
                 self._backend.activate(output)
-
-    def _fall_silent(self) -> None:
-        self._silent = True
-        self._takeover.stop()
-        self._outbox.sent.clear()

@@ -416,7 +416,9 @@ class MissionItemBackend:
         """Do what is due."""
         self._waits = False
         self._ownership.expire()
-        self._audit()
+        index, layout = self.flown_index, self._layout
+        can_ask = self._write is None and layout is not None and index is not None and index in layout
+        self._ownership.audit(index if can_ask else None)
         if self._ownership.frozen:
             return
         if self._read is not None:
@@ -660,11 +662,6 @@ class MissionItemBackend:
         self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
         self._ownership.switched()
         self._announce(change.command.number, "departed")
-
-    def _audit(self) -> None:
-        index, layout = self.flown_index, self._layout
-        can_ask = self._write is None and layout is not None and index is not None and index in layout
-        self._ownership.audit(index if can_ask else None)
 
     # -- reporting -----------------------------------------------------------------------------------------
 

@@ -126,7 +126,9 @@ class Takeover:
     def _take_over(self, flying: bool) -> Script:
         by_command = self._settings.by_command
         if not flying:
-            circle = commanded = self._circle_at_home()
+            settings, home = self._settings, self._settings.home
+            centre_m = settings.plane.east_north_m(home.latitude_deg, home.longitude_deg)
+            circle = commanded = Circle(*centre_m, settings.aircraft.radius_m, settings.clockwise)
             yield from self._take_off(circle)
         else:
             flown, adopted = yield from self._flown_circle()
@@ -248,11 +250,6 @@ class Takeover:
 
     # -- from the ground -----------------------------------------------------------------------------------
 
-    def _circle_at_home(self) -> Circle:
-        home = self._settings.home
-        east_m, north_m = self._settings.plane.east_north_m(home.latitude_deg, home.longitude_deg)
-        return Circle(east_m, north_m, self._settings.aircraft.radius_m, self._settings.clockwise)
-
     def _take_off(self, circle: Circle) -> Script:
         first = self._first(circle)
         yield from self._load(first, (self._take_off_item(),))
@@ -328,12 +325,10 @@ class Takeover:
             if self._outbox.link_s > link_end_s or self._outbox.time_s > deadline_s:
                 raise _FailedError("the first circle was not reached")
             yield from self._until(circling, min(again_s, _TAKE_OFF_WITHIN_S), _TAKE_OFF_WITHIN_S)
-            if not circling() and again_s < _TAKE_OFF_WITHIN_S and self._elsewhere():
+            index, line_first = self._missions.flown_index, self._missions.line_first
+            is_elsewhere = index is not None and index < line_first
+            if not circling() and again_s < _TAKE_OFF_WITHIN_S and is_elsewhere:
                 self._outbox.send("MISSION_SET_CURRENT", seq=self._missions.line_first)
-
-    def _elsewhere(self) -> bool:
-        index = self._missions.flown_index
-        return index is not None and index < self._missions.line_first
 
     def _circling(self, first: Plan) -> bool:
         index = self._missions.flown_index
