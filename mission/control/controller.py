@@ -1,35 +1,27 @@
 """The control step: one event in, commands out. Live flight, replay and tests all call this.
 
-Rules
------
 1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
 2. At most one plan is under way to the autopilot (:mod:`sidelong.mission.control.planning`), and while one is,
    nothing is decided. A plan that is dropped or fails leads to a new decision.
-3. A plan that breaks a fence is not sent; the present circle goes on.
+3. A plan that breaks a fence, or comes too near to another aircraft, is not sent; the present circle goes on.
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
    to the transition's circle directly. This way and every other way out passes the checks of an ordinary move;
    where none passes, ground, other aircraft and fences come before range, and range before side.
 6. Any other flight mode than that of the takeover means that a pilot, another station or a failsafe of the autopilot
-    flies: Yield, latched.
-   Only an operator's request to resume ends it: the aircraft is then taken over again, and the watch goes on with
-   the live track.
+   flies: Yield, until an operator asks to resume. The aircraft is then taken over again, with the live track.
 7. A target lost for ``give_up_after_s`` ends the mission, and so does a low battery: the aircraft flies home.
 8. What a person changes in flight holds from the next decision on: a new planner is made, and where it stays, the
    present circle is sent again as changed.
 9. Every event passes :mod:`sidelong.mission.control.plausibility` first. While that doubts the aircraft's own
-   position, the circle is held: nothing is decided, and no plan departs.
-10. Every input has a health state (:mod:`sidelong.mission.health.health`). Readings of a laser or gimbal that
-    contradicts the other inputs are not used, and the sightings made with them are undone: the target counts as not
-    seen since then. Without heartbeat nothing new is commanded.
-    While the target is not seen, the aircraft keeps away from where it can be by now
-    (:mod:`sidelong.mission.geometry.retreat`).
+   position, nothing is decided, and no plan departs.
+10. Readings of a laser or gimbal that contradicts the other inputs (:mod:`sidelong.mission.health.health`) are not
+    used, and their sightings undone. While the target is not seen, the aircraft keeps away from where it can be.
 11. What is flown is judged once a second (:mod:`sidelong.mission.control.envelope`). Below the floor nothing is
     commanded but the way back to the plan's height; ``at_breach`` ends the mission instead.
 12. Where a foreign aircraft is predicted to come nearer than it has to be kept clear of, the present circle is flown
     at another height until it has passed, or another circle is flown.
-13. While advice is fresh, estimate, target and side are those of the advice; without it the aircraft goes on by its
-    own. A plan that comes too near to another aircraft counts as one that breaks a fence.
+13. While advice is fresh, estimate, target and side are those of the advice.
 
 The clock is the vehicle's: the latest time of a position reading.
 

@@ -1,15 +1,11 @@
 """Input plausibility monitor: checks vehicle and payload data before any decision uses them.
 
-Rules
------
 1. The vehicle's clock follows the vehicle's time stamps (:class:`sidelong.estimators.sensing.clock.VehicleClock`).
-   A deviating stamp is rejected. A persistent offset is accepted after confirmation; until then no payload data is
-   used. A clock that restarts at zero means that the autopilot rebooted: Yield. If the reboot was some seconds ago,
-   the aircraft has moved since.
-2. The aircraft's position must be kinematically plausible (:class:`PositionCheck`).
-   A rejected position is replaced by dead reckoning. After ``BRIDGED_S`` of that, or of a GPS or EKF fault, ``doubt``
-   is set: the aircraft holds its circle and nothing is decided. No new plan begins from the first fault on.
-   If the clock stood still or was replaced, dead reckoning is not possible and ``doubt`` is set at once.
+   While another clock is not confirmed, no payload data is used. One that restarts at zero means that the autopilot
+   rebooted: Yield. If the reboot was some seconds ago, the aircraft has moved since.
+2. The aircraft's position must be kinematically plausible (:class:`PositionCheck`). After ``BRIDGED_S`` of dead
+   reckoning, or of a GPS or EKF fault, ``doubt`` is set: the aircraft holds its circle and nothing is decided. No new
+   plan begins from the first fault on. If the clock stood still or was replaced, dead reckoning is not possible.
    After a telemetry gap the position may have drifted, and GPS and EKF report faults about a second late. So no plan
    begins and no detection is used until GPS and EKF have reported again.
 3. A payload's stamp is compared with the vehicle's clock. A constant offset is corrected and reported. A single stamp
@@ -120,15 +116,11 @@ class PositionCheck:
             return self._accept(reading)
         step_s = reading.time_s - last.time_s
         if step_s <= 0.0:
-            return (
-                reading
-                if possible and self.rejected_since_s is None and self._follows(last, reading, bank_rad)
-                else None
-            )
+            is_good = possible and self.rejected_since_s is None and self._follows(last, reading, bank_rad)
+            return reading if is_good else None
         before = self._before
-        after_odd_one = (
-            before is not None and reading.time_s - before.time_s <= _ODD_S and _reachable(before, reading, 0.0)
-        )
+        is_soon = before is not None and reading.time_s - before.time_s <= _ODD_S
+        after_odd_one = before is not None and is_soon and _reachable(before, reading, 0.0)
         if possible and (after_odd_one or self._follows(last, reading, bank_rad)):
             return self._accept(reading)
         reckoned = _dead_reckoned(last, reading, bank_rad)
@@ -487,16 +479,12 @@ class Plausibility:
         return False
 
     @property
-    def clock_fault(self) -> str:
-        """Why nothing is decided on the vehicle's clock; empty while it is trusted."""
-        off_s = self.clock.in_question_s
-        lasts = off_s is not None and self.clock.questioned_for_s > BRIDGED_S
-        return f"it is {_off(off_s)}, nothing is decided on it" if lasts and off_s is not None else ""
-
-    @property
     def input_faults(self) -> dict[Input, str]:
         """Why the vehicle's clock and position are not trusted; empty text while they are."""
-        return {Input.CLOCK: self.clock_fault, Input.POSITION: self.velocity.fault}
+        off_s, clock = self.clock.in_question_s, ""
+        if off_s is not None and self.clock.questioned_for_s > BRIDGED_S:
+            clock = f"it is {_off(off_s)}, nothing is decided on it"
+        return {Input.CLOCK: clock, Input.POSITION: self.velocity.fault}
 
     def _yield_to_two(self, how: str) -> None:
         if self.two_vehicles is None:
@@ -540,12 +528,10 @@ class Plausibility:
         ):
             # Nothing is bridged from a place whose time is not known.
             doubt = self.position.jump
-        if doubt is not None and self.doubt is None:
-            self._announced.append(
-                Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it")
-            )
-        elif doubt is None and self.doubt is not None:
-            self._announced.append(Announce(now_s, "position", "the aircraft's position is accepted again"))
+        if (doubt is None) is not (self.doubt is None):
+            text = f"{doubt}: holding the circle, nothing is decided on it"
+            text = text if doubt is not None else "the aircraft's position is accepted again"
+            self._announced.append(Announce(now_s, "position", text))
         self.doubt = doubt
 
     def _wind(self, event: WindReported) -> Event | None:
@@ -608,19 +594,14 @@ class Plausibility:
             self._repeated, self._repeated_s = place, now_s
         elif now_s - self._repeated_s >= _REPEATS_S:
             self._repeated_s = math.inf  # once
-            text = (
-                f"the beacon has reported the same position for {_REPEATS_S:.0f} s: the target stands, or the beacon "
-                "repeats its last position"
-            )
-            self._announce("repeated", "sensor", text)
+            text = f"the beacon has reported the same position for {_REPEATS_S:.0f} s: the target stands, or the "
+            self._announce("repeated", "sensor", text + "beacon repeats its last position")
 
     def _credible(self, reading: Payload) -> bool:
         match reading:
             case RangeReading():
-                sigma_m = reading.sigma_m
-                return 0.0 < reading.slant_range_m <= _RANGE_MAX_M and (
-                    sigma_m is None or 0.0 < sigma_m <= _RANGE_SIGMA_MAX_M
-                )
+                is_sigma = reading.sigma_m is None or 0.0 < reading.sigma_m <= _RANGE_SIGMA_MAX_M
+                return is_sigma and 0.0 < reading.slant_range_m <= _RANGE_MAX_M
             case TargetFixReading():
                 own = self.position.accepted
                 return (

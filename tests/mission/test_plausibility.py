@@ -18,6 +18,7 @@ from sidelong.estimators.sensing.readings import (
 )
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.core.events import Event, NavigationReported, WindReported, YieldRequested
+from sidelong.mission.core.inputs import Input
 
 SPEED_M_S, RADIUS_M = 20.0, 80.0
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
@@ -71,7 +72,7 @@ class Flown:
                 self.passed.append(passed)
             self.announced += [announcement.text for announcement in announced]
             self.doubts.append(self.door.doubt)
-            self.clock_faults.add(self.door.clock_fault)
+            self.clock_faults.add(self.door.input_faults[Input.CLOCK])
         return self
 
     def fly(self, begin_s: float, end_s: float, change: Change = lambda event: event) -> Flown:
