@@ -77,9 +77,8 @@ class TargetEstimate:
     as_seen: TargetEstimate | None = None
 
     def __post_init__(self) -> None:
-        convert_to_floats(
-            self, "time_s", "east_m", "north_m", "velocity_east_m_s", "velocity_north_m_s", "last_sighting_s"
-        )
+        place = "time_s", "east_m", "north_m"
+        convert_to_floats(self, *place, "velocity_east_m_s", "velocity_north_m_s", "last_sighting_s")
 
     @property
     def speed_m_s(self) -> float:

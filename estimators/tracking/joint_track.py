@@ -234,9 +234,9 @@ class JointTrack:
         was_led, self.is_led = self.is_led, bool(used) or (self.is_led and leads)
         joint = self._track.estimate(time_s)
         self._apart_m2 = self._unexplained_m2([alive[payload] for payload in used], joint)
-        if used and (
-            not was_led or (self._refused and joint and squared_distance(joint, alive[used[0]]) > _REJECTED)
-        ):
+        if not used:
+            return
+        if not was_led or (self._refused and joint and squared_distance(joint, alive[used[0]]) > _REJECTED):
             self._begin(used)
 
     def _unexplained_m2(self, used: Sequence[TargetEstimate], joint: TargetEstimate | None) -> float:

@@ -222,17 +222,8 @@ class Track:
         mean, covariance = ahead.moments()
         east_m, north_m, velocity_east_m_s, velocity_north_m_s = mean.tolist()
         quality, reason = self._quality(ahead.time_s, covariance)
-        return TargetEstimate(
-            ahead.time_s,
-            east_m,
-            north_m,
-            velocity_east_m_s,
-            velocity_north_m_s,
-            covariance,
-            quality,
-            self._last_sighting_s,
-            reason,
-        )
+        state = ahead.time_s, east_m, north_m, velocity_east_m_s, velocity_north_m_s
+        return TargetEstimate(*state, covariance, quality, self._last_sighting_s, reason)
 
     @property
     def last_seen(self) -> TargetEstimate | None:

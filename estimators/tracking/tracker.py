@@ -468,10 +468,11 @@ class Tracker:
     def _measures_track(self, reading: RangeReading) -> bool:
         """Return whether a range is that of the tracked target; True where there is no track to compare."""
         expected = self._expected(reading.time_s)
-        return expected is None or (
-            abs(self._pairing.range_factor * reading.slant_range_m - expected[1])
-            <= _AGREES_M + _AGREES_SIGMAS * expected[2]
-        )
+        if expected is None:
+            return True
+        _, range_m, sigma_m = expected
+        off_m = self._pairing.range_factor * reading.slant_range_m - range_m
+        return abs(off_m) <= _AGREES_M + _AGREES_SIGMAS * sigma_m
 
     def _expected(self, time_s: float) -> tuple[float, float, float] | None:
         """Return bearing, range and position sigma of the tracked target as it should be seen now."""

@@ -49,9 +49,8 @@ class Charge:
         self._time_s = time_s
         credible = percent >= self._least - _STEP_PERCENT
         self.percent = percent if credible else self._least
-        if credible and (
-            not self.doubt or confirmed or volts is None or abs(percent - self._doubted[1]) >= _STEP_PERCENT
-        ):
+        goes_on = volts is None or abs(percent - self._doubted[1]) >= _STEP_PERCENT
+        if credible and (not self.doubt or confirmed or goes_on):
             self._good, self.doubt = (time_s, percent), ""
         elif not credible and (not self.doubt or percent < self._doubted[1]):
             (good_s, good), self._doubted = self._good, (time_s, percent)

@@ -198,12 +198,8 @@ class Envelope:
         tangent = math.tan(own.bank_max_rad)
         if bank_rad < own.bank_max_rad:
             tangent = self.turns.efficiency * math.tan(bank_rad)
-        limited = replace(
-            own,
-            bank_max_rad=math.atan(tangent),
-            roll_rate_max_rad_s=min(own.roll_rate_max_rad_s, self._rolls_rad_s),
-            configured=own,
-        )
+        rolls_rad_s = min(own.roll_rate_max_rad_s, self._rolls_rad_s)
+        limited = replace(own, bank_max_rad=math.atan(tangent), roll_rate_max_rad_s=rolls_rad_s, configured=own)
         band_m = self._requirement.range_min_m, self._requirement.range_max_m
         speed_m_s, per_m = own.airspeed_m_s, 1.0 / (GRAVITY_M_S2 * tangent)
         spared_m = min(_RESERVE * (speed_m_s + self._wind.speed_m_s) ** 2 * per_m, widest_radius_m(*band_m))
@@ -232,11 +228,9 @@ class Envelope:
         needed = here.ground_speed_m_s**2 * abs(point.curvature_per_m) / GRAVITY_M_S2 / self.turns.efficiency
         east_m, north_m = here.east_m - point.east_m, here.north_m - point.north_m
         right_m = east_m * math.cos(point.course_rad) - north_m * math.sin(point.course_rad)
-        is_short = (
-            _TURNING_RAD < reached_rad < min(math.atan(needed), self.aircraft.bank_max_rad) - _SHORT_RAD
-            and -sense * right_m > _WIDE_M + _WIDE_SHARE * plan.circle.radius_m
-        )
-        self._short = self._short + 1 if is_short else 0
+        is_short = _TURNING_RAD < reached_rad < min(math.atan(needed), self.aircraft.bank_max_rad) - _SHORT_RAD
+        is_wide = -sense * right_m > _WIDE_M + _WIDE_SHARE * plan.circle.radius_m
+        self._short = self._short + 1 if is_short and is_wide else 0
         if self._short >= _LASTS_S:
             self._reached_rad, self._short = reached_rad, 0
             self._learn(f"it banks {math.degrees(reached_rad):.0f} degrees at most")

@@ -163,9 +163,9 @@ class PositionCheck:
 
     def _follows(self, last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
         reckoned_for_s = 0.0 if self.rejected_since_s is None else last.time_s - self.rejected_since_s
-        return _reachable(last, reading, reckoned_for_s + self._drifted_m / _RECKONING_DRIFT_M_S) and (
-            reading.time_s - last.time_s <= SILENT_S or _still_circles(last, reading, bank_rad)
-        )
+        if not _reachable(last, reading, reckoned_for_s + self._drifted_m / _RECKONING_DRIFT_M_S):
+            return False
+        return reading.time_s - last.time_s <= SILENT_S or _still_circles(last, reading, bank_rad)
 
 
 class VelocityCheck:
@@ -325,10 +325,8 @@ class Plausibility:
         self.no_heartbeat = False  # the flight mode is too old for commands: set by the control step
         self.vehicle_silent = False  # the vehicle's clock stands still: likewise
         self.two_vehicles: str | None = None
-        self.home_m, self.home_is_fixed = (
-            0.0,
-            False,
-        )  # of home above that of the takeover, from which heights that pass count
+        # Of home above that of the takeover: heights that pass count from the latter, as fences and layers do.
+        self.home_m, self.home_is_fixed = 0.0, False
         self._home_altitude_m: float | None = None  # at the takeover
         self._home_next_m = math.nan  # as ``home_m``, until a second position confirms it
         self.clock = VehicleClock()
@@ -520,13 +518,10 @@ class Plausibility:
     def _judge(self, now_s: float) -> None:
         """Update ``doubt``, and announce when it begins or ends."""
         fault, rejected_since_s = self._fault(now_s), self.position.rejected_since_s
-        doubt = None
+        doubt, is_of_unknown_time = None, self._overtaken or self._refused  # then nothing is bridged from there
         if fault is not None and now_s - fault[0] > BRIDGED_S:
             doubt = fault[1]
-        elif rejected_since_s is not None and (
-            now_s - rejected_since_s > BRIDGED_S or self._overtaken or self._refused
-        ):
-            # Nothing is bridged from a place whose time is not known.
+        elif rejected_since_s is not None and (now_s - rejected_since_s > BRIDGED_S or is_of_unknown_time):
             doubt = self.position.jump
         if (doubt is None) is not (self.doubt is None):
             text = f"{doubt}: holding the circle, nothing is decided on it"
@@ -604,11 +599,9 @@ class Plausibility:
                 return is_sigma and 0.0 < reading.slant_range_m <= _RANGE_MAX_M
             case TargetFixReading():
                 own = self.position.accepted
-                return (
-                    own is not None
-                    and 0.0 < reading.sigma_m <= _FIX_SIGMA_MAX_M
-                    and math.hypot(reading.east_m - own.east_m, reading.north_m - own.north_m) <= _FIX_RANGE_MAX_M
-                )
+                if own is None or not 0.0 < reading.sigma_m <= _FIX_SIGMA_MAX_M:
+                    return False
+                return math.hypot(reading.east_m - own.east_m, reading.north_m - own.north_m) <= _FIX_RANGE_MAX_M
             case _:
                 return True
 

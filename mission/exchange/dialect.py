@@ -56,12 +56,9 @@ class ExchangeSettings:
     def order(self, circle: Circle, plan: Plan, home_m: float = 0.0) -> CircleOrder:
         """Return a circle of the plane on the globe, at the height of a plan. home_m: see ``UploadPlan``."""
         height_m = plan.circle_height_m(self.height_m)
-        return CircleOrder(
-            *e7(self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)),
-            height_m - home_m,
-            self.home.altitude_m + height_m,
-            circle.radius_m if circle.clockwise else -circle.radius_m,
-        )
+        radius_m = circle.radius_m if circle.clockwise else -circle.radius_m
+        x, y = e7(self.plane.latitude_longitude_deg(circle.east_m, circle.north_m))
+        return CircleOrder(x, y, height_m - home_m, self.home.altitude_m + height_m, radius_m)
 
 
 @dataclass(frozen=True, slots=True)

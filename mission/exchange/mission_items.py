@@ -536,14 +536,11 @@ class MissionItemBackend:
             self.load_result = result
             self._layout = self._loading if result is WriteResult.ACCEPTED else None
             return
+        is_early = self._outbox.time_s + self._took_s < change.command.plan.departure_s
         if result is WriteResult.ACCEPTED:
             change.stage = _Stage.READY
             self._announce(change.command.number, "ready")
-        elif (
-            result is WriteResult.TIMEOUT
-            and not self._closed
-            and self._outbox.time_s + self._took_s < change.command.plan.departure_s
-        ):
+        elif result is WriteResult.TIMEOUT and is_early and not self._closed:
             self._begin_upload(change.layout, change.command)
         else:
             self._change = None

@@ -265,10 +265,9 @@ class MissionWrite:
 
     def _is_wanted_still(self, report: VehicleReport) -> bool:
         """Return whether the vehicle still requests items although an acknowledgement has arrived."""
-        asked = (
-            isinstance(report, MissionItemRequested) and report.seq in self.changed and report.seq >= self._awaited
-        )
-        return asked and report.link_s < self._deadline_s
+        if not isinstance(report, MissionItemRequested) or report.link_s >= self._deadline_s:
+            return False
+        return report.seq in self.changed and report.seq >= self._awaited
 
     def _to_verify(self) -> list[int]:
         return [seq for seq in self.changed if not (seq == 0 and self._quirks.home_at_zero)]

@@ -180,9 +180,8 @@ class OrbitCommandBackend:
         # The autopilot flies another radius than commanded; what is known of that holds for every circle.
         circle = replace(circle, radius_m=circle.radius_m * plan.commanded.radius_m / wanted.radius_m)
         self._due_s = aircraft.time_s + _PERIOD_S
-        self._command = CommandExchange(
-            self._outbox, self._dialect.fly_circle(self._order(circle, plan.plan, plan.home_m), take_over=False)
-        )
+        order = self._order(circle, plan.plan, plan.home_m)
+        self._command = CommandExchange(self._outbox, self._dialect.fly_circle(order, take_over=False))
 
     def _judge(self) -> None:
         command, plan = self._command, self._flown

@@ -211,9 +211,8 @@ class Takeover:
                 Circle.tangent_to(here.east_m, here.north_m, here.course_rad, radius_m, sense)
                 for sense in (clockwise, not clockwise)
             ]
-            circle = next(
-                (one for one in either if not isinstance(self._settings.cleared(Plan(one)), str)), either[0]
-            )
+            free = (one for one in either if not isinstance(self._settings.cleared(Plan(one)), str))
+            circle = next(free, either[0])
             self._first(circle)
             return circle, circle
         self._note("already circling: taking over the circle that is flown")
@@ -266,10 +265,9 @@ class Takeover:
         self._missions.load(first, lead_in)
         while self._missions.load_result is None:
             yield
-        if self._missions.load_result is not WriteResult.ACCEPTED:
-            raise _FailedError(
-                f"the first mission was not taken ({self._missions.load_result}); nothing was commanded"
-            )
+        result = self._missions.load_result
+        if result is not WriteResult.ACCEPTED:
+            raise _FailedError(f"the first mission was not taken ({result}); nothing was commanded")
 
     def _take_off_item(self) -> MissionItem:
         place = e7((self._settings.home.latitude_deg, self._settings.home.longitude_deg))
