@@ -7,6 +7,7 @@ import contextlib
 import math
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 
 from sidelong.app.analysis.score import Asked
@@ -31,19 +32,18 @@ from sidelong.mission.fleet.events import ForeignAircraftReported, TargetRouteGi
 from sidelong.sitl.settings import STARTS_M, TargetSettings
 
 
+@dataclass(eq=False)
 class FleetFlight:
-    """The ``Coordinator`` of a shell. displays: of each aircraft, by its name; progress: of the value tables."""
+    """The ``Coordinator`` of a shell."""
 
-    def __init__(
-        self,
-        fleet: FleetFile,
-        folder: FleetFolder,
-        displays: Mapping[str, FlightDisplay],
-        note: Callable[[str], None],
-        progress: Callable[[float], None],
-    ) -> None:
-        self.folder, self.over, self.targets = folder, asyncio.Event(), simulated_targets(fleet)
-        self._fleet, self._displays, self._note, self._progress = fleet, displays, note, progress
+    _fleet: FleetFile
+    folder: FleetFolder
+    _displays: Mapping[str, FlightDisplay]  # of each aircraft, by its name
+    _note: Callable[[str], None]
+    _progress: Callable[[float], None]  # of the value tables
+
+    def __post_init__(self) -> None:
+        self.over, self.targets = asyncio.Event(), simulated_targets(self._fleet)
         self._aircraft: list[FlyingAircraft] = []
         self._tracks: defaultdict[str, MissionTrack] = defaultdict(MissionTrack)
         self._coordinator: FleetCoordinator

@@ -125,24 +125,20 @@ _STEP = 0.05  # between two wind speeds that are prepared for, as a share of the
 _AVERAGED_OVER_S = 30.0
 
 
+@dataclass(eq=False)
 class WindTables:
-    """Wind tables of one flight, driven by its snapshots. winds_m_s: wind speeds with a table, in addition to 0."""
+    """Wind tables of one flight, driven by its snapshots."""
 
-    def __init__(
-        self,
-        kind: PlannerKind,
-        controller: StandoffController,
-        winds_m_s: list[float],
-        put: Callable[[WindPrepared], object],
-        note: Callable[[str], object],
-    ) -> None:
-        self._kind, self._controller, self._put, self._note = kind, controller, put, note
-        self._ready_m_s = [0.0, *winds_m_s]
-        self._airspeed_m_s = controller.settings.aircraft.airspeed_m_s
-        self._mean_m_s = math.nan
+    _kind: PlannerKind
+    _controller: StandoffController
+    _winds_m_s: list[float]  # wind speeds with a table, in addition to 0
+    _put: Callable[[WindPrepared], object]
+    _note: Callable[[str], object]
+
+    def __post_init__(self) -> None:
+        self._ready_m_s, self._mean_m_s = [0.0, *self._winds_m_s], math.nan
         self._since_s = self._latest_s = 0.0
-        self._prepared = 0
-        self._making = OneTask()
+        self._prepared, self._making = 0, OneTask()
 
     def show(self, snapshot: Present) -> None:
         if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
@@ -155,7 +151,7 @@ class WindTables:
         self._latest_s = now_s
         if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == WINDS_MAX or self._making.is_running:
             return
-        step_m_s = _STEP * self._airspeed_m_s
+        step_m_s = _STEP * self._controller.settings.aircraft.airspeed_m_s
         nearest_m_s = min(self._ready_m_s, key=lambda ready_m_s: abs(ready_m_s - self._mean_m_s))
         if abs(nearest_m_s - self._mean_m_s) > 0.75 * step_m_s:
             self._prepared += 1

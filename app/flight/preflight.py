@@ -19,16 +19,8 @@ from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopi
 from sidelong.app.config import Config, SharingSection
 from sidelong.app.errors import InputError
 from sidelong.app.flight.outputs import open_beacon
+from sidelong.app.link import telemetry
 from sidelong.app.link.message import Message, plain
-from sidelong.app.link.telemetry import (
-    AUTOPILOT_COMPONENT,
-    FAILSAFE,
-    FAILSAFE_STATES,
-    RECOVERY_MODES,
-    TYPE_FIXED_WING,
-    Telemetry,
-    has_fix,
-)
 from sidelong.app.link.vehicle import REMOTE_ID_STATUS, Vehicle, is_flying, mode_of
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
@@ -63,7 +55,7 @@ class SourceRates:
         self.begin()
 
     def begin(self) -> None:
-        self._telemetry = Telemetry(self._vehicle.system_id)
+        self._telemetry = telemetry.Telemetry(self._vehicle.system_id)
         self._counts: Counter[tuple[str, readings.Source]] = Counter()
         self._begun_s = math.inf  # of this computer's clock
         self._first_s = math.inf  # of the vehicle's
@@ -148,7 +140,7 @@ def describe_use(config: Config, kind: str, received: Sequence[readings.Source])
             if len(first) > 1:
                 return f"used if it is received first; select one with {key}"
             return "used: " + ("the only one" if len(ranks) == 1 else "the payload's own, before what repeats it")
-        repeats = source.component_id == AUTOPILOT_COMPONENT
+        repeats = source.component_id == telemetry.AUTOPILOT_COMPONENT
         why = "the autopilot only repeats it" if repeats else "it is not fixed to a gimbal"
         return f"stands by for when the other falls silent: {why}"
 
@@ -198,9 +190,9 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
     if not is_flying(vehicle):
         return
     mode, state = mode_of(vehicle), int(vehicle.latest["HEARTBEAT"].fields["system_status"])
-    reasons = [mode] if mode in RECOVERY_MODES else []
-    if state in FAILSAFE_STATES:
-        reasons.append(FAILSAFE)
+    reasons = [mode] if mode in telemetry.RECOVERY_MODES else []
+    if state in telemetry.FAILSAFE_STATES:
+        reasons.append(telemetry.FAILSAFE)
     refused = [reason for reason in reasons if reason.upper() not in set(map(str.upper, allowed))]
     if refused:
         named = ", ".join(f'"{reason}"' for reason in refused)
@@ -214,7 +206,7 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
     """Return the module for the vehicle's autopilot. Raises InputError if it is unknown or not a fixed wing."""
     heartbeat = vehicle.latest["HEARTBEAT"].fields
     kind = int(heartbeat["type"])
-    if kind != TYPE_FIXED_WING:
+    if kind != telemetry.TYPE_FIXED_WING:
         what = "a VTOL" if kind in _VTOL_TYPES else f"of MAV_TYPE {kind}"
         raise InputError(f"system {vehicle.system_id} is {what}, no fixed wing; connect to a fixed-wing vehicle.")
     autopilot = autopilot_by_mav_autopilot(int(heartbeat["autopilot"]))
@@ -263,19 +255,15 @@ def checks(
         *(Check(purpose, True, parameters.found_for(purpose)) for purpose in _NAMED),
         *_link_failsafe_checks(vehicle, autopilot, parameters),
         *_remote_id_checks(vehicle),
-        *(
-            Check(
-                need.name,
-                False,
-                f"{need.present:g}: {need.why}",
-                f"set {need.value:g}, or give --set link.set_parameters=true",
-                lasts=True,
-            )
-            for need in required_parameters
-        ),
+        *map(_parameter_check, required_parameters),
         *_camera_checks(vehicle),
         *_source_checks(config, vehicle, rates),
     )
+
+
+def _parameter_check(need: RequiredParameter) -> Check:
+    remedy = f"set {need.value:g}, or give --set link.set_parameters=true"
+    return Check(need.name, False, f"{need.present:g}: {need.why}", remedy, lasts=True)
 
 
 def _health_check(vehicle: Vehicle) -> Check:
@@ -317,7 +305,7 @@ def _guidance_check(config: Config, autopilot: Autopilot) -> Check:
 
 def _position_check(vehicle: Vehicle) -> Check:
     message = vehicle.latest.get("GLOBAL_POSITION_INT")
-    if message is None or not has_fix(message.fields):
+    if message is None or not telemetry.has_fix(message.fields):
         return Check("position", False, "none", "wait for the GPS fix")
     fields = message.fields
     found = (
@@ -360,25 +348,16 @@ def _limit_checks(
 ) -> tuple[Check, ...]:
     bank_deg = limits.bank_max_deg
     found = parameters.found_for(Purpose.BANK_LIMIT) if bank_deg is None else f"{bank_deg:g} degrees"
-    bank = Check(
-        "bank limit",
-        bank_deg is None or bank_deg >= config.aircraft.bank_max_deg - 0.5,
-        found,
-        f"set aircraft.bank_max_deg to at most {found} or raise the autopilot's limit",
-        lasts=True,
-    )
+    bank_ok = bank_deg is None or bank_deg >= config.aircraft.bank_max_deg - 0.5
+    remedy = f"set aircraft.bank_max_deg to at most {found} or raise the autopilot's limit"
+    bank = Check("bank limit", bank_ok, found, remedy, lasts=True)
     least, most = limits.airspeed_min_m_s, limits.airspeed_max_m_s
     speed_ok = (least is None or aircraft.airspeed_m_s >= least) and (most is None or aircraft.airspeed_m_s <= most)
-    speed = Check(
-        "airspeed",
-        speed_ok,
-        f"{aircraft.airspeed_m_s:g} m/s wanted, {_number(least)} to {_number(most)} m/s allowed"
-        if None not in (least, most, limits.airspeed_cruise_m_s)
-        else parameters.found_for(Purpose.AIRSPEED),
-        "set aircraft.airspeed_m_s within the autopilot's limits",
-        lasts=True,
-    )
-    return (bank, speed)
+    found = f"{aircraft.airspeed_m_s:g} m/s wanted, {_number(least)} to {_number(most)} m/s allowed"
+    if None in (least, most, limits.airspeed_cruise_m_s):
+        found = parameters.found_for(Purpose.AIRSPEED)
+    remedy = "set aircraft.airspeed_m_s within the autopilot's limits"
+    return bank, Check("airspeed", speed_ok, found, remedy, lasts=True)
 
 
 def _camera_checks(vehicle: Vehicle) -> tuple[Check, ...]:

@@ -58,16 +58,7 @@ from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Phase, Present
-from sidelong.sitl.settings import (
-    CameraSettings,
-    Flavour,
-    HomePosition,
-    PayloadSettings,
-    RunSettings,
-    Settings,
-    TargetSettings,
-    in_a_row,
-)
+from sidelong.sitl import settings as sitl
 from sidelong.sitl.world.airframe import WindVector
 
 _READY_S = 30.0
@@ -94,7 +85,7 @@ class SimulatedVehicles:
         configs: Sequence[Config],
         truths: Sequence[Path | None],
         on_end: Callable[[str], object],
-        targets: Sequence[TargetSettings] = (),
+        targets: Sequence[sitl.TargetSettings] = (),
         looks_at: Sequence[int] = (),
     ) -> None:
         first, simulation = configs[0], configs[0].simulation
@@ -105,25 +96,25 @@ class SimulatedVehicles:
         device, camera = "", None
         if first.camera.source is not None:
             self.video_url = f"udp://127.0.0.1:{free_udp_port()}"
-            camera = CameraSettings(self.video_url, view_deg=first.camera.view_deg, rate_hz=first.camera.rate_hz)
+            camera = sitl.CameraSettings(self.video_url, view_deg=first.camera.view_deg, rate_hz=first.camera.rate_hz)
         if first.payload.kind != MAVLINK:
             payload_port = free_udp_port()
             scheme = kind_by_name(first.payload.kind).url.partition(":")[0]
             self.payload_url = f"{scheme}://127.0.0.1:{payload_port}"
             device = f"{first.payload.kind}@127.0.0.1:{payload_port}"
         speed_max_m_s = first.requirement.target_speed_max_m_s
-        payload = PayloadSettings(
-            dropout_fraction=PayloadSettings().dropout_fraction if simulation.laser else 1.0,
+        payload = sitl.PayloadSettings(
+            dropout_fraction=sitl.PayloadSettings().dropout_fraction if simulation.laser else 1.0,
             pan_limit_deg=math.degrees(first.aircraft.aircraft().pan_limit_rad),
         )
-        common = Settings(
-            flavour=Flavour(simulation.autopilot),
+        common = sitl.Settings(
+            flavour=sitl.Flavour(simulation.autopilot),
             seed=simulation.seed,
             wind=WindVector.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
-            home=None if simulation.home is None else HomePosition(*simulation.home),
+            home=None if simulation.home is None else sitl.HomePosition(*simulation.home),
             home_on_ground=True,
             targets=tuple(replace(one, speed_max_m_s=speed_max_m_s) for one in targets)
-            or (TargetSettings(simulation.target, speed_max_m_s),),
+            or (sitl.TargetSettings(simulation.target, speed_max_m_s),),
             payload=payload,
             device=device,
             camera=camera,
@@ -134,15 +125,15 @@ class SimulatedVehicles:
         vehicles = tuple(
             replace(
                 vehicle,
-                flavour=Flavour(config.simulation.autopilot),
+                flavour=sitl.Flavour(config.simulation.autopilot),
                 airspeed_m_s=config.aircraft.airspeed_m_s,
                 stations=(f"127.0.0.1:{port}",),
                 truth=truth,
                 looks_at=seen,
             )
-            for vehicle, config, port, truth, seen in zip(in_a_row(common, count), configs, *own, strict=True)
+            for vehicle, config, port, truth, seen in zip(sitl.in_a_row(common, count), configs, *own, strict=True)
         )
-        self.settings = RunSettings(vehicles, simulation.speed, signing_key_file=first.link.signing_key_file)
+        self.settings = sitl.RunSettings(vehicles, simulation.speed, signing_key_file=first.link.signing_key_file)
         self._what = "the simulated vehicle" if len(configs) == 1 else "the simulation of the vehicles"
         self._on_end = on_end
         self._process: asyncio.subprocess.Process
@@ -399,7 +390,7 @@ class Coordinator(Protocol):
     """What several aircraft have in common: see :class:`sidelong.app.fleet.flight.FleetFlight`."""
 
     folder: FleetFolder  # the folder of the whole run
-    targets: tuple[list[TargetSettings], list[int]]
+    targets: tuple[list[sitl.TargetSettings], list[int]]
     over: asyncio.Event  # set when the flight of all is over
 
     @property

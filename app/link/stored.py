@@ -248,22 +248,18 @@ def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:
     return float(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
+@dataclass(eq=False)
 class ParameterWatch:
-    """Reports when another station sets a parameter that matters for the mission.
+    """Reports when another station sets a parameter that matters for the mission."""
 
-    own: what this mission has set itself, by name. changed: receives the values by key after each change.
-    """
+    _table: ParameterTable
+    _bytewise: bool
+    _own: Mapping[str, float]  # what this mission has set itself, by name
+    _note: Callable[[str], object]
+    _changed: Callable[[Mapping[str, float]], object] = lambda _values: None  # with the values by key
 
-    def __init__(
-        self,
-        table: ParameterTable,
-        bytewise: bool,
-        own: Mapping[str, float],
-        note: Callable[[str], object],
-        changed: Callable[[Mapping[str, float]], object] = lambda _values: None,
-    ) -> None:
-        self._table, self._values = table, {**table.read, **own}
-        self._bytewise, self._note, self._changed = bytewise, note, changed
+    def __post_init__(self) -> None:
+        self._values = {**self._table.read, **self._own}
 
     def take(self, message: Message) -> None:
         if message.name != "PARAM_VALUE" or message.component_id != AUTOPILOT_COMPONENT:

@@ -90,24 +90,18 @@ class Consistency:
         return f"{what}: check the mount and payload.angles_relative_to"
 
 
+@dataclass(eq=False)
 class PayloadSession:
-    """A driver with the supervision of its connection. Times are of the driver's clock.
+    """A driver with the supervision of its connection. Times are of the driver's clock."""
 
-    Args:
-        report: receives each report, one sentence without its full stop.
-        range_delay_s: age of a range when the payload sends it, s.
-    """
+    _name: str
+    _driver: PayloadDriver
+    _report: Callable[[str], object]  # receives one sentence without its full stop
+    _range_delay_s: float = 0.0  # age of a range when the payload sends it
+    _angles_delay_s: float = 0.0
 
-    def __init__(
-        self,
-        name: str,
-        driver: PayloadDriver,
-        report: Callable[[str], object],
-        range_delay_s: float = 0.0,
-        angles_delay_s: float = 0.0,
-    ) -> None:
-        self._name, self._driver, self._report = name, driver, report
-        self._delays_s = {RangeMeasured: range_delay_s, AnglesMeasured: angles_delay_s}
+    def __post_init__(self) -> None:
+        self._delays_s = {RangeMeasured: self._range_delay_s, AnglesMeasured: self._angles_delay_s}
         self._called_s: float | None = None
         self._latest_s = self._range_s = self._restarted_s = self._bytes_s = -math.inf
         self._is_lost = self._is_rangeless = False

@@ -16,15 +16,7 @@ from binascii import crc_hqx
 from collections.abc import Sequence
 
 from sidelong.app.link.framing import Framer
-from sidelong.app.payload.driver import (
-    AircraftPose,
-    AnglesMeasured,
-    DriverSettings,
-    Frame,
-    FramedDriver,
-    Measured,
-    RangeMeasured,
-)
+from sidelong.app.payload import driver
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 
@@ -39,7 +31,7 @@ _MODELS = {0x6B: "ZR10", 0x73: "A8 mini", 0x75: "A2 mini", 0x78: "ZR30", 0x7A: "
 _WITH_LASER = ("ZT30",)
 _PAN_LIMITS_RAD = dict.fromkeys(("A8 mini", "ZR10"), (math.radians(-135.0), math.radians(135.0)))
 _PITCH_MIN_RAD, _PITCH_MAX_RAD = math.radians(-90.0), math.radians(25.0)
-_FRAMES: dict[int, Frame] = {0: "vehicle", 1: "vehicle", 2: "body"}  # by motion mode: lock, follow, FPV
+_FRAMES: dict[int, driver.Frame] = {0: "vehicle", 1: "vehicle", 2: "body"}  # by motion mode: lock, follow, FPV
 _UPSIDE_DOWN = 2
 _RANGE_UNIT_M, _RANGE_MIN_M = 0.1, 5.0
 _RANGE_NONE = 0xFFFF
@@ -47,12 +39,12 @@ _PERIODS_S = {"angles": 0.05, "range": 0.1, "identity": 1.0, "aircraft": 0.1}
 _STREAMING_S = 0.5  # without a measurement for this long, they are polled
 
 
-class SiyiDriver(FramedDriver):
-    def __init__(self, settings: DriverSettings) -> None:
+class SiyiDriver(driver.FramedDriver):
+    def __init__(self, settings: driver.DriverSettings) -> None:
         framer = Framer((_HEADER,), _length, _is_intact)
         super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, yaw_sign=-1.0)
         self._sequence = 0
-        self._frame: Frame = "vehicle"
+        self._frame: driver.Frame = "vehicle"
         self._upside_down = False
         self._streamed_s: dict[int, float] = {}  # when a stream was requested, or brought a measurement
 
@@ -81,7 +73,7 @@ class SiyiDriver(FramedDriver):
                 requests.append(self._request(now_s, command))
         return requests
 
-    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
+    def aircraft(self, pose: driver.AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft's attitude for the gimbal's own stabilisation, at 10 Hz."""
         if not self._due["aircraft"].is_due(now_s):
             return ()
@@ -105,7 +97,7 @@ class SiyiDriver(FramedDriver):
         self._sequence = (self._sequence + 1) & 0xFFFF
         return frame
 
-    def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
+    def _measured(self, frame: bytes, now_s: float) -> Sequence[driver.Measured | None]:
         *_, command = _HEAD.unpack_from(frame)
         data = frame[_HEAD.size : -_CRC_BYTES]
         if not data or command == _STREAM:
@@ -137,7 +129,7 @@ class SiyiDriver(FramedDriver):
         self.identity.pan_limits_rad = _PAN_LIMITS_RAD.get(self.identity.model)
         self.identity.has_laser = self.identity.model in _WITH_LASER if code in _MODELS else None
 
-    def _angles(self, time_s: float, data: bytes) -> AnglesMeasured:
+    def _angles(self, time_s: float, data: bytes) -> driver.AnglesMeasured:
         yaw_rad, pitch_rad, roll_rad = (math.radians(0.1 * tenths) for tenths in struct.unpack_from("<hhh", data))
         yaw_rad, pitch_rad = self._yaw_sign * yaw_rad, self._pitch_sign * pitch_rad
         if self._upside_down:
@@ -146,12 +138,12 @@ class SiyiDriver(FramedDriver):
         quaternion = multiply(turned, from_roll_pitch_yaw(0.0, pitch_rad, 0.0))  # yaw, roll, pitch
         return self._attitude(time_s, quaternion, self._frame)
 
-    def _range(self, time_s: float, data: bytes) -> RangeMeasured | None:
+    def _range(self, time_s: float, data: bytes) -> driver.RangeMeasured | None:
         (count,) = struct.unpack("<H", data)
         slant_range_m = count * self._range_unit_m
         if slant_range_m < _RANGE_MIN_M or count == _RANGE_NONE:
             return None
-        return RangeMeasured(time_s, slant_range_m)
+        return driver.RangeMeasured(time_s, slant_range_m)
 
 
 def encode(command: int, data: bytes, sequence: int) -> bytes:

@@ -17,14 +17,7 @@ from functools import reduce
 from operator import xor
 
 from sidelong.app.link.framing import Framer
-from sidelong.app.payload.driver import (
-    AircraftPose,
-    AnglesMeasured,
-    DriverSettings,
-    FramedDriver,
-    Measured,
-    RangeMeasured,
-)
+from sidelong.app.payload import driver
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
@@ -42,8 +35,8 @@ _POSITION_KNOWN = 0x0F
 _ATTITUDE_AND_POSITION = 0x07
 
 
-class ViewproDriver(FramedDriver):
-    def __init__(self, settings: DriverSettings) -> None:
+class ViewproDriver(driver.FramedDriver):
+    def __init__(self, settings: driver.DriverSettings) -> None:
         framer = Framer((_HEADER,), _length, lambda frame: _xor(frame[3:]) == 0)
         super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, pitch_sign=-1.0)
         self._counter = 0
@@ -64,7 +57,7 @@ class ViewproDriver(FramedDriver):
             requests.append(self._frame(_HANDSHAKE, b"\0"))
         return requests
 
-    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
+    def aircraft(self, pose: driver.AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft's attitude and position for the gimbal's own stabilisation, at 10 Hz."""
         if not self._due["aircraft"].is_due(now_s):
             return ()
@@ -93,18 +86,18 @@ class ViewproDriver(FramedDriver):
         frame = encode(frame_id, data, self._counter)
         return wrapped(frame) if self._settings.over_tcp else frame
 
-    def _measured(self, frame: bytes, now_s: float) -> list[Measured]:
+    def _measured(self, frame: bytes, now_s: float) -> list[driver.Measured]:
         frame_id, data = frame[4], frame[5:-1]
         if frame_id == _REPLY and data:
             self._identify(data)
         if frame_id != _STATUS or len(data) < _STATUS_MIN_BYTES:
             return []
         time_s = self._trips.measured_s(_STATUS, now_s)
-        measured: list[Measured] = [self._angles(time_s, data)]
+        measured: list[driver.Measured] = [self._angles(time_s, data)]
         (count,) = struct.unpack_from(">H", data, 33)
         if count:
             self._range_s, self.identity.has_laser = now_s, True
-            measured.append(RangeMeasured(time_s, count * self._range_unit_m))
+            measured.append(driver.RangeMeasured(time_s, count * self._range_unit_m))
         return measured
 
     def _identify(self, data: bytes) -> None:
@@ -114,7 +107,7 @@ class ViewproDriver(FramedDriver):
         elif data[0] == _FIRMWARE:
             self.identity.firmware = text or "unknown"
 
-    def _angles(self, time_s: float, data: bytes) -> AnglesMeasured:
+    def _angles(self, time_s: float, data: bytes) -> driver.AnglesMeasured:
         roll, yaw, pitch = struct.unpack_from(">Hhh", data, 23)
         roll_rad = math.radians((roll & 0x0FFF) * _ROLL_UNIT_DEG - 90.0)
         yaw_rad, pitch_rad = self._yaw_sign * yaw * _ANGLE_UNIT_RAD, self._pitch_sign * pitch * _ANGLE_UNIT_RAD
