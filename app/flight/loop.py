@@ -7,6 +7,7 @@ repeats the flight.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import math
 import time
@@ -32,36 +33,6 @@ _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
 _TICK_CHECKS = 2  # a tick of the clock is a second
 _FINISH_S = 3.0  # time limit after the end for pending work
-
-
-class CommandExecutor:
-    """One vehicle's hands. ``run`` must be running."""
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
-        self._waiting: asyncio.Queue[SendMessage] = asyncio.Queue()
-        self._sending = False
-
-    @property
-    def is_busy(self) -> bool:
-        return self._sending or not self._waiting.empty()
-
-    def send(self, message: SendMessage) -> None:
-        self._waiting.put_nowait(message)
-
-    def drop(self) -> None:
-        while not self._waiting.empty():
-            self._waiting.get_nowait()
-
-    async def run(self) -> None:
-        while True:
-            self._sending = False
-            message = await self._waiting.get()
-            self._sending = True
-            try:
-                await self._vehicle.transmit(message.name, message.fields)
-            except LinkError:
-                continue  # the core repeats unanswered messages
 
 
 class Log(Protocol):
@@ -97,7 +68,9 @@ class ControlLoop:
     failed: TakeoverFailed | None = None  # why control was never acquired
 
     def __post_init__(self) -> None:
-        self._executor, self._reports = CommandExecutor(self._vehicle), VehicleReports(self._vehicle)
+        self._reports = VehicleReports(self._vehicle)
+        self._commands: asyncio.Queue[SendMessage] = asyncio.Queue()
+        self._sending = False
         self._queue: asyncio.Queue[InboundEvent] = asyncio.Queue()
         self._start_s = self._received_s = time.monotonic()
         self._timer: asyncio.TimerHandle | None = None
@@ -112,7 +85,7 @@ class ControlLoop:
 
     @property
     def is_sending(self) -> bool:
-        return self._executor.is_busy
+        return self._sending or not self._commands.empty()
 
     def put(self, event: InboundEvent) -> None:
         self._queue.put_nowait(event)
@@ -132,7 +105,7 @@ class ControlLoop:
 
     async def run(self) -> None:
         self._vehicle.listeners.append(self.received)
-        helpers = [asyncio.create_task(self._watch_link()), asyncio.create_task(self._executor.run())]
+        helpers = [asyncio.create_task(self._watch_link()), asyncio.create_task(self._send_commands())]
         try:
             while not self._has_ended():
                 event = await self._queue.get()
@@ -160,7 +133,7 @@ class ControlLoop:
         self._log.write(output)
         match output:
             case SendMessage():
-                self._executor.send(output)
+                self._commands.put_nowait(output)
             case events.Announce():
                 self._display.say(output)
             case events.ControlAcquired():
@@ -170,7 +143,7 @@ class ControlLoop:
                 self.failed = output
                 self._end()
             case events.Yield():
-                self._executor.drop()
+                self._drop_commands()
                 self.outcome = f"yielded: {output.reason}"
                 text = f"yielding: {output.reason}; commanding nothing more until you resume"
                 self._display.say(events.Announce(output.time_s, "yield", text))
@@ -178,12 +151,24 @@ class ControlLoop:
                 self._health_changed(output)
                 self._display.say(output.announcement)
             case events.End():
-                self._executor.drop()
+                self._drop_commands()
                 self.outcome = f"ended: {output.reason}"
                 self._display.say(events.Announce(output.time_s, "end", f"ending ({output.action}): {output.reason}"))
                 self._end()
             case events.DecisionRecord() | events.PlanStatus():
                 pass
+
+    def _drop_commands(self) -> None:
+        while not self._commands.empty():
+            self._commands.get_nowait()
+
+    async def _send_commands(self) -> None:
+        while True:
+            self._sending = False
+            command = await self._commands.get()
+            self._sending = True
+            with contextlib.suppress(LinkError):  # the core repeats unanswered messages
+                await self._vehicle.transmit(command.name, command.fields)
 
     # -- timers --------------------------------------------------------------------------------------------
 

@@ -295,9 +295,8 @@ def _tapped(frame: Frame, decoder: dialect.MAVLink) -> Message | None:
 
 
 def _not_received(what: str, timeout_s: float, reports: Sequence[LinkReport]) -> str:
-    refused = [report for report in reports if report.refused]
-    if refused:
-        found = ", ".join(report.refused_text() for report in refused)
+    found = ", ".join(f"{count} {why}" for report in reports for why, count in report.refused.items())
+    if found:
         return f"{what}: only frames that are refused: {found}; give the vehicle's key, or set it up: sidelong sign."
     return f"{what}: no autopilot was received within {timeout_s:g} s; check that it runs and sends MAVLink there."
 

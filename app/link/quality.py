@@ -54,9 +54,6 @@ class LinkReport:
         measured = {name: None if value is None else round(value, 4) for name, value in values.items()}
         return {"url": self.url, "signed": self.signed, **measured, "refused": self.refused}
 
-    def refused_text(self) -> str:
-        return ", ".join(f"{count} {why}" for why, count in self.refused.items())
-
 
 @dataclass(slots=True)
 class _Counts:
@@ -138,9 +135,9 @@ class LinkQuality:
         return self._seconds[-1]
 
 
+@dataclass(slots=True)
 class RoundTripWatch:
-    def __init__(self) -> None:
-        self._announced_s: float | None = None
+    _announced_s: float | None = None
 
     def news(self, links: Sequence[LinkReport], rate: float = 1.0) -> float | None:
         """Return the round trip of the link in use, in the vehicle's time, if it differs from the last one returned.

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sidelong.app.flight.loop import CommandExecutor, ControlLoop
+from sidelong.app.flight.loop import ControlLoop
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.vehicle import LinkError, Vehicle
@@ -74,16 +74,17 @@ def test_an_older_autopilot_does_not_say_whom_it_answers(monkeypatch):
     assert commanded(Wire(to=(0, 0)), monkeypatch) == ACCEPTED
 
 
-def test_the_executor_sends_in_order_drops_what_waits_and_survives_a_link_that_fails():
+def test_the_loop_sends_in_order_drops_what_waits_and_survives_a_link_that_fails():
     async def go(wire):
-        executor = CommandExecutor(Vehicle(wire))
+        loop = ControlLoop(Vehicle(wire), Telemetry(1), Core(), Records(), SimpleNamespace(), lambda _acquired: None)
         for name in ("A", "B", "C"):
-            executor.send(SendMessage(0.0, name, {}))
-        running = asyncio.create_task(executor.run())
+            loop._handle(SendMessage(0.0, name, {}))
+        running = asyncio.create_task(loop._send_commands())
         for _ in range(10):
             await asyncio.sleep(0)
-        executor.send(SendMessage(0.0, "D", {}))
-        executor.drop()
+        loop._handle(SendMessage(0.0, "D", {}))
+        assert loop.is_sending
+        loop._drop_commands()
         for _ in range(10):
             await asyncio.sleep(0)
         alive = not running.done()
