@@ -67,7 +67,7 @@ class FleetFlight:
 
     def relieve(self, name: str, who: str) -> str:
         """Let another aircraft take the place of this one, by a person's wish; return why not."""
-        if not self._is_flown or not any(one.name == name for one in self._aircraft):
+        if not self._is_flown or not any(craft.name == name for craft in self._aircraft):
             return "it is not flown"
         self._coordination.relieve(name, who)
         return ""
@@ -75,7 +75,7 @@ class FleetFlight:
     @contextlib.asynccontextmanager
     async def coordinated(self, aircraft: list[FlyingAircraft]) -> AsyncIterator[None]:
         self._aircraft = aircraft
-        own_ids = {one.session.vehicle.system_id for one in aircraft}
+        own_ids = {craft.session.vehicle.system_id for craft in aircraft}
         for route in self._fleet.routes.values():
             check_route(route, own_ids)
         with self._journal() as journal:
@@ -94,9 +94,9 @@ class FleetFlight:
         (self._displays[name].note if name in self._displays else self._note)(text)
 
     def _launch(self, name: str) -> None:
-        for one in self._aircraft:
-            if one.name == name:
-                one.wanted.set()
+        for craft in self._aircraft:
+            if craft.name == name:
+                craft.wanted.set()
 
     @contextlib.contextmanager
     def _journal(self) -> Iterator[JournalWriter]:
@@ -120,22 +120,22 @@ class FleetFlight:
                 if found is not None:
                     coordination.put(_reported(found, member is not None))
 
-        def join(one: FlyingAircraft) -> None:
-            telemetry, vehicle = one.session.telemetry, one.session.vehicle
+        def join(craft: FlyingAircraft) -> None:
+            telemetry, vehicle = craft.session.telemetry, craft.session.vehicle
             clock = VehicleClockReader(
-                one.name,
+                craft.name,
                 lambda: telemetry.now_s,
-                lambda: coordination.reported_by_others_s(one.name),
+                lambda: coordination.reported_by_others_s(craft.name),
                 coordination.mission_s,
             )
-            above_m = one.flight.home.altitude_m - home_m
-            coordination.add(Participant(one.name, one.controller, one.flight.put_event, clock, above_m))
+            above_m = craft.flight.home.altitude_m - home_m
+            coordination.add(Participant(craft.name, craft.controller, craft.flight.put_event, clock, above_m))
             vehicle.bystanders.append(bystander)
-            vehicle.listeners.append(lambda message: bystander(message, one))
-            vehicle.listeners.append(lambda message: coordination.message(one.name, message))
+            vehicle.listeners.append(lambda message: bystander(message, craft))
+            vehicle.listeners.append(lambda message: coordination.message(craft.name, message))
 
-        for one in self._aircraft:
-            join(one)
+        for craft in self._aircraft:
+            join(craft)
         for target, route in self._fleet.routes.items():
 
             def put(given: RouteGiven, target: str = target) -> None:
@@ -143,23 +143,23 @@ class FleetFlight:
 
             give_route(route, self._aircraft[0].session, first.plane, put, self._note)
 
-    def stepped(self, one: FlyingAircraft) -> Stepped:
-        report, track = self._coordination.stepped(one.name), self._tracks[one.name]
+    def stepped(self, craft: FlyingAircraft) -> Stepped:
+        report, track = self._coordination.stepped(craft.name), self._tracks[craft.name]
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
             report(event, outputs)
-            aircraft, height_m = one.controller.aircraft, one.controller.flown_height_m
-            offset_s = self._coordinator.offset_s(one.name)
+            aircraft, height_m = craft.controller.aircraft, craft.controller.flown_height_m
+            offset_s = self._coordinator.offset_s(craft.name)
             if aircraft is not None and height_m is not None and offset_s is not None:
                 track.add(aircraft.time_s + offset_s, aircraft.east_m, aircraft.north_m, height_m)
 
         return received
 
-    def lost(self, one: FlyingAircraft) -> None:
-        self._coordination.lost(one.name, one.outcome)
+    def lost(self, craft: FlyingAircraft) -> None:
+        self._coordination.lost(craft.name, craft.outcome)
 
-    def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]:
-        return self._coordinator.offset_s(one.name) or 0.0, self._tracks[one.name]
+    def flown(self, craft: FlyingAircraft) -> tuple[float, MissionTrack]:
+        return self._coordinator.offset_s(craft.name) or 0.0, self._tracks[craft.name]
 
     def asked(self) -> dict[str, Asked]:
         changes = self._coordination.changes

@@ -113,7 +113,7 @@ class SimulatedVehicles:
             wind=WindVector.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
             home=None if simulation.home is None else sitl.HomePosition(*simulation.home),
             home_on_ground=True,
-            targets=tuple(replace(one, speed_max_m_s=speed_max_m_s) for one in targets)
+            targets=tuple(replace(target, speed_max_m_s=speed_max_m_s) for target in targets)
             or (sitl.TargetSettings(simulation.target, speed_max_m_s),),
             payload=payload,
             device=device,
@@ -397,9 +397,9 @@ class Coordinator(Protocol):
     def now_s(self) -> float: ...  # mission time; -inf before the first clock is known
     def prepare(self) -> None: ...  # may compute for some seconds
     def coordinated(self, aircraft: list[FlyingAircraft]) -> contextlib.AbstractAsyncContextManager[None]: ...
-    def stepped(self, one: FlyingAircraft) -> Stepped: ...  # what is called after each step of its core
-    def lost(self, one: FlyingAircraft) -> None: ...  # its flight is over
-    def flown(self, one: FlyingAircraft) -> tuple[float, MissionTrack]: ...  # mission time less its own; its track
+    def stepped(self, craft: FlyingAircraft) -> Stepped: ...  # what is called after each step of its core
+    def lost(self, craft: FlyingAircraft) -> None: ...  # its flight is over
+    def flown(self, craft: FlyingAircraft) -> tuple[float, MissionTrack]: ...  # mission time less its own; its track
     def asked(self) -> dict[str, Asked]: ...  # the requirements of each target, in mission time
 
 
@@ -419,7 +419,7 @@ class Shell:
         coordinator = self._coordinator
         async with contextlib.AsyncExitStack() as stack:
             with self._life.computing():
-                prepared = [one.prepare() for one in self._aircraft]
+                prepared = [craft.prepare() for craft in self._aircraft]
                 if coordinator is not None:
                     coordinator.prepare()
             await self._connect(stack, prepared)
@@ -441,14 +441,14 @@ class Shell:
 
     async def _links(self, stack: contextlib.AsyncExitStack) -> list[tuple[str, ...]]:
         """Return each aircraft's links; those of simulated vehicles are started."""
-        configs = [one.config for one in self._aircraft]
+        configs = [craft.config for craft in self._aircraft]
         if configs[0].link.connections:
-            return [one.link.connections for one in configs]
+            return [config.link.connections for config in configs]
         targets, looks_at = ([], []) if self._coordinator is None else self._coordinator.targets
         about = ", ".join(target.name for target in targets) or "its target"
         kinds = ", ".join(config.simulation.autopilot for config in configs)
         self._note(f"starting the simulation: {kinds}, about {about}")
-        truths = [one.folder.truth for one in self._aircraft]
+        truths = [craft.folder.truth for craft in self._aircraft]
         vehicles = self._simulated = SimulatedVehicles(configs, truths, self._life.fail, targets, looks_at)
         await stack.enter_async_context(vehicles)
         pace = asyncio.create_task(vehicles.keep_pace(self._come_to_s))
@@ -458,8 +458,8 @@ class Shell:
     def _come_to_s(self) -> float:
         """Return the time of the simulation that all aircraft have reached that are received and still fly."""
         alone = len(self._aircraft) == 1
-        flying = [one for one in self._aircraft if one.flight is not None and not one.outcome]
-        return min((one.flight.come_to_s for one in flying if alone or one.is_received), default=math.inf)
+        flying = [craft for craft in self._aircraft if craft.flight is not None and not craft.outcome]
+        return min((craft.flight.come_to_s for craft in flying if alone or craft.is_received), default=math.inf)
 
     async def _connect(self, stack: contextlib.AsyncExitStack, prepared: Sequence[Prepared]) -> None:
         urls = await self._links(stack)
@@ -468,62 +468,62 @@ class Shell:
         if file is not None and len(urls) > 1:
             key = stack.enter_context(key_in_use(file, signing_time(time.time()), self._aircraft[0].trouble))
 
-        async def join(one: FlyingAircraft, own: tuple[str, ...], is_shared: bool, control: Prepared) -> None:
-            link, simulated = one.config.link, self._simulated is not None
-            if one.session is None:
-                one.display.note(f"connecting to {' and '.join(own)}")
+        async def join(craft: FlyingAircraft, own: tuple[str, ...], is_shared: bool, control: Prepared) -> None:
+            link, simulated = craft.config.link, self._simulated is not None
+            if craft.session is None:
+                craft.display.note(f"connecting to {' and '.join(own)}")
                 role = link.role or ("ground" if self._coordinator or simulated else None)
                 system_id = None if simulated else link.system_id
-                one.session = await stack.enter_async_context(
+                craft.session = await stack.enter_async_context(
                     connected(
                         link.model_copy(update={"urls": [*own], "system_id": system_id, "role": role}),
-                        one.trouble,
-                        one.own_frame if is_shared else one.recording.frame,
+                        craft.trouble,
+                        craft.own_frame if is_shared else craft.recording.frame,
                         key.apart() if key is not None and is_shared else key,
                         0.0 if simulated else SETTLING_S,
                         opener if is_shared else opened_url,
                     )
                 )
-            await self._joined(stack, one, control)
+            await self._joined(stack, craft, control)
 
         joins = (join(*each) for each in zip(self._aircraft, urls, shared, prepared, strict=True))
         self._go_on_with(await asyncio.gather(*joins, return_exceptions=True))
 
-    async def _joined(self, stack: contextlib.AsyncExitStack, one: FlyingAircraft, prepared: Prepared) -> None:
-        session, vehicle = one.session, one.session.vehicle
+    async def _joined(self, stack: contextlib.AsyncExitStack, craft: FlyingAircraft, prepared: Prepared) -> None:
+        session, vehicle = craft.session, craft.session.vehicle
         await stack.enter_async_context(session.for_a_flight())
-        one.display.note(f"connected to {session.autopilot.name}, system {vehicle.system_id}")
-        one.recording.follow(vehicle.system_id)
+        craft.display.note(f"connected to {session.autopilot.name}, system {vehicle.system_id}")
+        craft.recording.follow(vehicle.system_id)
         url = None if self._simulated is None else self._simulated.payload_url
         payload = await stack.enter_async_context(
-            payload_input(one.config, vehicle, one.display.note, one.recording.frame, url)
+            payload_input(craft.config, vehicle, craft.display.note, craft.recording.frame, url)
         )
         self._life.watch(vehicle)
         turns_payload = self._coordinator is not None and len(self._coordinator.targets[0]) > 1
-        film = CameraPlaces(None if self._simulated is None else self._simulated.video_url, one.folder.video)
-        own = one.recording, one.display, self._duration_s, turns_payload, payload, film
-        one.flight = Flight(session, one.config, prepared, *own)
-        await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
+        film = CameraPlaces(None if self._simulated is None else self._simulated.video_url, craft.folder.video)
+        own = craft.recording, craft.display, self._duration_s, turns_payload, payload, film
+        craft.flight = Flight(session, craft.config, prepared, *own)
+        await stack.enter_async_context(link_log(vehicle.link, craft.folder.links, craft.clock_rate, craft.trouble))
 
     async def _prepare(self) -> None:
-        prepare = (one.flight.prepare() for one in self._aircraft)
+        prepare = (craft.flight.prepare() for craft in self._aircraft)
         self._go_on_with(await asyncio.gather(*prepare, return_exceptions=True))
         check_apart(self._aircraft)
-        for one in self._aircraft[1:]:
-            one.flight.share_plane(self._aircraft[0].flight.plane)
+        for craft in self._aircraft[1:]:
+            craft.flight.share_plane(self._aircraft[0].flight.plane)
 
     def _go_on_with(self, done: Sequence[BaseException | None]) -> None:
         """Continue with the aircraft that are ready, if that may be, else raise an error. done: each one's error."""
         pairs = list(zip(self._aircraft, done, strict=True))
-        ready = [one for one, error in pairs if error is None]
-        for one, error in pairs:
+        ready = [craft for craft, error in pairs if error is None]
+        for craft, error in pairs:
             if isinstance(error, InputError) and len(pairs) > 1:
                 if not any(is_flying(other.session.vehicle) for other in ready):
-                    raise InputError(f"aircraft {one.name!r}: {error}") from error
-                one.display.note(f"left out: {error}")
-            elif isinstance(error, FlightError) and len(pairs) == 1 and one.flight is not None:
-                one.failed(error)
-                ready = [one]
+                    raise InputError(f"aircraft {craft.name!r}: {error}") from error
+                craft.display.note(f"left out: {error}")
+            elif isinstance(error, FlightError) and len(pairs) == 1 and craft.flight is not None:
+                craft.failed(error)
+                ready = [craft]
             elif error is not None:
                 raise error
         self._aircraft = ready
@@ -534,15 +534,15 @@ class Shell:
         over, stopped = coordinator.over, self._life.stopped
         flights: list[asyncio.Task[None]] = []
         clock = asyncio.create_task(self._until_over(coordinator))
-        for one in self._aircraft:
-            if is_flying(one.session.vehicle):
-                one.wanted.set()
+        for craft in self._aircraft:
+            if is_flying(craft.session.vehicle):
+                craft.wanted.set()
         # Those in the air, then the rest from the highest layer down.
-        order = [(not is_flying(one.session.vehicle), -one.config.aircraft.height_m) for one in self._aircraft]
+        order = [(not is_flying(craft.session.vehicle), -craft.config.aircraft.height_m) for craft in self._aircraft]
         try:
-            for _, one in sorted(zip(order, self._aircraft, strict=True), key=lambda pair: pair[0]):
-                flights.append(asyncio.create_task(self._fly_one(one)))
-                while not (one.settled or stopped.is_set()):
+            for _, craft in sorted(zip(order, self._aircraft, strict=True), key=lambda pair: pair[0]):
+                flights.append(asyncio.create_task(self._fly_one(craft)))
+                while not (craft.settled or stopped.is_set()):
                     await asyncio.sleep(_POLL_S)
             await asyncio.gather(*flights)
         finally:
@@ -550,32 +550,32 @@ class Shell:
             clock.cancel()
             await asyncio.gather(*flights, clock, return_exceptions=True)
 
-    async def _fly_one(self, one: FlyingAircraft) -> None:
+    async def _fly_one(self, craft: FlyingAircraft) -> None:
         """Fly one aircraft; a reserve starts when the fleet needs it."""
-        if one.outcome:
+        if craft.outcome:
             return
         coordinator, stopped = self._coordinator, self._life.stopped
         if coordinator is not None:
-            waits = [asyncio.create_task(event.wait()) for event in (one.wanted, stopped, coordinator.over)]
+            waits = [asyncio.create_task(event.wait()) for event in (craft.wanted, stopped, coordinator.over)]
             await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
             for wait in waits:
                 wait.cancel()
             if stopped.is_set() or coordinator.over.is_set():
-                one.outcome = "not flown"
+                craft.outcome = "not flown"
                 return
         try:
             if coordinator is None:
-                one.outcome = await one.flight.watch(stopped)
+                craft.outcome = await craft.flight.watch(stopped)
                 return
-            one.outcome = await one.flight.watch(stopped, coordinator.stepped(one), coordinator.over)
-            if not one.is_received:
-                one.outcome = "lost: its link is silent"
+            craft.outcome = await craft.flight.watch(stopped, coordinator.stepped(craft), coordinator.over)
+            if not craft.is_received:
+                craft.outcome = "lost: its link is silent"
         except Exception as error:  # whatever befalls one, the others go on
-            one.failed(error)
+            craft.failed(error)
             if coordinator is not None:
-                one.display.note(f"its flight has {one.outcome}")
+                craft.display.note(f"its flight has {craft.outcome}")
         if coordinator is not None:
-            coordinator.lost(one)
+            coordinator.lost(craft)
 
     async def _until_over(self, coordinator: Coordinator) -> None:
         """End the flight when the duration is over, which runs from when all that fly are on their circles."""
@@ -583,7 +583,7 @@ class Shell:
         while coordinator.now_s < start_s + duration_s:
             await asyncio.sleep(_POLL_S)
             clock_known = math.isfinite(coordinator.now_s)
-            if start_s == math.inf and clock_known and all(one.settled for one in self._aircraft):
+            if start_s == math.inf and clock_known and all(craft.settled for craft in self._aircraft):
                 start_s = coordinator.now_s
         coordinator.over.set()
 
@@ -592,38 +592,40 @@ class Shell:
     def _described(self) -> str:
         """Return what each aircraft does now, and take the measures of its links."""
         described = []
-        for one in self._aircraft:
-            vehicle, simulated = one.session.vehicle, self._simulated is not None
-            one.links = tuple(report.as_json(one.clock_rate.mean) for report in vehicle.link.reports())
-            does = describe_aircraft(vehicle, one.session.autopilot, one.controller.snapshot(), simulated=simulated)
-            described.append(f"{one.name}: {does}" if one.name else does)
+        for craft in self._aircraft:
+            vehicle, simulated = craft.session.vehicle, self._simulated is not None
+            craft.links = tuple(report.as_json(craft.clock_rate.mean) for report in vehicle.link.reports())
+            does = describe_aircraft(
+                vehicle, craft.session.autopilot, craft.controller.snapshot(), simulated=simulated
+            )
+            described.append(f"{craft.name}: {does}" if craft.name else does)
         return "; ".join(described)
 
     def _summary(self) -> Summary | FleetSummary:
         ended = "" if self._life.failure is None else f"failed: {self._life.failure}"
         truths, summaries = [], []
-        for one in self._aircraft:
-            path = None if self._simulated is None else one.folder.truth
-            truths.append(truth_if_whole(path, one.controller.time_s, one.display.note))
-            summary = one.flight.summary(ended or one.outcome, truths[-1])
-            summaries.append(replace(summary, links=one.links, records_lost=one.recording.lost))
+        for craft in self._aircraft:
+            path = None if self._simulated is None else craft.folder.truth
+            truths.append(truth_if_whole(path, craft.controller.time_s, craft.display.note))
+            summary = craft.flight.summary(ended or craft.outcome, truths[-1])
+            summaries.append(replace(summary, links=craft.links, records_lost=craft.recording.lost))
         if self._coordinator is None:
             return summaries[0]
-        for one, summary in zip(self._aircraft, summaries, strict=True):
+        for craft, summary in zip(self._aircraft, summaries, strict=True):
             with contextlib.suppress(OSError):  # the fleet's holds the same
-                one.folder.write_summary(summary.as_json())
+                craft.folder.write_summary(summary.as_json())
         flown = [
-            FlownAircraft(one.name, summary, one.flight.moments(truth), *self._coordinator.flown(one))
-            for one, summary, truth in zip(self._aircraft, summaries, truths, strict=True)
+            FlownAircraft(craft.name, summary, craft.flight.moments(truth), *self._coordinator.flown(craft))
+            for craft, summary, truth in zip(self._aircraft, summaries, truths, strict=True)
         ]
-        outcomes = {one.outcome for one in self._aircraft}
-        outcome = ended or next((one for one in ("completed", "interrupted") if one in outcomes), "; ".join(outcomes))
+        outcomes = {craft.outcome for craft in self._aircraft}
+        outcome = ended or next((end for end in ("completed", "interrupted") if end in outcomes), "; ".join(outcomes))
         source: Literal["truth", "estimate"] = "estimate" if None in truths else "truth"
         return summarise_fleet(flown, self._coordinator.asked(), outcome, source)
 
     def _reason(self, described: str) -> Exception | None:
         """Return the error to report. Raises what happened before an aircraft was armed."""
-        life, errors = self._life, {one.name: one.error for one in self._aircraft if one.error is not None}
+        life, errors = self._life, {craft.name: craft.error for craft in self._aircraft if craft.error is not None}
         if len(errors) == len(self._aircraft) == 1:
             (error,) = errors.values()
             if not (life.was_armed or isinstance(error, FlightError)):
@@ -643,8 +645,8 @@ class Shell:
 
 def check_apart(aircraft: Iterable[FlyingAircraft]) -> None:
     """Raise InputError where two links lead to one vehicle, or two aircraft are too far apart for one flight."""
-    for one, other in combinations(aircraft, 2):
-        vehicles = one.session.vehicle, other.session.vehicle
+    for craft, other in combinations(aircraft, 2):
+        vehicles = craft.session.vehicle, other.session.vehicle
         a, b = (vehicle.latest["GLOBAL_POSITION_INT"].fields for vehicle in vehicles)
         place = LocalPlane(a["lat"] * 1e-7, a["lon"] * 1e-7)
         apart_m = math.hypot(*place.east_north_m(b["lat"] * 1e-7, b["lon"] * 1e-7))
@@ -653,11 +655,11 @@ def check_apart(aircraft: Iterable[FlyingAircraft]) -> None:
         same_id = vehicles[0].system_id == vehicles[1].system_id
         if same_id and passed_s < _SAME_CLOCK_S and apart_m < flown_m + _SAME_PLACE_M:
             raise InputError(
-                f"aircraft {one.name!r} and {other.name!r} are one vehicle by its id, clock and position: "
+                f"aircraft {craft.name!r} and {other.name!r} are one vehicle by its id, clock and position: "
                 "give each aircraft the link of its own vehicle, and each vehicle its own system id."
             )
         if apart_m > _FLEET_WITHIN_M:
             raise InputError(
-                f"aircraft {one.name!r} and {other.name!r} are {apart_m / 1e3:.0f} km apart: a fleet flies within "
+                f"aircraft {craft.name!r} and {other.name!r} are {apart_m / 1e3:.0f} km apart: a fleet flies within "
                 f"{_FLEET_WITHIN_M / 1e3:.0f} km; check the link and the home of both."
             )
