@@ -517,6 +517,8 @@ class SimulationSection(Section):
     """Steady wind, m/s."""
     wind_from_deg: float = Field(270.0, ge=0, le=360)
     """Where the wind comes from, degrees clockwise from north."""
+    turbulence: Literal["none", "light", "moderate", "severe"] = "none"
+    """Dryden gusts on top of the wind, by MIL-F-8785C."""
     home: LatLon | None = Field(None, examples=[[36.59, -84.24]])
     """Home position, [latitude, longitude] in degrees; none: that of the autopilot's own simulator."""
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from enum import IntEnum
 from typing import Any, ClassVar
 
+import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
@@ -24,6 +25,7 @@ from sidelong.sitl.world.airframe import (
     true_over_equivalent_airspeed,
 )
 from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.turbulence import turbulence
 
 NAN = math.nan
 
@@ -78,14 +80,14 @@ class Telemetry:
         return mavlink.MAVLink_system_time_message(unix_us, vehicle.boot_ms)
 
     def attitude(self) -> Any:
-        craft, yaw_rad = self._craft, math.remainder(self._craft.heading_rad, math.tau)
+        craft, yaw_rad = self._craft, math.remainder(self._craft.yaw_rad, math.tau)
         return mavlink.MAVLink_attitude_message(
             self._vehicle.boot_ms, craft.roll_rad, craft.pitch_rad, yaw_rad, *craft.body_rates_rad_s
         )
 
     def attitude_quaternion(self) -> Any:
         craft = self._craft
-        turned = quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad)
+        turned = quaternion(craft.roll_rad, craft.pitch_rad, craft.yaw_rad)
         return mavlink.MAVLink_attitude_quaternion_message(self._vehicle.boot_ms, *turned, *craft.body_rates_rad_s)
 
     def place_e7(self, east_m: float, north_m: float) -> tuple[int, int]:
@@ -104,7 +106,7 @@ class Telemetry:
             *self.place_e7(craft.east_m, craft.north_m),
             *heights_mm,
             *(round(part_m_s * 100.0) for part_m_s in velocity_m_s),
-            round(math.degrees(craft.heading_rad) * 100.0) % 36000,
+            round(math.degrees(craft.yaw_rad) * 100.0) % 36000,
         )
 
     def local_position_ned(self) -> Any:
@@ -116,9 +118,9 @@ class Telemetry:
     def vfr_hud(self) -> Any:
         vehicle, craft = self._vehicle, self._craft
         return mavlink.MAVLink_vfr_hud_message(
-            craft.airspeed_m_s / vehicle.true_airspeed_ratio,
+            craft.measured_airspeed_m_s / vehicle.true_airspeed_ratio,
             craft.ground_speed_m_s,
-            round(math.degrees(craft.heading_rad)) % 360,
+            round(math.degrees(craft.yaw_rad)) % 360,
             45 if craft.flying else 100 if vehicle.lifting_off else 0,
             self.altitude_m(craft.height_m),
             craft.climb_m_s,
@@ -171,6 +173,7 @@ class Telemetry:
 
 _ALTITUDE_GAIN_PER_S = 0.4
 _TEXT_BYTES = 50
+_GUST_STREAM = 3  # of the seed's children: 0 and 1 are the target's and the sensors', 2 the link's
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
 
 
@@ -203,6 +206,8 @@ class SimulatedAutopilot(ABC):
         self.home = settings.home_or_default
         self.plane = HomePlane(self.home.latitude_deg, self.home.longitude_deg)
         self.craft = SimulatedAirframe(build, settings.wind, heading_rad)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_GUST_STREAM,)))
+        self.craft.turbulence = turbulence(settings.turbulence, rng)
         self.parameters = parameters
         signing = Signing(settings.signing_key, self.unsigned_messages)
         self.radio = Radio(settings.system_id, self.default_interval_s, signing, self._unix_s)

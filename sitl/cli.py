@@ -46,6 +46,7 @@ from sidelong.sitl.world.hills import Hills, HillsError
 from sidelong.sitl.world.motion import MOTIONS
 from sidelong.sitl.world.track_file import TrackError, is_track_file
 from sidelong.sitl.world.truth import TruthFile
+from sidelong.sitl.world.turbulence import Level
 
 _LINK, _RUN, _TARGET, _VEHICLE = (
     partial(typer.Option, rich_help_panel=name) for name in ("Link", "Run", "Target", "Vehicle")
@@ -105,6 +106,7 @@ def run(
     target_speed: Annotated[float | None, _TARGET(help="Greatest speed, m/s [3; for tracks 6]")] = None,
     wind_speed: Annotated[float, _RUN(min=0.0, max=50.0, help="Wind speed, m/s.")] = 0.0,
     wind_from_deg: Annotated[float, _RUN(min=-360.0, max=360.0, help="Where the wind comes from, degrees.")] = 0.0,
+    turbulence: Annotated[Level, _RUN(help="Dryden gusts of MIL-F-8785C.")] = Level.NONE,
     terrain: Annotated[
         Path | None, _RUN(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
     ] = None,
@@ -166,6 +168,7 @@ def run(
             "seed": seed,
             "airspeed_m_s": airspeed,
             "wind": asdict(WindVector.blowing_from(wind_speed, math.radians(wind_from_deg))),
+            "turbulence": turbulence,
             "targets": seen,
             "terrain": terrain,
             "home": None if home is None else dict(zip(_HOME, home.split(","), strict=False)),

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.turbulence import Level
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -138,6 +139,7 @@ class Settings:
     airspeed_m_s: Annotated[float, Field(ge=5.0, le=60.0)] = 15.0  # equivalent airspeed, as in its parameter
     endurance_s: Annotated[float, Field(gt=0.0)] = 3.0 * 3600.0  # of its battery
     wind: WindVector = field(default_factory=WindVector)
+    turbulence: Level = Level.NONE
     home: HomePosition | None = None
     home_on_ground: bool = False  # home's altitude is that of the elevation data, where there is some
     home_east_m: float = 0.0  # of the first vehicle's

@@ -167,7 +167,7 @@ class Simulation(Wired):
         craft.ground_m = 0.0 if math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M else ground_m
         in_sight = self.hills.sees_target(aircraft_m, target_m)
         # On the ground the payload measures nearby objects, so it always has data.
-        sight = TargetGeometry.between(aircraft_m, target_m, in_sight or not craft.flying)
+        clear = in_sight or not craft.flying
         valid = outlier = False
         self._measured = None
         if self.camera is not None:
@@ -176,7 +176,8 @@ class Simulation(Wired):
                 messages.append(SimulatedPayload.heartbeat())
             self._in_flight.append((self.time_s, [m for m in messages if m.get_type() not in self.muted]))
         elif self.payload is not None:
-            self._measured = measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
+            sight = self._sight(target_m, clear)
+            self._measured = measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.yaw_rad)
             messages = measured.messages if self.device is None else []
             if self._steps % _HEARTBEAT_EVERY == 0:
                 messages.append(self.payload.heartbeat())
@@ -187,15 +188,21 @@ class Simulation(Wired):
         place_deg = vehicle.plane.latitude_longitude_deg
         places = target_m, place_deg(*target_m[:2]), aircraft_m, place_deg(*aircraft_m[:2])
         ground, name = self.hills.reported(aircraft_m, in_sight), self.settings.targets[self.looks_at].name
-        line = sight.slant_range_m, sight.bearing_rad
+        true = TargetGeometry.between(aircraft_m, target_m)
+        line = true.slant_range_m, true.bearing_rad
         self.on_truth(TruthRow(vehicle.now_s, *places, *line, valid, outlier, *ground, name))
+
+    def _sight(self, target_m: tuple[float, float, float], clear: bool = True) -> TargetGeometry:
+        """Return the line that the gimbal is on, in gusts beside the target."""
+        craft = self.vehicle.craft
+        to_m = target_m[0] - craft.east_m, target_m[1] - craft.north_m, target_m[2] - craft.height_m
+        return TargetGeometry.between((0.0, 0.0, 0.0), craft.pointed_m(to_m), clear)
 
     def _see(self, device: Device) -> None:
         craft, measured = self.vehicle.craft, self._measured
         if measured is not None:
             target_m = self.hills.standing(self.motions[self.looks_at].at(self.time_s))
-            sight = TargetGeometry.between((craft.east_m, craft.north_m, craft.height_m), target_m)
-            self.look(device, sight, measured, craft.heading_rad, craft.roll_rad)
+            self.look(device, self._sight(target_m), measured, craft.yaw_rad, craft.roll_rad)
 
     def _target_seen(self) -> tuple[float, float]:
         """Return where the target is that the payload looks at; turned to a place it takes what is nearest there."""

@@ -111,6 +111,7 @@ class SimulatedVehicles:
             flavour=sitl.Flavour(simulation.autopilot),
             seed=simulation.seed,
             wind=WindVector.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
+            turbulence=sitl.Level(simulation.turbulence),
             home=None if simulation.home is None else sitl.HomePosition(*simulation.home),
             home_on_ground=True,
             targets=tuple(replace(target, speed_max_m_s=speed_max_m_s) for target in targets)

@@ -244,7 +244,7 @@ class KinematicVehicle:
         return PositionReading(1e-3 * boot_ms, *place_m, *velocity_m_s, self._start.home.altitude_m)
 
     def attitude(self, boot_ms: int) -> Message | Reading:
-        craft, yaw_rad = self.craft, math.remainder(self.craft.heading_rad, math.tau)
+        craft, yaw_rad = self.craft, math.remainder(self.craft.yaw_rad, math.tau)
         return AttitudeReading(1e-3 * boot_ms, craft.roll_rad, craft.pitch_rad, yaw_rad)
 
     def _send_due(self) -> None:
@@ -265,14 +265,9 @@ class KinematicVehicle:
                 here_m = craft.east_m, craft.north_m, craft.height_m
                 ground_m = self.seen_at_m(here_m, truth.east_m, truth.north_m)
             if ground_m is not None:
+                to_m = truth.east_m - craft.east_m, truth.north_m - craft.north_m, ground_m - craft.height_m
                 self._sent += self._payload.measure(
-                    self.time_s,
-                    boot_ms,
-                    truth.east_m - craft.east_m,
-                    truth.north_m - craft.north_m,
-                    ground_m - craft.height_m,
-                    heading_rad=craft.heading_rad,
-                    with_range=laser,
+                    self.time_s, boot_ms, *craft.pointed_m(to_m), heading_rad=craft.yaw_rad, with_range=laser
                 )
 
     def _send_status(self) -> None:

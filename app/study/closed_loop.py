@@ -44,6 +44,7 @@ from sidelong.mission.predictive.planner import USUAL, PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.route.route import event_of
 from sidelong.mission.terrain.heights import FlightHeights, HeightRules
+from sidelong.sitl.world.turbulence import turbulence
 
 RATES = Rates(attitude_hz=1)
 # At sea level, where true and equivalent airspeed are equal.
@@ -98,6 +99,7 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         body = Body.configured(config.aircraft, settings.lag_s or LAG_S[settings.autopilot])
         payload = Payload(errors, noise_rng)
         vehicle = KinematicVehicle(autopilot, body, settings.wind, start, payload, target, RATES)
+        vehicle.craft.turbulence = turbulence(config.simulation.turbulence, noise_rng)
         super().__init__(vehicle)
         self.vehicle_in_flight, self.watch = vehicle, StopWatch()
         if ground is not None:

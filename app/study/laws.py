@@ -32,6 +32,7 @@ from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 from sidelong.mission.laws.course_field import LateralGuidance, StandoffOrbit, VectorField
 from sidelong.sitl.world import airframe
+from sidelong.sitl.world.turbulence import turbulence
 
 COLUMNS = (
     *("time_s", "aircraft_east_m", "aircraft_north_m", "aircraft_course_rad", "ground_speed_m_s"),
@@ -170,6 +171,7 @@ class SteeredAircraft:
         body = Body(own.airspeed_m_s, roll_rate_max_rad_s=own.roll_rate_max_rad_s, lag_s=settings.lag_s)
         self._craft = airframe.SimulatedAirframe(body.build, airframe.WindVector(wind.east_m_s, wind.north_m_s))
         put_in_flight(self._craft, start_on(settings, flown, circle), height_m)
+        self._craft.turbulence = turbulence(settings.config.simulation.turbulence, noise_rng)
         errors, assumed = payload_of(settings)
         self._payload = Payload(errors, noise_rng)
         self.tracker = Tracker(replace(assumed, latency_sigma_s=0.0))  # its stamps are right
@@ -194,10 +196,10 @@ class SteeredAircraft:
         velocity_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s
         readings: list[Reading] = [
             PositionReading(time_s, *here_m, *velocity_m_s, 0.0),
-            AttitudeReading(time_s, craft.roll_rad, 0.0, craft.heading_rad),
+            AttitudeReading(time_s, craft.roll_rad, 0.0, craft.yaw_rad),
         ]
-        to_m = target_east_m - here_m[0], target_north_m - here_m[1], -here_m[2]
-        readings += self._payload.measure(time_s, round(1e3 * time_s), *to_m, heading_rad=craft.heading_rad)
+        to_m = craft.pointed_m((target_east_m - here_m[0], target_north_m - here_m[1], -here_m[2]))
+        readings += self._payload.measure(time_s, round(1e3 * time_s), *to_m, heading_rad=craft.yaw_rad)
         return [outcome.sighting for reading in readings for outcome in self.tracker.add(reading)]
 
     def fly(self, time_s: float) -> None:

@@ -46,7 +46,7 @@ SHAPING = {
         *("range_sigma_m", "angle_sigma_deg", "yaw_bias_sigma_deg", "pitch_bias_sigma_deg", "range_bias_sigma_m"),
         *("filter", "target_kind"),
     ),
-    "simulation": ("wind_speed_m_s", "wind_from_deg"),
+    "simulation": ("wind_speed_m_s", "wind_from_deg", "turbulence"),
 }
 # The paper's requirement with the threshold that keeps the band longest.
 STUDIED = Config.model_validate(

@@ -42,6 +42,7 @@ class GimbalCamera:
         self._goal_rad: tuple[float, float] = (self.pitch_rad, self.yaw_rad)
         self._goal_is_of_earth = True
         self._rates_rad_s = (0.0, 0.0)
+        self._error_rad = (0.0, 0.0)  # of yaw and pitch, by the aircraft's rotation
         self._off_rad, self._slip_rad_s = 0.0, 0.0  # of what is looked at, from the axis
         self._next_s = 0.0
 
@@ -74,16 +75,16 @@ class GimbalCamera:
             self._goal_rad[1] + self._rates_rad_s[1] * dt_s,
         )
         if not self._goal_is_of_earth:
-            yaw_goal_rad += craft.heading_rad
+            yaw_goal_rad += craft.yaw_rad
         turn_rad_s = self._rate_rad_s(math.remainder(yaw_goal_rad - self.yaw_rad, math.tau))
         self.yaw_rad = math.remainder(self.yaw_rad + turn_rad_s * dt_s, math.tau)
-        off_rad = math.remainder(self.yaw_rad - craft.heading_rad, math.tau)
+        off_rad = math.remainder(self.yaw_rad - craft.yaw_rad, math.tau)
         limit_rad = math.radians(self.settings.pan_limit_deg)
         if abs(off_rad) > limit_rad:  # at its stop
-            self.yaw_rad = math.remainder(craft.heading_rad + math.copysign(limit_rad, off_rad), math.tau)
+            self.yaw_rad = math.remainder(craft.yaw_rad + math.copysign(limit_rad, off_rad), math.tau)
         self.pitch_rad += self._rate_rad_s(pitch_goal_rad - self.pitch_rad) * dt_s
         self.pitch_rad = min(max(self.pitch_rad, _PITCH_RAD[0]), _PITCH_RAD[1])
-        self._roll_rad = _LEAN * craft.roll_rad
+        self._roll_rad, self._error_rad = _LEAN * craft.roll_rad, craft.gimbal_error_rad(self.yaw_rad)
         off_rad = math.remainder(math.atan2(east_m, north_m) - self.yaw_rad, math.tau)
         self._off_rad, self._slip_rad_s = off_rad, (off_rad - self._off_rad) / dt_s
         if time_s >= self._next_s - 1e-9:
@@ -92,13 +93,15 @@ class GimbalCamera:
 
     def picture(self, time_s: float, craft: SimulatedAirframe) -> Image:
         """Return what the camera sees from the aircraft now."""
-        pose = CameraPose((craft.east_m, craft.north_m, craft.height_m), self.yaw_rad, self.pitch_rad, self._roll_rad)
+        yaw_rad, pitch_rad = self.yaw_rad + self._error_rad[0], self.pitch_rad + self._error_rad[1]
+        pose = CameraPose((craft.east_m, craft.north_m, craft.height_m), yaw_rad, pitch_rad, self._roll_rad)
         size = self.settings.width_px, self.settings.height_px
         return self.scenery.picture(time_s, pose, math.radians(self.settings.view_deg), size, self._slip_rad_s)
 
     def attitude(self, boot_ms: int) -> Any:
         """Return GIMBAL_DEVICE_ATTITUDE_STATUS, relative to north and the horizon."""
-        turned = list(quaternion(self._roll_rad, self.pitch_rad, self.yaw_rad))
+        yaw_rad, pitch_rad = self.yaw_rad + self._error_rad[0], self.pitch_rad + self._error_rad[1]
+        turned = list(quaternion(self._roll_rad, pitch_rad, yaw_rad))
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0, 0, boot_ms, _LOCKED, turned, *(math.nan,) * 3, 0
         )
