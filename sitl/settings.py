@@ -102,6 +102,7 @@ class Quirks:
     yaw_mirrored: bool = False
     streams: bool = True  # after a streaming request
     reach_m: float = 1200.0  # of the laser
+    steered: bool = False  # it turns as commanded; else an operator keeps it on the target
     silent_beyond: bool = True  # nothing is sent beyond its reach, instead of the value for no echo
     damaged: Share = 0.0  # of its frames, which arrive with a changed byte
 

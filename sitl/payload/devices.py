@@ -33,6 +33,9 @@ class DeviceView:
     lean_rad: float = 0.0  # of the camera off the horizon, right side down
 
 
+_ON_TARGET_DEG = 0.5
+
+
 class Device(ABC):
     """A payload at the end of a wire, over which some of its bytes arrive changed.
 
@@ -42,18 +45,35 @@ class Device(ABC):
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
         self.quirks = quirks
         self.commanded_deg: tuple[float, float] | None = None
+        self._rates_deg_s, self._turned_s = (0.0, 0.0), 0.0
         self._rng = rng
         self._received = bytearray()
 
     def receive(self, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
         """Take bytes and return the answers, as they arrive."""
         self._received += data
+        seen = self._steered(now_s, seen)
         answers = (self._answer(request, now_s, seen) for request in self._requests())
         return self._carried([frame for frames in answers for frame in frames])
 
     def stream(self, now_s: float, seen: DeviceView) -> list[bytes]:
         """Return what is sent unasked at this time, as it arrives; to be called at each step."""
-        return self._carried(self._streamed(now_s, seen))
+        return self._carried(self._streamed(now_s, self._steered(now_s, seen)))
+
+    def _steered(self, now_s: float, seen: DeviceView) -> DeviceView:
+        """Return what it sees where it has been turned; its laser has an echo of the target alone."""
+        elapsed_s, self._turned_s = now_s - self._turned_s, now_s
+        if not self.quirks.steered:
+            return seen
+        target_deg = math.degrees(seen.bearing_rad), math.degrees(seen.elevation_rad)
+        yaw_deg, pitch_deg = (
+            angle + rate * elapsed_s
+            for angle, rate in zip(self.commanded_deg or target_deg, self._rates_deg_s, strict=True)
+        )
+        self.commanded_deg = yaw_deg, pitch_deg
+        off_deg = math.hypot(math.remainder(yaw_deg - target_deg[0], 360.0), pitch_deg - target_deg[1])
+        range_m = seen.range_m if off_deg < _ON_TARGET_DEG else None
+        return DeviceView(range_m, math.radians(yaw_deg), math.radians(pitch_deg))
 
     @abstractmethod
     def _answer(self, request: Any, now_s: float, seen: DeviceView) -> list[bytes]: ...
@@ -107,7 +127,7 @@ _SIYI_FIXED = {  # answers that never change, by command
     0x02: b"7A1130111\0\0\0",  # hardware
     0x0A: bytes((0, 0, 0, 0, 1, 1, 0)),  # configuration: follow mode, the right way up
 }
-_SIYI_RANGE_MIN_M = 5.0
+_SIYI_RANGE_MIN_M, _SIYI_RATE_DEG_S = 5.0, 90.0
 
 
 class SimulatedSiyi(Device):
@@ -135,6 +155,10 @@ class SimulatedSiyi(Device):
             return [self._frame(command, _SIYI_FIXED[command])]
         if command == 0x0D:
             return self._angles(seen)
+        if command == 0x07 and len(data) == 2:
+            yaw, pitch = struct.unpack("<bb", data)
+            self._rates_deg_s = self._signed(yaw) * _SIYI_RATE_DEG_S / 100.0, pitch * _SIYI_RATE_DEG_S / 100.0
+            return [self._frame(0x07, b"\x01")]
         if command == 0x0E and len(data) == 4:
             yaw, pitch = struct.unpack("<hh", data)
             self.commanded_deg = -self._signed(yaw) / 10.0, pitch / 10.0
