@@ -196,6 +196,8 @@ def _fly(
     if programs or payload_for is not None:
         if len(each[0].targets) > 1:
             refuse("--target", "is given several times: only simulated vehicles can turn to another")
+        if each[0].turbulence != Level.NONE:
+            refuse("--turbulence", "is for simulated vehicles; set a parameter such as SIM_WIND_TURB of your own")
         if payload_for is not None and len(each) > 1:
             refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
         number, at, url = (payload_for or "").rpartition("@")

@@ -45,9 +45,12 @@ def study_title(result: StudyResult) -> str:
     else:
         runs = f"{len(s.numbers)} runs of {s.duration_s / 60.0:.0f} min"
         target += f", legs of {s.legs_s[0]:g}-{s.legs_s[1]:g} s"
+    wind = f"wind {s.config.simulation.wind_speed_m_s:g} m/s"
+    if s.config.simulation.turbulence != "none":
+        wind += f", {s.config.simulation.turbulence} gusts"
     return (
         f"{runs} at {aircraft.airspeed_m_s:g} m/s on circles of {aircraft.radius_m:g} m; target {target}; "
-        f"wind {s.config.simulation.wind_speed_m_s:g} m/s; {sensors}"
+        f"{wind}; {sensors}"
     )
 
 

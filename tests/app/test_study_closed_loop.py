@@ -76,6 +76,16 @@ def test_a_laser_without_errors_brings_the_aircraft_no_farther_from_its_target(w
     assert found.time_in_band > 0.9
 
 
+def test_a_run_in_gusts_is_repeated_and_differs_from_one_in_calm_air():
+    gusty, calm = (studied(target_speed_max_m_s=4.0, turbulence=level) for level in ("moderate", "none"))
+    paths_m = [
+        run(replace(SETTINGS, config=one, duration_s=60.0), PAPER, 0, None, keep_track=True).track.aircraft_m
+        for one in (gusty, gusty, calm)
+    ]
+    np.testing.assert_array_equal(paths_m[0], paths_m[1])
+    assert 1.0 < np.hypot(*(paths_m[0] - paths_m[2]).T).max() < 100.0
+
+
 def test_a_report_names_its_parts(command, tmp_path):
     summary, page = tmp_path / "study.json", tmp_path / "study.html"
     words = ("--planner", "paper", "--runs", "2", "--duration", "60", "--jobs", "1")

@@ -139,9 +139,8 @@ def test_driver_reports_angles_and_range_of_the_target(connected, tmp_path):
         np.array([float(row[key]) for row in rows]) for key in ("time_boot_s", "slant_range_m", "uav_relative_alt_m")
     )
     bearing_deg = np.degrees(np.unwrap(np.radians([float(row["bearing_deg"]) for row in rows])))
-    off_deg = (
-        np.remainder(seen["bearing_deg"] - np.interp(seen["time_s"], time_s, bearing_deg) + 180.0, 360.0) - 180.0
-    )
+    true_deg = np.interp(seen["time_s"], time_s, bearing_deg)
+    off_deg = np.remainder(seen["bearing_deg"] - true_deg + 180.0, 360.0) - 180.0
     elevation_deg = -np.degrees(np.arcsin(np.interp(seen["time_s"], time_s, height_m / range_m)))
     logged = DFReader.DFReader_binary(str(next(logs.rglob("*.BIN"))))
     ranges = []
