@@ -60,6 +60,7 @@ from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.present import Phase, Present
 from sidelong.sitl import settings as sitl
 from sidelong.sitl.world.airframe import WindVector
+from sidelong.sitl.world.turbulence import Level
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -111,7 +112,7 @@ class SimulatedVehicles:
             flavour=sitl.Flavour(simulation.autopilot),
             seed=simulation.seed,
             wind=WindVector.blowing_from(simulation.wind_speed_m_s, math.radians(simulation.wind_from_deg)),
-            turbulence=sitl.Level(simulation.turbulence),
+            turbulence=Level(simulation.turbulence),
             home=None if simulation.home is None else sitl.HomePosition(*simulation.home),
             home_on_ground=True,
             targets=tuple(replace(target, speed_max_m_s=speed_max_m_s) for target in targets)
