@@ -586,7 +586,6 @@ class Config(Section):
 
 
 def _fitting_radius_m(aircraft: AircraftSection, requirement: RequirementSection) -> float:
-    """Return the radius that goes with the airspeed, or the band's room, but no tighter than the bank allows."""
     best_m = _AUTO_RADIUS_S * aircraft.airspeed_m_s
     widest_m = widest_radius_m(requirement.range_min_m, requirement.range_max_m)
     tightest_m = _BANK_RESERVE * aircraft.aircraft().min_radius_m
@@ -703,7 +702,6 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None =
 
 
 def with_values(config: Config, overrides: dict[str, dict[str, Any]], name: str) -> Config:
-    """Return the configuration with other values. Raises InputError that begins with ``name``."""
     return _validated(config.model_dump(), overrides, name)
 
 

@@ -54,11 +54,7 @@ def camera(
         config,
         changed_keys(
             set_,
-            {
-                "camera": {"source": source},
-                "link": {"urls": connect or None},
-                "payload": {"kind": kind, "url": url},
-            },
+            {"camera": {"source": source}, "link": {"urls": connect or None}, "payload": {"kind": kind, "url": url}},
         ),
     )
     if settings.camera.source is None:

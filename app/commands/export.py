@@ -101,8 +101,6 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
 
 
 class _Aircraft(NamedTuple):
-    """One aircraft's flight. name: in a fleet, else ''."""
-
     name: str
     source: Path
     flown: FlightRecord

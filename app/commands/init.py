@@ -59,14 +59,7 @@ PRESETS = {
     "arduplane-sitl": _airframe(
         "the stock ArduPlane simulation", f"{_ARDUPILOT}/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
     ),
-    "px4-sih": _airframe(
-        "the PX4 SIH fixed wing",
-        "PX4 SIH rc_plane, unchanged",
-        15.5,
-        80.0,
-        50.0,
-        850.0,
-    ),
+    "px4-sih": _airframe("the PX4 SIH fixed wing", "PX4 SIH rc_plane, unchanged", 15.5, 80.0, 50.0, 850.0),
 }
 
 _LASERLESS = "no laser: range from flat ground, or from elevation data (terrain.folder)"

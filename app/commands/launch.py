@@ -87,8 +87,7 @@ def launch(
     target: Annotated[
         str | None,
         _SIMULATION(
-            metavar="MOTION|FILE[#NAME]",
-            help="Simulated target: a motion, or a track (.gpx, .csv, .kml, .geojson).",
+            metavar="MOTION|FILE[#NAME]", help="Simulated target: a motion, or a track (.gpx, .csv, .kml, .geojson)."
         ),
     ] = None,
     target_speed: TargetSpeedOption = None,
@@ -198,7 +197,6 @@ def _map_address(view: bool | None, silent: bool, settings: Config) -> PageAddre
 
 
 def _payload_keys(payload: str | None) -> tuple[str | None, str | None, str | None]:
-    """Return the source of a camera's video, or kind and URL of another payload, as --payload names it."""
     if payload is None or payload.partition("://")[0] in _VIDEO:
         return payload, None, None
     return None, *read_payload("--payload", payload)
@@ -231,7 +229,6 @@ def _with_simulated_payload(settings: Config, speed: float | None, url: str | No
 
 
 def _check_input(settings: Config) -> None:
-    """Raise InputError for unknown addresses and impossible options, before any connection or computation."""
     check_hosts(settings.sharing)
     for url in settings.link.connections:
         checked_url(url)

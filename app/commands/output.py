@@ -122,7 +122,6 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
 
 
 def print_notes(notes: Iterable[str | None]) -> None:
-    """Print each note on a line; None: there is none."""
     for note in filter(None, notes):
         say(f"note: {note}")
 

@@ -194,7 +194,6 @@ def _film(run: RunFolder | None) -> Any:
 
 
 def _flown(folder: RunFolder, asked: _Asked) -> Config:
-    """Return the configuration of a flight, or the one in its place."""
     config = asked.config
     return load_config(config) if config else journalled_config(JournalReader(folder.journal, JOURNAL_TYPES))
 

@@ -97,7 +97,6 @@ class ServicePage:
         self._view = ViewDisplay({"": between}, {"": settings}, address, is_service=True)
 
     async def open(self, resident: Resident | None = None) -> None:
-        """Serve the page, if it is not served yet."""
         from sidelong.app.view.display import served  # noqa: PLC0415  # as above
 
         if resident is not None:

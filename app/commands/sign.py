@@ -181,10 +181,7 @@ def sign(
         say(f"made {key}: copy it only to machines that may command the vehicle")
     if connect is None:
         return
-    with (
-        key_in_use(key, signing_time(time.time()), console.print) as used,
-        KeySetup(connect, used) as setup,
-    ):
+    with key_in_use(key, signing_time(time.time()), console.print) as used, KeySetup(connect, used) as setup:
         say(f"waiting for a heartbeat on {connect}")
         refuses = setup.set_up(timeout, remove)
         if remove:

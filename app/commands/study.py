@@ -333,7 +333,6 @@ def _values(
 
 
 def _check_speeds(airspeed_m_s: float, target_speed_max_m_s: float | None) -> None:
-    """Raise InputError, which names the option, for a speed that no study flies."""
     least, greatest = _AIRSPEED_M_S
     if not least <= airspeed_m_s <= greatest:
         raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from {least:g} to {greatest:g} m/s.")
@@ -344,7 +343,6 @@ def _check_speeds(airspeed_m_s: float, target_speed_max_m_s: float | None) -> No
 
 
 def _own_values(values: Overrides, is_recorded: bool) -> dict[str, Any]:
-    """Take the values of section ``study``, but for its lag, out of those that shape the study."""
     own: dict[str, Any] = {key: values["study"].pop(key) for key in _OWN_KEYS if key in values.get("study", {})}
     for key, value in own.items():
         try:
@@ -369,22 +367,14 @@ def _check_options(given: dict[str, list[str]], fleet: int) -> None:
     wrong = (
         ("planner", unknown, f"there is no {unknown!r}; known: {', '.join(known)}"),
         ("planner", own_alone, "controller flies your own program; give its command by --controller"),
-        (
-            "store",
-            "controller" in given,
-            "a program may change, so nothing is stored; leave out --controller",
-        ),
+        ("store", "controller" in given, "a program may change, so nothing is stored; leave out --controller"),
         ("benchmark", not_in_benchmark, f"fixes targets, aircraft and noise; leave out {not_in_benchmark}"),
         ("autopilot", autopilot not in LAG_S, f"there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}"),
         ("routes", "targets" not in given, "routes are read next to recorded tracks; give --targets DIR"),
         ("set_", flat, "simulation.home places the study on elevation data; give --terrain with it"),
         ("terrain", fleet > 1, "flies one aircraft; leave out --fleet"),
         ("terrain", {*planners} - {PREDICTIVE}, "flies the default planner; leave out other planners"),
-        (
-            "planner",
-            fleet > 1,
-            f"--fleet compares those of fleets, {', '.join(FleetPlannerName)}; leave it out",
-        ),
+        ("planner", fleet > 1, f"--fleet compares those of fleets, {', '.join(FleetPlannerName)}; leave it out"),
         ("sweep", fleet > 1, "--fleet flies one design; leave it out"),
         ("jobs", "scheduler" in given, "the workers of --scheduler compute; leave it out"),
         ("scheduler", not _SCHEDULER.fullmatch(scheduler), f"{scheduler!r} is no address such as tcp://HOST:8786"),

@@ -182,7 +182,6 @@ def _at(times_s: np.ndarray, moments: Sequence[object]) -> np.ndarray:
 
 
 def _animated(seconds: float, timing: str = "", **values: Iterable[float]) -> Iterator[str]:
-    """Return the motion of a shape's attributes, each of which takes its values one after the other."""
     for name, several in values.items():
         listed = ";".join(f"{value:.1f}" for value in several)
         repeat = f'{timing} dur="{seconds:.1f}s" repeatCount="indefinite"'

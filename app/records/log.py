@@ -180,7 +180,6 @@ class RecordedLog:
         return self._context
 
     def contents(self) -> Counter[str]:
-        """Return how often the log has what, in the words of its kind."""
         try:
             return self._contents(self.path)
         except OSError as error:

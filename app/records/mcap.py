@@ -71,7 +71,6 @@ class McapWriter:
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
     def close(self) -> None:
-        """Write the index and what is left."""
         self._writer.finish()
         self._file.close()
 

@@ -59,8 +59,6 @@ _LAST_EVENTS = tuple(f'"event":"{name}"'.encode() for name in ("ShutdownRequeste
 
 @dataclass(frozen=True)
 class _Folder:
-    """Names of what is in a folder; which of them exist depends on the run and on how it ended."""
-
     path: Path
     summary = _File("summary.json")
     made = _File(_MADE)  # that sidelong has made the folder: its number, and whether the clock was confirmed
@@ -134,8 +132,6 @@ class RunFolder(_Folder):
 
 
 class FleetFolder(_Folder):
-    """What the run of a fleet leaves: a run folder for each aircraft, and what is of all of them."""
-
     journal = _File("fleet.jsonl")
 
     def make(self, name: str) -> RunFolder:

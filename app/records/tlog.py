@@ -79,7 +79,6 @@ class TlogClock:
         self._wall_s, self._boot_s = wall_s, boot_s
 
     def _boot_time_s(self, frame: bytes) -> float | None:
-        """Return time_boot_ms of a frame that moves the time, in seconds."""
         read = Frame(frame)
         if read.component_id != _AUTOPILOT_COMPONENT or read.message_id not in {_ATTITUDE, _GLOBAL_POSITION_INT}:
             return None
