@@ -176,9 +176,8 @@ class RequirementSection(Section):
     @model_validator(mode="after")
     def _band_not_empty(self) -> RequirementSection:
         if self.range_min_m >= self.range_max_m:
-            raise ValueError(
-                f"range_min_m = {self.range_min_m:g} is not below range_max_m = {self.range_max_m:g}; change one"
-            )
+            near_m, far_m = self.range_min_m, self.range_max_m
+            raise ValueError(f"range_min_m = {near_m:g} is not below range_max_m = {far_m:g}; change one")
         return self
 
     def requirement(self) -> Requirement:
@@ -579,9 +578,7 @@ class Config(Section):
         if problem := self.wind_problem(self.aircraft.airspeed_m_s):
             raise ValueError(problem)
         if self.aircraft.height_above == "ground" and self.terrain.folder is None:
-            raise ValueError(
-                'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'
-            )
+            raise ValueError('aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home"')
         return self
 
 
@@ -685,11 +682,8 @@ def check_flyable(config: Config) -> None:
 
 def check_alone(config: Config) -> None:
     """Raise InputError when the configuration of a single aircraft asks for several."""
-    if config.requirement.fleet_size > 1:
-        raise InputError(
-            f"requirement.fleet_size = {config.requirement.fleet_size} with one aircraft; leave it out, "
-            "or give a fleet file with several [[aircraft]]."
-        )
+    if (size := config.requirement.fleet_size) > 1:
+        raise InputError(f"requirement.fleet_size = {size} with one aircraft; leave it out, or give a fleet file.")
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:

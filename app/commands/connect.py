@@ -121,22 +121,16 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
         pan_rad = reported_pan_limits_rad(vehicle)
         parameters = await read_table(vehicle, autopilot, session.release)
         values, notes = parameters.values, parameters.notes()
-        required_parameters = parameters.as_on_board(
-            autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
-        )
+        required = parameters.as_on_board(autopilot.required_parameters(values, config.aircraft.airspeed_m_s))
         status = None if payload is None else payload.status()
         try:
             fences = Check("fences", True, str((await with_fences(vehicle, config, parameters))[1]))
         except InputError as error:
             fences = Check("fences", False, str(error))
         one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
-        found = (
-            one,
-            fences,
-            *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters),
-            *inputs.checks(),
-            *(() if status is None else (_payload_check(status),)),
-        )
+        flyable = checks(config, vehicle, autopilot, parameters, home, rates, required)
+        found = [one, fences, *flyable, *inputs.checks()]
+        found += [] if status is None else [_payload_check(status)]
         firmware = f"{autopilot.name} {session.release or ''}".strip()
         console.print(f"{firmware}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -59,9 +60,7 @@ def _in_words(source: Path) -> Iterator[None]:
         yield
     except (ArithmeticError, LookupError, TypeError, ValueError, struct.error) as error:
         reason = f"{error}".partition("\n")[0][:_REASON_MAX] or type(error).__name__
-        raise InputError(
-            f"{source}: has values that cannot be exported ({reason}); give another recording."
-        ) from error
+        raise InputError(f"{source}: has values that cannot be exported ({reason}); give another one.") from error
 
 
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:
@@ -77,9 +76,7 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         sources = {path.parent.name: path.parent for path in sorted(fleet.path.glob("*/journal.jsonl"))}
         if wanted in MISSIONS or wanted is Format.KLV:
             if out is not None:
-                raise InputError(
-                    f"{wanted} is of one aircraft: leave out --out, or give the folder of one of {fleet.path}."
-                )
+                raise InputError(f"{wanted} is of one aircraft: leave out --out, or give one's folder.")
             for one in sources.values():
                 write_export(one, wanted)
             return
@@ -113,13 +110,8 @@ class _Aircraft(NamedTuple):
 
 def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
     with share_progress(f"reading {name or source.name}") as progress:
-        flown = read_flight(
-            source,
-            config=config,
-            progress=progress,
-            target_needed=False,
-            warn=lambda words: warn_of_log(source, words),
-        )
+        warn = partial(warn_of_log, source)
+        flown = read_flight(source, config=config, progress=progress, target_needed=False, warn=warn)
     return _Aircraft(name, source, flown, flown.context or _context(RunFolder.open(source)))
 
 

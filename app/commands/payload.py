@@ -64,12 +64,10 @@ def payload_lines(name: str, status: PayloadStatus) -> list[str]:
         now.append(f"yaw {values['yaw_deg']:.1f}, pitch {values['pitch_deg']:.1f} degrees, relative to {frame}")
     if now:
         lines.append(f"  now: {', '.join(now)}")
-    if status.height_ratio is None:
-        lines.append("  height by range and angles: not compared (on the ground, or too few ranges)")
-    else:
-        lines.append(
-            f"  height by range and angles: {status.height_ratio:.2f} times the autopilot's height above home"
-        )
+    compared = "not compared (on the ground, or too few ranges)"
+    if status.height_ratio is not None:
+        compared = f"{status.height_ratio:.2f} times the autopilot's height above home"
+    lines.append(f"  height by range and angles: {compared}")
     lines += [f"  {words}" for words in pan_words(status.identity.pan_limits_rad)]
     return lines + [f"  missing: {what}" for what in status.missing]
 
@@ -108,9 +106,7 @@ def payload(
     kind, url = (None, None) if device is None else read_payload("payload", device)
     settings = load_config(config, {"payload": {"kind": kind, "url": url}})
     if settings.payload.kind == MAVLINK:
-        raise InputError(
-            "name a payload with a driver, such as siyi://192.168.144.25, or a --config with payload.kind."
-        )
+        raise InputError("name a payload with a driver, such as siyi://HOST, or a --config with payload.kind.")
     target = None if to is None else _opened(to)
     status: dict[str, Any] = {}
     with contextlib.suppress(KeyboardInterrupt):
@@ -150,10 +146,8 @@ async def _serve(
         next_status_s = begun_s + _STATUS_EVERY_S
         while duration_s is None or time.monotonic() < begun_s + duration_s:
             await asyncio.sleep(_HEARTBEAT_EVERY_S if duration_s is None else min(_HEARTBEAT_EVERY_S, duration_s))
-            heartbeat = mavlink.MAVLink_heartbeat_message(
-                mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-            )
-            publish(heartbeat.pack(encoder))
+            kind = mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+            publish(mavlink.MAVLink_heartbeat_message(*kind).pack(encoder))
             status.clear()
             status.update(payload_values(runner.status()))
             if time.monotonic() >= next_status_s:

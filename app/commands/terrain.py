@@ -49,13 +49,8 @@ def _words(coverage: Coverage) -> str:
 
 
 def _outline(data: ElevationData) -> Bounds:
-    outlines = [tile.posts.bounds for tile in data.tiles]
-    return Bounds(
-        min(one.south_deg for one in outlines),
-        min(one.west_deg for one in outlines),
-        max(one.north_deg for one in outlines),
-        max(one.east_deg for one in outlines),
-    )
+    south, west, north, east = zip(*(astuple(tile.posts.bounds) for tile in data.tiles), strict=True)
+    return Bounds(min(south), min(west), max(north), max(east))
 
 
 def _bounds(text: str) -> Bounds:

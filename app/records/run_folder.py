@@ -146,9 +146,7 @@ def _making(parent: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(
-            f"no run folder can be made in {parent} ({error.strerror}); give a folder of your own to --out."
-        ) from error
+        raise InputError(f"no run folder can be made in {parent} ({error.strerror}); give another --out.") from error
 
 
 def rotate(

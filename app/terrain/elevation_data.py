@@ -74,11 +74,9 @@ class Posts:
 
     @property
     def bounds(self) -> Bounds:
+        north_deg = self.south_deg + (self.rows - 1) * self.step_north_deg
         return Bounds(
-            self.south_deg,
-            self.west_deg,
-            self.south_deg + (self.rows - 1) * self.step_north_deg,
-            self.west_deg + (self.columns - 1) * self.step_east_deg,
+            self.south_deg, self.west_deg, north_deg, self.west_deg + (self.columns - 1) * self.step_east_deg
         )
 
 
@@ -174,10 +172,9 @@ class Raster:
                 raise InputError(f"{self.path}: is no readable {kind} ({error}); replace it.") from error
             self._check(dataset)
             form = {"crs": "EPSG:4326", "dtype": "float32", "nodata": math.nan} | grid
+            form["resampling"] = rasterio.enums.Resampling.bilinear
             try:
-                raster = opened.enter_context(
-                    WarpedVRT(dataset, resampling=rasterio.enums.Resampling.bilinear, **form)
-                )
+                raster = opened.enter_context(WarpedVRT(dataset, **form))
             except Exception as error:
                 raise InputError(
                     f"{self.path}: cannot be converted to latitude and longitude; write it in another coordinate "
@@ -425,13 +422,7 @@ def _tile_coverage(tile: Raster, bounds: Bounds) -> TileCoverage:
     assert common is not None
     heights_m = tile.read(_within(common, tile.posts, _COVERAGE_POSTS_MAX))
     known_m = heights_m[np.isfinite(heights_m)]
-    known = known_m.size / heights_m.size
-    share = common.area_deg2 / bounds.area_deg2
-    return TileCoverage(
-        tile.path,
-        tile.posts.step_north_deg * _METRES_PER_DEG,
-        share * known,
-        share * (1.0 - known),
-        float(known_m.min()) if known else None,
-        float(known_m.max()) if known else None,
-    )
+    known, share = known_m.size / heights_m.size, common.area_deg2 / bounds.area_deg2
+    shares = share * known, share * (1.0 - known)
+    extremes = (float(known_m.min()), float(known_m.max())) if known else (None, None)
+    return TileCoverage(tile.path, tile.posts.step_north_deg * _METRES_PER_DEG, *shares, *extremes)
