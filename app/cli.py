@@ -75,9 +75,7 @@ class _Commands(TyperGroup):
         return None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        listed = {
-            name: TyperCommand(name, help=help_, rich_markup_mode=None) for name, (_, help_) in COMMANDS.items()
-        }
+        listed = {name: TyperCommand(name, help=text, rich_markup_mode=None) for name, (_, text) in COMMANDS.items()}
         width = formatter.width - 6 - max(map(len, listed))
         with formatter.section("Commands"):
             formatter.write_dl([(name, command.get_short_help_str(width)) for name, command in listed.items()])

@@ -35,9 +35,7 @@ def _parsed(words: str) -> float | str:
         raise ValueError(f"{words!r} is neither a number of metres nor auto.") from None
 
 
-RadiusOption = Annotated[
-    Any, AIRCRAFT(parser=_parsed, metavar="M|auto", help="Radius of the circle, m; auto: 3.5 s of flight.")
-]
+RadiusOption = Annotated[Any, AIRCRAFT(parser=_parsed, metavar="M|auto", help="Radius of the circle, m, or auto.")]
 """A float, or "auto"."""
 
 AirspeedOption = Annotated[float | None, AIRCRAFT(help="Airspeed while circling, m/s.")]

@@ -104,9 +104,7 @@ def warn(text: str) -> None:
         print(f"sidelong: {text}", file=sys.stderr)
 
 
-JsonOption = Annotated[
-    Path | None, OUTPUT("--json", help="Write the summary to this file as JSON; - is standard output.")
-]
+JsonOption = Annotated[Path | None, OUTPUT("--json", help="Write the summary there as JSON; -: standard output.")]
 
 
 def write_json(path: Path | None, values: dict[str, Any]) -> None:

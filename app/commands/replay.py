@@ -110,9 +110,7 @@ def replay(
     fleet = FleetFolder(log)
     if fleet.journal.is_file():
         if view or config is not None:
-            raise InputError(
-                f"{log} is the run of a fleet; give one aircraft's folder in it with --view or --config."
-            )
+            raise InputError(f"{log} is the run of a fleet; give one aircraft's folder with --view or --config.")
         write_json(json, _replay_fleet(fleet, asked))
         return
     folder = RunFolder.open(log) if log.is_dir() else None

@@ -155,9 +155,8 @@ def animated_svg(flights: Sequence[FlownTrack]) -> str:
     height = (high[1] - low[1]) * scale + 2.0 * _MARGIN
 
     def placed(points: np.ndarray) -> np.ndarray:
-        return np.column_stack(
-            (_MARGIN + (points[:, 0] - low[0]) * scale, height - _MARGIN - (points[:, 1] - low[1]) * scale)
-        )
+        right, up = scale * (points - low).T
+        return np.column_stack((_MARGIN + right, height - _MARGIN - up))
 
     seconds = len(times_s) * _STEP_S / _SPEED
     lines = [

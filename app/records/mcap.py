@@ -264,9 +264,7 @@ class McapLog:
         self, name: str, time_s: float, corners: list[tuple[float, float]], height_m: float | None = None
     ) -> None:
         """Draw a line on the map, and in the scene at a height; by default at the aircraft's present one."""
-        places = [
-            self._plane.latitude_longitude_deg(float(east_m), float(north_m))[::-1] for east_m, north_m in corners
-        ]
+        places = [self._plane.latitude_longitude_deg(*map(float, corner))[::-1] for corner in corners]
         feature = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": places}}
         geojson = {"geojson": json.dumps({"type": "FeatureCollection", "features": [feature]})}
         self._write(f"/{name}/map", "foxglove.GeoJSON", time_s, geojson)

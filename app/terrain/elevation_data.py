@@ -75,9 +75,8 @@ class Posts:
     @property
     def bounds(self) -> Bounds:
         north_deg = self.south_deg + (self.rows - 1) * self.step_north_deg
-        return Bounds(
-            self.south_deg, self.west_deg, north_deg, self.west_deg + (self.columns - 1) * self.step_east_deg
-        )
+        east_deg = self.west_deg + (self.columns - 1) * self.step_east_deg
+        return Bounds(self.south_deg, self.west_deg, north_deg, east_deg)
 
 
 class Raster:
@@ -116,9 +115,7 @@ class Raster:
         side = math.isqrt(size // 2)
         if side not in _SIDES or 2 * side * side != size:
             sizes = " or ".join(f"{2 * one * one:,}" for one in _SIDES)
-            raise InputError(
-                f"{self.path}: has {size:,} bytes where an SRTM tile has {sizes}; it is damaged: replace it."
-            )
+            raise InputError(f"{self.path}: has {size:,} bytes where an SRTM tile has {sizes}; replace it.")
         return Posts(latitude_deg, longitude_deg, 1.0 / (side - 1), 1.0 / (side - 1), side, side)
 
     def _unpacked(self) -> bytes:
