@@ -259,8 +259,6 @@ class ArduPlaneMission(Store):
         self.index = 0  # of the item that is flown, or would be; 0: none yet
         self.item: Item | None = None  # the copy that is flown
 
-    # Storage, as the protocol sees it.
-
     def current_index(self) -> int:
         return self.index
 
@@ -291,8 +289,6 @@ class ArduPlaneMission(Store):
         self._items.clear()
         self.state, self.index, self.item = MissionState.STOPPED, 0, None
         return ACCEPTED_ITEMS
-
-    # Sequence.
 
     @property
     def reported_state(self) -> int:
@@ -742,8 +738,6 @@ class SimulatedArduPlane(SimulatedAutopilot):
             if action == 1 or (action == 0 and self.mode not in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED)):
                 self.set_mode(ArduPlaneMode.RTL)
 
-    # Navigation.
-
     @property
     def airspeed_goal_m_s(self) -> float:
         ordered_m_s = self._ordered_airspeed_m_s if self.mode in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED) else None
@@ -862,8 +856,6 @@ class SimulatedArduPlane(SimulatedAutopilot):
         if self.mode == ArduPlaneMode.GUIDED and loiter.reached_s is not None and not was_reached:
             self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(0))
         return lateral_m_s2
-
-    # Commands.
 
     def set_current_item(self, index: int) -> bool:
         # By MISSION_SET_CURRENT the leg begins here. The command forgets the old leg only once the new one has begun,

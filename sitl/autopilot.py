@@ -241,8 +241,6 @@ class SimulatedAutopilot(ABC):
                 mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
             )
 
-    # What a flavour adds.
-
     @abstractmethod
     def set_mode(self, mode: int) -> bool:
         """Change the flight mode; False if there is no such mode."""
@@ -274,8 +272,6 @@ class SimulatedAutopilot(ABC):
     def base_mode(self) -> int:
         flags = self.mode_flags[self.mode in self.self_flying]
         return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
-
-    # Time.
 
     @property
     def ready(self) -> bool:
@@ -356,8 +352,6 @@ class SimulatedAutopilot(ABC):
         rolling = self.armed and self.lifting_off
         return int(mavlink.MAV_LANDED_STATE_TAKEOFF if rolling else mavlink.MAV_LANDED_STATE_ON_GROUND)
 
-    # Places.
-
     def place_of(self, item: Item) -> LocalPosition:
         """Return where an item is; one at latitude and longitude 0, or of no height, is where the aircraft is."""
         if item.latitude_e7 == 0 and item.longitude_e7 == 0:
@@ -370,8 +364,6 @@ class SimulatedAutopilot(ABC):
     @property
     def here(self) -> LocalPosition:
         return LocalPosition.of(self.craft)
-
-    # Talking.
 
     def say(self, severity: int, text: str) -> None:
         """Send a text, in chunks where it is longer than a message holds."""
@@ -452,8 +444,6 @@ class SimulatedAutopilot(ABC):
             unsupported = mavlink.MAV_MISSION_UNSUPPORTED
             self.radio.send(station, mavlink.MAVLink_mission_ack_message(*sender, unsupported, message.mission_type))
 
-    # Commands.
-
     def on_command(self, station: Station, command: Command) -> None:
         match command.id:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -469,11 +459,8 @@ class SimulatedAutopilot(ABC):
         message_id, interval_us = int(command.number(1)), command.number(2)
         if self._builder_of(message_id) is None:
             return self.unknown_interval_result
-        if interval_us == 0:
-            interval_s = self.default_interval_s.get(message_id, 0.0)
-        else:
-            interval_s = max(0.0, interval_us / 1e6)
-        station.stream(message_id, interval_s, self.now_s)
+        default_s = self.default_interval_s.get(message_id, 0.0)
+        station.stream(message_id, default_s if interval_us == 0 else max(0.0, interval_us / 1e6), self.now_s)
         return ACCEPTED
 
     def _on_request_message(self, station: Station, message_id: int) -> int:
@@ -483,10 +470,10 @@ class SimulatedAutopilot(ABC):
         return ACCEPTED if messages else self.unknown_request_result
 
     def _on_arm(self, command: Command) -> int:
-        if command.param(1) not in (0.0, 1.0):
-            return UNSUPPORTED
         if command.param(1) == 1.0:
             return self.arm()
+        if command.param(1) != 0.0:
+            return UNSUPPORTED
         if self.craft.flying and command.param(2) != 21196.0:  # not forced
             return FAILED
         self.disarm()

@@ -36,7 +36,6 @@ from sidelong.sitl.settings import (
     Flavour,
     RunSettings,
     Settings,
-    default_stations,
     in_a_row,
 )
 from sidelong.sitl.simulation import Simulation
@@ -178,7 +177,8 @@ def run(
         wanted = _validated({"vehicles": each, "speed": speed, "duration_s": duration}, _OPTION_OF_KEY)
         placed = []
         for k, one in enumerate(in_a_row(wanted.vehicles[0], count)):
-            stations, file = tuple(to or default_stations(k, count)), truth[k] if truth else None
+            own_port = DEFAULT_STATIONS[0] if count == 1 else f"127.0.0.1:{14540 + k}"
+            stations, file = tuple(to or (own_port, DEFAULT_STATIONS[1])), truth[k] if truth else None
             placed.append(replace(one, flavour=wanted.vehicles[k].flavour, truth=file, stations=stations))
         tree = RUN_SETTINGS.dump_python(replace(wanted, vehicles=tuple(placed)), mode="json", exclude_defaults=True)
     with _refusing(), ExitStack() as stack:

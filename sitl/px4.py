@@ -42,9 +42,8 @@ class PathFollower:
     ) -> float:
         """Return the acceleration that joins and follows the endless line through start and end (east, north)."""
         tangent_rad = math.atan2(end_m[0] - start_m[0], end_m[1] - start_m[1])
-        right_m = (craft.east_m - end_m[0]) * math.cos(tangent_rad) - (craft.north_m - end_m[1]) * math.sin(
-            tangent_rad
-        )
+        sine, cosine = math.sin(tangent_rad), math.cos(tangent_rad)
+        right_m = (craft.east_m - end_m[0]) * cosine - (craft.north_m - end_m[1]) * sine
         return self._follow(craft, tangent_rad, right_m, curvature_per_m=0.0)
 
     def towards_circle(
@@ -110,9 +109,6 @@ class Px4Navigator:
             signed_radius_m = self._parameters["NAV_LOITER_RAD"]
         self.goal, self._inside_since_s = centre, None
         self.circle = LoiterGoal(centre, abs(signed_radius_m), signed_radius_m > 0.0)
-
-    def stop(self) -> None:
-        self.circle = None
 
     def at_height(self) -> bool:
         return abs(self._craft.height_m - self.goal.height_m) < self._parameters["NAV_FW_ALT_RAD"]
@@ -196,8 +192,7 @@ class Px4Mission(Store):
         super().__init__(with_checksum=True)
         self._on_swap = on_swap
         self._arriving_current: int | None = None
-        self.mission_id = 0
-        self.index = 0
+        self.mission_id = self.index = 0
 
     def current_index(self) -> int:
         return self.index
@@ -288,29 +283,24 @@ def _landing_refusal(items: list[Item], index: int, home: HomePosition, landing_
     if index == 0:
         return "Mission rejected: starts with land waypoint."
     entrance, land = items[index - 1], items[index]
-    if entrance.has_position:
-        drop_m = _above_home_m(entrance, home) - _above_home_m(land, home)
-        if drop_m <= 0.0:
-            return "Mission rejected: the approach waypoint must be above the landing point."
-        if entrance.command not in (mavlink.MAV_CMD_NAV_LOITER_TO_ALT, mavlink.MAV_CMD_NAV_WAYPOINT):
-            return "Mission rejected: unsupported landing approach entrance waypoint type."
-        plane = HomePlane(land.latitude_deg, land.longitude_deg)
-        run_m = math.hypot(*plane.east_north_m(entrance.latitude_deg, entrance.longitude_deg))
-        if entrance.command == mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
-            radius_m = abs(entrance.params[1])
-            if run_m <= radius_m:
-                return "Mission rejected: the landing point must be outside the orbit radius."
-            run_m = math.sqrt(run_m**2 - radius_m**2)  # it leaves the circle along the tangent
-        if drop_m > run_m * math.tan(math.radians(landing_angle_deg + _LANDING_ANGLE_SPARE_DEG)):
-            return (
-                "Mission rejected: the landing glide slope is steeper than the vehicle setting of "
-                f"{landing_angle_deg:.1f} degrees."
-            )
-    return None
-
-
-def _above_home_m(item: Item, home: HomePosition) -> float:
-    return item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - home.altitude_m
+    if not entrance.has_position:
+        return None
+    height_m, land_m = (i.altitude_m - (i.frame not in RELATIVE_FRAMES) * home.altitude_m for i in (entrance, land))
+    if height_m <= land_m:
+        return "Mission rejected: the approach waypoint must be above the landing point."
+    if entrance.command not in (mavlink.MAV_CMD_NAV_LOITER_TO_ALT, mavlink.MAV_CMD_NAV_WAYPOINT):
+        return "Mission rejected: unsupported landing approach entrance waypoint type."
+    plane = HomePlane(land.latitude_deg, land.longitude_deg)
+    run_m = math.hypot(*plane.east_north_m(entrance.latitude_deg, entrance.longitude_deg))
+    if entrance.command == mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+        radius_m = abs(entrance.params[1])
+        if run_m <= radius_m:
+            return "Mission rejected: the landing point must be outside the orbit radius."
+        run_m = math.sqrt(run_m**2 - radius_m**2)  # it leaves the circle along the tangent
+    if height_m - land_m <= run_m * math.tan(math.radians(landing_angle_deg + _LANDING_ANGLE_SPARE_DEG)):
+        return None
+    limit = f"the vehicle setting of {landing_angle_deg:.1f} degrees."
+    return f"Mission rejected: the landing glide slope is steeper than {limit}"
 
 
 def _compass_deg(angle_deg: float) -> float:
@@ -546,8 +536,7 @@ class SimulatedPx4(SimulatedAutopilot):
         self.mission = Px4Mission(self._on_swap)
         self.navigator = Px4Navigator(self.craft, self.parameters)
         self._item: Item | None = None  # being flown
-        self._finished = False
-        self._interrupted = False
+        self._finished = self._interrupted = False
         self._refusal: str | None = refusal([], self.home, 0)
         self._valid_from_s = 0.0
         self._reached: tuple[int, int, float] | None = None  # index, repeats left, next time
@@ -579,10 +568,7 @@ class SimulatedPx4(SimulatedAutopilot):
             return True
         self._interrupted = self._interrupted or self.mode == Px4Mode.MISSION
         self.mode = Px4Mode(mode)
-        self.lifting_off = False
-        self._item = None
-        self._ordered_airspeed_m_s = None
-        self.navigator.stop()
+        self.lifting_off, self._item, self._ordered_airspeed_m_s, self.navigator.circle = False, None, None, None
         match mode:
             case Px4Mode.MISSION:
                 self._begin_mission()
@@ -618,8 +604,6 @@ class SimulatedPx4(SimulatedAutopilot):
             self.set_mode(Px4Mode.HOLD)
         elif action == 2 and lost_for_s > self.parameters["COM_FAIL_ACT_T"]:
             self.set_mode(Px4Mode.RTL)
-
-    # Navigation.
 
     @property
     def airspeed_goal_m_s(self) -> float:
@@ -685,8 +669,6 @@ class SimulatedPx4(SimulatedAutopilot):
             return False
         return self.craft.height_m >= self.navigator.goal.height_m + 0.5
 
-    # Mission.
-
     @property
     def _mission_valid(self) -> bool:
         return self._refusal is None and self.now_s >= self._valid_from_s
@@ -739,18 +721,17 @@ class SimulatedPx4(SimulatedAutopilot):
         for item in items[index:flown]:
             if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
                 self._order_airspeed(item.params[1])
-        if flown is not None and items[flown].command == mavlink.MAV_CMD_NAV_TAKEOFF and self.craft.flying:
-            self._start_item(flown + 1, from_here=from_here)  # no takeoff in the air
-            return
         if flown is None:
             self._finished = True
             self.say(mavlink.MAV_SEVERITY_INFO, "Mission finished, loitering\t")
             self.set_mode(Px4Mode.HOLD)
             return
-        item = items[flown]
+        item, place = items[flown], self.place_of(items[flown])
+        if item.command == mavlink.MAV_CMD_NAV_TAKEOFF and self.craft.flying:
+            self._start_item(flown + 1, from_here=from_here)  # no takeoff in the air
+            return
         self.mission.index, self._item = flown, item
         self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
-        place = self.place_of(item)
         self.height_goal_m = place.height_m
         if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
             self.set_mode(Px4Mode.RTL)
@@ -773,8 +754,6 @@ class SimulatedPx4(SimulatedAutopilot):
         measured = (getattr(message, name) for name in message.fieldnames[1:-1])
         quality = max(0, message.signal_quality - 1)
         self.relayed_range = mavlink.MAVLink_distance_sensor_message(self.boot_ms, *measured, quality)
-
-    # Commands.
 
     def handle_own(self, station: Station, message: Any, kind: str) -> None:
         if kind == "DISTANCE_SENSOR":

@@ -189,11 +189,6 @@ RUN_SETTINGS = TypeAdapter(RunSettings)
 """Reads settings; raises pydantic's ValidationError, which names the field."""
 
 
-def default_stations(number: int, count: int) -> tuple[str, ...]:
-    """Return where one of several vehicles sends to, numbered from 0."""
-    return DEFAULT_STATIONS if count == 1 else (f"127.0.0.1:{14540 + number}", DEFAULT_STATIONS[1])
-
-
 def in_a_row(first: Settings, count: int) -> list[Settings]:
     """Return the settings of ``count`` vehicles: the first at its home, the others in a row east of it.
 

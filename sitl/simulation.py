@@ -109,9 +109,6 @@ class Simulation(Wired):
         """Withhold these payload messages, by name; all of them without a name."""
         self.muted |= set(kinds or PAYLOAD_MESSAGES)
 
-    def unmute_payload(self) -> None:
-        self.muted.clear()
-
     def pilot_takes_over(self) -> None:
         self.vehicle.set_mode(self.vehicle.taken_over_mode)
 

@@ -25,7 +25,7 @@ def test_vehicle_on_the_ground_has_sound_inputs_until_its_gimbal_is_silent():
     assert not check.ready
     assert check.found.startswith("no orientation from the gimbal")
     inputs.close()
-    flight.simulation.unmute_payload()
+    flight.simulation.muted.clear()
     flight.run(3.0)
     assert not inputs.checks()[0].ready
 

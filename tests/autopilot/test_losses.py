@@ -55,6 +55,6 @@ def test_laser_and_then_gimbal_fail_and_come_back(vehicle_of, launch):
         assert_circles(vehicle, 30.0)
         commanded = [kind for time_s, kind in vehicle.commanded if time_s > lost_s + ON_THE_WAY_S]
         assert not commanded or "moving away: the target is not seen" in application.announced
-        vehicle.do(vehicle.simulation.unmute_payload)
+        vehicle.do(vehicle.simulation.muted.clear)
         application.wait_for("the target is in sight again", times=number)
     assert application.end()["outcome"] == "interrupted"

@@ -122,7 +122,7 @@ def payload_lost(day):
     day.vehicle.do(day.vehicle.simulation.mute_payload)
     day.vehicle.wait(day.rng.uniform(0.5, 12.0) * SPEED)
     assert day.service.status["state"] == state  # an aircraft in flight is taken over without its payload, too
-    day.vehicle.do(day.vehicle.simulation.unmute_payload)
+    day.vehicle.do(day.vehicle.simulation.muted.clear)
     day.settle(state)
 
 

@@ -201,6 +201,6 @@ def test_a_muted_payload_comes_back(simulate, station):
     before = len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS"))
     ground.run(10.0)
     assert len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS")) == before
-    ground.simulation.unmute_payload()
+    ground.simulation.muted.clear()
     ground.run(10.0)
     assert len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS")) > before + 90
