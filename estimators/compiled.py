@@ -155,11 +155,7 @@ Record: TypeAlias = Any
 
 
 def record_type(**fields: Any) -> np.dtype[Any]:
-    """Return the type of a record whose named fields compiled functions read and write.
-
-    Args:
-        fields: Type of each field; (type, shape) for an array.
-    """
+    """Return the type of a record whose named fields, (type, shape) for an array, compiled functions use."""
     of = [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind in fields.items()]
     return np.dtype((np.record, of), align=True)
 

@@ -14,21 +14,9 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from sidelong.estimators.filters import imm_kernel as kernel
+from sidelong.estimators.filters.biases import FloatArray
 from sidelong.estimators.filters.imm import TargetImm, seen
-from sidelong.estimators.filters.imm_kernel import (
-    EAST,
-    ERROR_DRIFT_PER_S,
-    HEIGHT,
-    NORTH,
-    TARGET,
-    TURN,
-    TURN_SIGMA_RAD_S,
-    VELOCITY_E,
-    VELOCITY_N,
-    Densities,
-)
-from sidelong.estimators.filters.measurement_kernel import FloatArray
-from sidelong.estimators.filters.standing_kernel import kept_offset
+from sidelong.estimators.filters.imm_kernel import EAST, HEIGHT, NORTH, TARGET, TURN, VELOCITY_E, VELOCITY_N
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.ground import Ground
@@ -43,9 +31,9 @@ class TargetEkf(TargetImm):
     models: ClassVar[int] = 1
 
     @staticmethod
-    def _densities_of(settings: TrackerSettings) -> Densities:
+    def _densities_of(settings: TrackerSettings) -> kernel.Densities:
         density = settings.acceleration_density_m2_s3
-        return Densities(density, density, 0.0)
+        return kernel.Densities(density, density, 0.0)
 
     def _filterpy(self) -> ExtendedKalmanFilter:
         n = kernel.numbers_of(self.state)
@@ -56,7 +44,7 @@ class TargetEkf(TargetImm):
     def _take(self, ekf: ExtendedKalmanFilter) -> None:
         self.state = np.concatenate(([1.0], ekf.x, (0.5 * (ekf.P + ekf.P.T)).ravel()))[None]
 
-    def _move(self, step_s: float, densities: Densities) -> None:
+    def _move(self, step_s: float, densities: kernel.Densities) -> None:
         ekf, ground = self._filterpy(), self._ground
         place = None if ground is None else _surface(ground, ekf.x)
         if ground is None or place is None:
@@ -65,7 +53,7 @@ class TargetEkf(TargetImm):
             moments = ekf.x[:4], ekf.P[:4, :4]
             _lean(ekf, -place[1], -place[2], -place[0], 1.0, 0.0)
             _cruise(ekf, step_s, densities._replace(height_m2_s=0.0))
-            kept = kept_offset(np.ascontiguousarray(moments[0]), np.ascontiguousarray(moments[1]), step_s)
+            kept = kernel.kept_offset(np.ascontiguousarray(moments[0]), np.ascontiguousarray(moments[1]), step_s)
             level_m, east, north = _surface(ground, ekf.x) or place
             sigma_m = height_sigma_m(ground.sigma_m, min(ground.grid[3], ground.grid[4]), east, north)
             _lean(ekf, east, north, level_m, kept, (1.0 - kept * kept) * sigma_m * sigma_m)
@@ -94,11 +82,11 @@ class TargetEkf(TargetImm):
         return nis
 
 
-def _cruise(ekf: ExtendedKalmanFilter, step_s: float, densities: Densities) -> None:
+def _cruise(ekf: ExtendedKalmanFilter, step_s: float, densities: kernel.Densities) -> None:
     """Predict a target that holds its velocity; its turn rate is not used."""
     n = len(ekf.x)
     ekf.F, ekf.Q = np.eye(n), np.zeros((n, n))
-    ekf.F[TURN, TURN], ekf.Q[TURN, TURN] = 0.0, TURN_SIGMA_RAD_S**2
+    ekf.F[TURN, TURN], ekf.Q[TURN, TURN] = 0.0, kernel.TURN_SIGMA_RAD_S**2
     density = densities.cruise_m2_s3
     for place, velocity in ((EAST, VELOCITY_E), (NORTH, VELOCITY_N)):
         ekf.F[place, velocity] = step_s
@@ -106,7 +94,7 @@ def _cruise(ekf: ExtendedKalmanFilter, step_s: float, densities: Densities) -> N
         ekf.Q[place, velocity] = ekf.Q[velocity, place] = density * step_s**2 / 2.0
         ekf.Q[velocity, velocity] = density * step_s
     ekf.Q[HEIGHT, HEIGHT] = densities.height_m2_s * step_s
-    for error, drift_per_s in enumerate(ERROR_DRIFT_PER_S, TARGET):
+    for error, drift_per_s in enumerate(kernel.ERROR_DRIFT_PER_S, TARGET):
         if ekf.P[error, error] > 0.0:
             ekf.Q[error, error] = drift_per_s * step_s
     ekf.predict()

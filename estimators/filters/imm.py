@@ -25,22 +25,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from sidelong.estimators.filters import imm_kernel as kernel
-from sidelong.estimators.filters.biases import Biases, prior_sigmas
-from sidelong.estimators.filters.imm_kernel import (
-    EAST,
-    ERRORS,
-    HEIGHT,
-    NORTH,
-    TARGET,
-    TURN,
-    VELOCITY_E,
-    VELOCITY_N,
-    Densities,
-    combine,
-    errors_of,
-)
-from sidelong.estimators.filters.measurement_kernel import FloatArray, Seen
-from sidelong.estimators.filters.standing_kernel import begin_standing, predict_standing
+from sidelong.estimators.filters.biases import Biases, FloatArray, prior_sigmas
+from sidelong.estimators.filters.imm_kernel import EAST, ERRORS, HEIGHT, NORTH, TARGET, TURN, VELOCITY_E, VELOCITY_N
 from sidelong.estimators.sensing.sighting import AnySighting, Fix, measurement_by_biases
 from sidelong.estimators.settings import TargetKind, TrackerSettings
 
@@ -53,13 +39,13 @@ _SHUFFLE_M2_S = 0.1
 
 # Of several densities, those with which the filter's 95 % ellipse contained recorded movers of that kind 95 % of the
 # time, at the least error (``tests/bench/test_real_targets.py``).
-DENSITIES: dict[TargetKind, Densities] = {
-    "unknown": Densities(0.025, 1.0, _SHUFFLE_M2_S),
-    "walker": Densities(0.02, 0.5, _SHUFFLE_M2_S),
-    "cyclist": Densities(0.025, 1.5, _SHUFFLE_M2_S),
-    "car": Densities(0.02, 0.5, _SHUFFLE_M2_S),
-    "boat": Densities(0.02, 1.0, _SHUFFLE_M2_S),
-    "animal": Densities(0.02, 0.5, _SHUFFLE_M2_S),
+DENSITIES: dict[TargetKind, kernel.Densities] = {
+    "unknown": kernel.Densities(0.025, 1.0, _SHUFFLE_M2_S),
+    "walker": kernel.Densities(0.02, 0.5, _SHUFFLE_M2_S),
+    "cyclist": kernel.Densities(0.025, 1.5, _SHUFFLE_M2_S),
+    "car": kernel.Densities(0.02, 0.5, _SHUFFLE_M2_S),
+    "boat": kernel.Densities(0.02, 1.0, _SHUFFLE_M2_S),
+    "animal": kernel.Densities(0.02, 0.5, _SHUFFLE_M2_S),
 }
 
 # Without ranges the filter averages over tens of seconds, in which a target holds its velocity better than that: this
@@ -79,7 +65,7 @@ class TargetImm:
         """Start at the first sighting of a target; ``biases`` of all payloads are as :func:`prior_of` has them."""
         mean, covariance = starting_moments(settings, sighting, biases)
         if ground is not None:
-            begin_standing(mean, covariance, ground.grid, ground.sigma_m)
+            kernel.begin_standing(mean, covariance, ground.grid, ground.sigma_m)
         row = np.concatenate(([1.0 / self.models], mean, covariance.ravel()))
         self._set_up(settings, sighting.time_s, np.tile(row, (self.models, 1)), ground)
         if not sighting.has_range:
@@ -100,7 +86,7 @@ class TargetImm:
         self.densities, self._ranged_s, self._averages = self._densities_of(settings), time_s, False
 
     @staticmethod
-    def _densities_of(settings: TrackerSettings) -> Densities:
+    def _densities_of(settings: TrackerSettings) -> kernel.Densities:
         return DENSITIES[settings.target_kind]
 
     def predict(self, time_s: float) -> None:
@@ -116,12 +102,12 @@ class TargetImm:
             if left_s <= 0.0:
                 break
 
-    def _move(self, step_s: float, densities: Densities) -> None:
+    def _move(self, step_s: float, densities: kernel.Densities) -> None:
         ahead, ground = np.empty_like(self.state), self._ground
         if ground is None:
             kernel.predict(self.state, step_s, densities, ahead)
         else:
-            predict_standing(self.state, step_s, densities, ground.grid, ground.sigma_m, ahead)
+            kernel.predict_standing(self.state, step_s, densities, ground.grid, ground.sigma_m, ahead)
         self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
@@ -159,13 +145,13 @@ class TargetImm:
 
     def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
         mean, covariance = np.empty(size), np.empty((size, size))
-        combine(self.state, mean, covariance)
+        kernel.combine(self.state, mean, covariance)
         return mean, covariance
 
     def widen_clock(self, payload: int, sigma_s: float) -> None:
         """Set the standard deviation of the clock of the payload of an index, before its first detection."""
         n = kernel.numbers_of(self.state)
-        at = errors_of(payload, n)[0] + ERRORS
+        at = kernel.errors_of(payload, n)[0] + ERRORS
         self.state = self.state.copy()
         self.state[:, 1 + n + at * (n + 1)] = sigma_s**2
 
@@ -176,7 +162,7 @@ class TargetImm:
         return other
 
 
-def steadier(densities: Densities) -> Densities:
+def steadier(densities: kernel.Densities) -> kernel.Densities:
     """Return the process noise while no ranges are measured, from that of the same target with ranges."""
     return densities._replace(
         cruise_m2_s3=_SHARE_WITHOUT_RANGE * densities.cruise_m2_s3,
@@ -192,7 +178,7 @@ def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float
 
 def _errors_in(biases: Biases, sighting: AnySighting) -> slice:
     """Return where the errors of a sighting's payload are."""
-    first = errors_of(sighting.payload, TARGET + biases.mean.size)[0] - TARGET
+    first = kernel.errors_of(sighting.payload, TARGET + biases.mean.size)[0] - TARGET
     return slice(first, first + ERRORS)
 
 
@@ -219,11 +205,11 @@ def starting_moments(
     return mean, covariance
 
 
-def seen(sighting: AnySighting) -> Seen:
+def seen(sighting: AnySighting) -> kernel.Seen:
     """Return a sighting in the form of the compiled functions."""
     if isinstance(sighting, Fix):
-        return Seen(True, sighting.east_m, sighting.north_m, 0.0, *sighting.variances, 0.0, 0.0, 0.0)
-    return Seen(
+        return kernel.Seen(True, sighting.east_m, sighting.north_m, 0.0, *sighting.variances, 0.0, 0.0, 0.0)
+    return kernel.Seen(
         False,
         sighting.slant_range_m,
         sighting.bearing_rad,

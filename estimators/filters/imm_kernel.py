@@ -7,6 +7,12 @@ and, in a filter of several payloads, by how much the payload's clock is ahead. 
 value.
 
 Each motion touches few numbers of the covariance; these are written out instead of multiplying by matrices.
+
+A target stands on the ground as far as that is known. Its height is off the elevation data by an offset: the data's
+own error, and what they do not resolve. Along the target's path the offset is a Gauss-Markov process of the data's
+standard deviation. Sightings with a range determine it. From one sighting to the next it stays while the height
+follows the ground; without a laser the line of sight alone then determines the position. The filter's own arithmetic
+does not change: its Gaussians are turned into offset and back around each prediction.
 """
 
 from __future__ import annotations
@@ -15,9 +21,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sidelong.estimators.compiled import compiled
-from sidelong.estimators.filters.measurement_kernel import FloatArray, Seen, linearized
+from sidelong.estimators.terrain.ground_kernel import Grid, height_and_slope, height_sigma_m
+
+FloatArray = npt.NDArray[np.float64]
 
 STANDING, CRUISING, TURNING, MANOEUVRING = MODELS = range(4)
 EAST, NORTH, VELOCITY_E, VELOCITY_N, HEIGHT, TURN = range(6)
@@ -45,14 +54,103 @@ _SWITCH_RATES_PER_S = np.array(
 GENERATOR = _SWITCH_RATES_PER_S - np.diag(_SWITCH_RATES_PER_S.sum(axis=1))
 GENERATOR_SQUARED = GENERATOR @ GENERATOR
 _MODELS = len(MODELS)
+# Where the position is known worse than this part of the range, a bearing's curvature shows: 0.3 m at three sigma.
+_CURVED_BEYOND = 0.015
+# How far the target goes until little is left of what was learnt of the offset. Errors of elevation data change
+# sooner. But if the offset may change that quickly, its changes are attributed to the target's motion when the laser
+# is out: after a minute the 95 % ellipse then contains 87 %.
+_CORRELATION_M = 1000.0
+
+
+class Seen(NamedTuple):
+    """A sighting: its three numbers with their variances. The first two numbers of a fix are (east, north)."""
+
+    is_fix: bool
+    slant_range_m: float
+    bearing_rad: float
+    depression_rad: float
+    range_variance_m2: float
+    bearing_variance_rad2: float
+    depression_variance_rad2: float
+    aircraft_east_m: float
+    aircraft_north_m: float
+    aircraft_height_m: float
+
+
+@compiled
+def compared(
+    seen: Seen, east_m: float, north_m: float, height_m: float, residual: FloatArray, jacobian: FloatArray
+) -> None:
+    """Fill in measured minus expected (3,) of a target at a position, and the derivative (3, 6) of the expected.
+
+    That is by (east, north, height, yaw error, pitch error, range error).
+    """
+    jacobian[:] = 0.0
+    if seen.is_fix:
+        residual[0], residual[1], residual[2] = seen.slant_range_m - east_m, seen.bearing_rad - north_m, 0.0
+        jacobian[0, 0] = jacobian[1, 1] = 1.0
+        return
+    east, north = east_m - seen.aircraft_east_m, north_m - seen.aircraft_north_m
+    drop = seen.aircraft_height_m - height_m
+    horizontal = math.sqrt(east * east + north * north)
+    residual[0] = seen.slant_range_m - math.sqrt(horizontal * horizontal + drop * drop)
+    off_rad = seen.bearing_rad - math.atan2(east, north)
+    residual[1] = off_rad - math.tau * math.floor((off_rad + math.pi) / math.tau)
+    residual[2] = seen.depression_rad - math.atan2(drop, horizontal)
+    # Within a metre of straight below the aircraft, where the bearing turns over, it is that of one metre off.
+    horizontal = max(horizontal, 1.0)
+    slant2 = horizontal * horizontal + drop * drop
+    slant = math.sqrt(slant2)
+    per_horizontal2 = 1.0 / (horizontal * horizontal)
+    steepening = drop / horizontal / slant2
+    jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = east / slant, north / slant, -drop / slant
+    jacobian[1, 0], jacobian[1, 1] = north * per_horizontal2, -east * per_horizontal2
+    jacobian[2, 0], jacobian[2, 1] = -east * steepening, -north * steepening
+    jacobian[2, 2] = -horizontal / slant2
+    jacobian[0, 5] = jacobian[1, 3] = 1.0
+    jacobian[2, 4] = -1.0  # a positive pitch error looks too high, so the measured depression is too small
+
+
+@compiled
+def linearized(
+    seen: Seen,
+    position: tuple[float, float, float],
+    errors: tuple[float, float, float],
+    position_variance_m2: float,
+    residual: FloatArray,
+    jacobian: FloatArray,
+) -> None:
+    """Fill in residual (3,) and derivative (3, 6), see :func:`compared`, for a filter's mean.
+
+    The derivative is taken where the filter expects the target. Taken at the noisy measurement it would correlate
+    with the noise and pull the estimated errors away. Only where the filter knows far less than the sighting, it is
+    taken where the sighting puts the target. position: (east, north, height), with the variance of east plus that of
+    north; errors: yaw, pitch, range.
+    """
+    yaw, pitch, offset = errors
+    curved_m = _CURVED_BEYOND * seen.slant_range_m
+    if not seen.is_fix and position_variance_m2 > max(curved_m * curved_m, seen.range_variance_m2):
+        bearing, depression, slant = seen.bearing_rad - yaw, seen.depression_rad + pitch, seen.slant_range_m - offset
+        east = seen.aircraft_east_m + slant * math.cos(depression) * math.sin(bearing)
+        north = seen.aircraft_north_m + slant * math.cos(depression) * math.cos(bearing)
+        height = seen.aircraft_height_m - slant * math.sin(depression)
+        compared(seen, east, north, height, residual, jacobian)
+        for i in range(3):
+            residual[i] += (
+                jacobian[i, 0] * (east - position[0])
+                + jacobian[i, 1] * (north - position[1])
+                + jacobian[i, 2] * (height - position[2])
+            )
+    else:
+        compared(seen, position[0], position[1], position[2], residual, jacobian)
+    if not seen.is_fix:
+        residual[0] -= offset
+        residual[1] -= yaw
+        residual[2] += pitch
 
 
 class Densities(NamedTuple):
-    """Process noise.
-
-    White acceleration of a cruising and of a manoeuvring target, random walks of a standing one and of the height of
-    unknown ground.
-    """
+    """Process noise: white acceleration cruising and manoeuvring, random walk standing and of the height."""
 
     cruise_m2_s3: float
     manoeuvre_m2_s3: float
@@ -227,7 +325,7 @@ def take_in(
     gate_nis: float,
     soft_nis: float,
 ) -> float:
-    """Take a measurement of three numbers into the state, in place, unless it lies beyond the gate; return its NIS.
+    """Take a measurement of three numbers into the state unless it lies beyond the gate; return its NIS.
 
     residual (3,), jacobian (3, c): measured minus expected at ``middle``, and the derivative by the state's numbers
     ``columns``; the models share it. noise: variances. Between soft_nis and the gate it weighs less the farther it
@@ -359,3 +457,77 @@ def update(state: FloatArray, payload: int, seen: Seen, gate_nis: float, soft_ni
         return take_in(state, middle, residual, jacobian, columns, noise, gate_nis, soft_nis)
     columns_and_clock = (EAST, NORTH, HEIGHT, first, first + 1, first + 2, first + ERRORS)
     return take_in(state, middle, residual, jacobian, columns_and_clock, noise, gate_nis, soft_nis)
+
+
+@compiled
+def begin_standing(mean: FloatArray, covariance: FloatArray, grid: Grid, sigma_m: float) -> None:
+    """Let a first mean (n,) and covariance (n, n) stand on the ground, in place, if it is known there."""
+    ground_m, slope_east, slope_north = height_and_slope(grid, mean[EAST], mean[NORTH])
+    if math.isnan(ground_m):
+        return
+    n, sigma_m = len(mean), height_sigma_m(sigma_m, min(grid[3], grid[4]), slope_east, slope_north)
+    cross = np.empty(n)
+    for k in range(n):
+        cross[k] = covariance[k, HEIGHT] - slope_east * covariance[k, EAST] - slope_north * covariance[k, NORTH]
+    spread = cross[HEIGHT] - slope_east * cross[EAST] - slope_north * cross[NORTH] + sigma_m * sigma_m
+    residual = ground_m - mean[HEIGHT]
+    for i in range(n):
+        mean[i] += cross[i] * residual / spread
+        for k in range(n):
+            covariance[i, k] -= cross[i] * cross[k] / spread
+
+
+@compiled
+def kept_offset(mean: FloatArray, covariance: FloatArray, step_s: float) -> float:
+    """Return the part of the offset that is left after a step of a target with moments (4,), (4, 4)."""
+    e, n = VELOCITY_E, VELOCITY_N
+    speed_m_s = math.sqrt(mean[e] * mean[e] + mean[n] * mean[n] + covariance[e, e] + covariance[n, n])
+    return math.exp(-speed_m_s * step_s / _CORRELATION_M)
+
+
+@compiled
+def _lean(
+    state: FloatArray, slope_east: float, slope_north: float, kept: float, shift_m: float, variance_m2: float
+) -> None:
+    """Turn each model's height h into kept h + slopes times the place + shift, with a variance added."""
+    n = numbers_of(state)
+    for model in range(len(state)):
+        mean, p = state[model, 1 : 1 + n], state[model, 1 + n :].reshape(n, n)
+        mean[HEIGHT] = kept * mean[HEIGHT] + slope_east * mean[EAST] + slope_north * mean[NORTH] + shift_m
+        for k in range(n):
+            p[HEIGHT, k] = kept * p[HEIGHT, k] + slope_east * p[EAST, k] + slope_north * p[NORTH, k]
+        for k in range(n):
+            p[k, HEIGHT] = kept * p[k, HEIGHT] + slope_east * p[k, EAST] + slope_north * p[k, NORTH]
+        p[HEIGHT, HEIGHT] += variance_m2
+
+
+@compiled
+def predict_standing(
+    state: FloatArray,
+    step_s: float,
+    densities: Densities,
+    grid: Grid,
+    sigma_m: float,
+    found: FloatArray,
+) -> None:
+    """Fill in the state ``step_s`` later. sigma_m: standard deviation of the heights of the grid."""
+    mean, covariance = np.empty(4), np.zeros((4, 4))
+    combine(state, mean, covariance)
+    east_m, north_m = mean[EAST], mean[NORTH]
+    ground_m, slope_east, slope_north = height_and_slope(grid, east_m, north_m)
+    if math.isnan(ground_m):
+        predict(state, step_s, densities, found)
+        return
+    offset = state.copy()
+    shift_m = slope_east * east_m + slope_north * north_m - ground_m
+    _lean(offset, -slope_east, -slope_north, 1.0, shift_m, 0.0)
+    still = Densities(densities.cruise_m2_s3, densities.manoeuvre_m2_s3, densities.shuffle_m2_s, 0.0)
+    predict(offset, step_s, still, found)
+    kept = kept_offset(mean, covariance, step_s)
+    combine(found, mean, covariance)
+    after_m, east, north = height_and_slope(grid, mean[EAST], mean[NORTH])
+    if not math.isnan(after_m):
+        ground_m, slope_east, slope_north, east_m, north_m = after_m, east, north, mean[EAST], mean[NORTH]
+    sigma_m = height_sigma_m(sigma_m, min(grid[3], grid[4]), slope_east, slope_north)
+    shift_m = ground_m - slope_east * east_m - slope_north * north_m
+    _lean(found, slope_east, slope_north, kept, shift_m, (1.0 - kept * kept) * sigma_m * sigma_m)

@@ -63,9 +63,7 @@ class Readings(NamedTuple):
 def solve_banded(band: FloatArray, right: FloatArray) -> None:
     """Solve a symmetric, positive definite system in place; NaN where it is not positive definite.
 
-    Args:
-        band: the upper diagonals, (width + 1, n): element (i, j) of the matrix is in row width + i - j, column j.
-        right: right-hand sides, (n, m); the solution replaces them.
+    band: the upper diagonals, (width + 1, n): element (i, j) of the matrix is in row width + i - j, column j.
     """
     width, n = band.shape[0] - 1, band.shape[1]
     for j in range(n):
@@ -88,12 +86,7 @@ def solve_banded(band: FloatArray, right: FloatArray) -> None:
 
 @compiled
 def aircraft_at(positions: FloatArray, after: int, time_s: float) -> tuple[int, float, float, float, float]:
-    """Return the row before a time, and place and velocity by the cubic through positions and velocities.
-
-    Args:
-        positions: rows of time s, east m, north m, velocity east m/s, velocity north m/s.
-        after: a row before the time, from which to search.
-    """
+    """Return the row before a time, searched from ``after``, and the cubic's place and velocity there."""
     k = after
     while k < len(positions) - 2 and positions[k + 1, 0] < time_s:
         k += 1
@@ -109,12 +102,7 @@ def aircraft_at(positions: FloatArray, after: int, time_s: float) -> tuple[int, 
 
 @compiled
 def look(readings: Readings, gimbal_s: float, looks: FloatArray) -> None:
-    """Compute bearing rad, depression rad and the frame's turn rate rad/s of the lines of sight, (n, 3).
-
-    Args:
-        gimbal_s: delay of the gimbal.
-        looks: where the numbers are written.
-    """
+    """Compute bearing rad, depression rad and the frame's turn rate rad/s of the lines of sight, (n, 3)."""
     attitudes, k = readings.attitudes, 0
     for n in range(len(readings.sights)):
         time_s = readings.sights[n, 0] - gimbal_s
@@ -142,21 +130,16 @@ def fit_readings(
 ) -> tuple[FloatArray, float, FloatArray, float, FloatArray]:
     """Return the best fit near a start.
 
-    The shared numbers are those of :data:`SHARED`, (6,). Errors of yaw and level range are those
-    where their growth counts nothing: at the end.
-
-    Args:
-        sigmas: of the priors of the shared numbers.
-        heavy: whether they may be far beyond these, which then follow Student's distribution.
-        start: the shared numbers to start from.
-        scale_m: size of the target's turns (second difference of the knots) to start from; 0: not known. The path is
-            then held nearly straight at first: a path free to bend would circle with the aircraft and leave the
-            delays nothing to explain.
+    The shared numbers are those of :data:`SHARED`, (6,), errors of yaw and level range at the end, where their growth
+    counts nothing. sigmas: of their priors. Those that are ``heavy`` may be far beyond these, which then follow
+    Student's distribution. scale_m: size of the target's turns (second difference of the knots) to start from; 0: not
+    known. The path is then held nearly straight at first: a path free to bend would circle with the aircraft and
+    leave the delays nothing to explain.
 
     Returns:
         The shared numbers, the size of the target's turns m, the inverse of the shared numbers' covariance by the
-        readings alone (6, 6), the negative logarithm of the likelihood less a constant, and the residual of each
-        range m.
+            readings alone (6, 6), the negative logarithm of the likelihood less a constant, and the residual of each
+            range m.
     """
     sights, ranges, latencies_s = readings.sights, readings.ranges, readings.latencies_s
     shares = len(start)  # unrolled loops would take long to compile

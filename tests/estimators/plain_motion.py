@@ -25,8 +25,8 @@ from sidelong.estimators.filters.imm_kernel import (
     VELOCITY_E,
     VELOCITY_N,
     Densities,
+    FloatArray,
 )
-from sidelong.estimators.filters.measurement_kernel import FloatArray
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.sensing.sighting import Sighting
 

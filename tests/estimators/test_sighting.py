@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sidelong.estimators.filters.imm import seen as seen_of
-from sidelong.estimators.filters.measurement_kernel import compared
+from sidelong.estimators.filters.imm_kernel import compared
 from sidelong.estimators.sensing.sighting import Fix, Sighting
 from tests.estimators.plain_motion import measured
 
