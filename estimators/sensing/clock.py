@@ -14,7 +14,6 @@ import math
 import statistics
 from collections import deque
 from dataclasses import dataclass
-from enum import Enum, auto
 
 LATE_S, AHEAD_S = 5.0, 2.0
 SILENCE_MAX_S = 60.0
@@ -33,14 +32,6 @@ _SAMPLES, _SAMPLES_MIN, _SAMPLE_EVERY_S = 24, 12, 0.1
 _CLUSTER_S, _CLUSTER_SHARE = 0.7, 0.75
 _ROW_MIN, _ROW_S = 5, 2.0  # agreeing stamps in a row that replace the earlier ones
 _DELAY_MAX_S, _EARLY_MAX_S = 1.0, 0.5
-
-
-class Stamp(Enum):
-    """What became of a stamp: of the line that is followed; refused; the first of a new line that is followed."""
-
-    GOOD = auto()
-    REFUSED = auto()
-    NEW_LINE = auto()
 
 
 @dataclass(slots=True)
@@ -86,16 +77,6 @@ class VehicleClock:
         """How long that other line has gone on."""
         return self._other.last_s - self._other.first_s if self.in_question and self._other is not None else 0.0
 
-    def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
-        """Process a stamp of the vehicle, time since boot.
-
-        confirmed_after_s: how long another sequence has to last before it is followed; None: depends on its distance.
-        """
-        if self.goes_on(stamp_s):
-            return Stamp.GOOD
-        assert self._own is not None
-        return self._taken_elsewhere(self._own, stamp_s, confirmed_after_s)
-
     def goes_on(self, stamp_s: float) -> bool:
         """Accept a stamp, time since boot, if it continues the clock, as nearly all do; return whether it does."""
         own = self._own
@@ -117,13 +98,19 @@ class VehicleClock:
             return AHEAD_S
         return min(max(AHEAD_S, 3.0 * statistics.median(self._ticks_s)), LATE_S)
 
-    def _taken_elsewhere(self, own: _Line, stamp_s: float, confirmed_after_s: float | None) -> Stamp:
-        other = self._other
+    def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> bool:
+        """Process a stamp, time since boot; return whether it begins another sequence that is followed from now on.
+
+        confirmed_after_s: how long another sequence has to last before it is followed; None: depends on its distance.
+        """
+        own, other = self._own, self._other
+        if self.goes_on(stamp_s) or own is None:
+            return False
         gone_s = max(0.0, own.last_s - other.other_s) if other is not None else 0.0
         if other is None or not other.last_s - LATE_S <= stamp_s <= other.last_s + gone_s + AHEAD_S:
             self._misses += 1
             if self.in_question and other is not None and other.count >= _STAMPS_MIN > self._misses:
-                return Stamp.REFUSED  # it fits neither line
+                return False  # it fits neither line
             other = self._other = _Line(stamp_s, stamp_s, other_s=own.last_s)
             self._misses = 0
         else:
@@ -145,7 +132,7 @@ class VehicleClock:
             confirmed_after_s = self._confirmed_after_s(own, other)
         lasts = other.last_s - other.first_s >= confirmed_after_s and other.count >= _STAMPS_MIN
         if not lasts and (begun or other.count <= own.count):
-            return Stamp.REFUSED
+            return False
         self.shift_s = other.last_s - own.last_s
         self.restarted = begun and self.shift_s < 0.0 and not other.was_followed
         self.returned = other.was_followed
@@ -153,7 +140,7 @@ class VehicleClock:
         self._own, self._other, self.now_s = other, own, other.last_s
         self.in_question = False
         self._ticks_s.clear()
-        return Stamp.NEW_LINE
+        return True
 
     @staticmethod
     def _confirmed_after_s(own: _Line, other: _Line) -> float:

@@ -26,7 +26,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
-from sidelong.estimators.sensing.clock import BOOTING_S, PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
+from sidelong.estimators.sensing.clock import BOOTING_S, PROOF_S, SILENCE_MAX_S, SourceClock, VehicleClock
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
     AttitudeReading,
@@ -454,13 +454,13 @@ class Plausibility:
             # A clock that is put right after it stood has readings elsewhere, too: by that they are no jump.
             is_where_it_was = self.position.stayed(place, clock.questioned_for_s, jumped=not self._overtaken)
             self._displaced = 0 if is_where_it_was else self._displaced + 1
-        stamp = clock.take(stamp_s, PROOF_S if (ahead or booted) and self._displaced < _DISPLACED_MIN else None)
+        is_followed = clock.take(stamp_s, PROOF_S if (ahead or booted) and self._displaced < _DISPLACED_MIN else None)
         if clock.two_lines_s is not None:
             self._yield_to_two(f"its clocks take turns, {clock.two_lines_s:.0f} s apart")
         elif clock.slow_lines_s is not None:
             self._suspect_two(f"its clocks take turns, {clock.slow_lines_s:.0f} s apart")
             clock.slow_lines_s = None
-        if stamp is Stamp.NEW_LINE:
+        if is_followed:
             if clock.returned and self.position.accepted is not None:
                 # No time has gone by that the clock left out: the place is still to be held to.
                 self.position.shift(clock.shift_s)
