@@ -362,7 +362,7 @@ def _check_options(given: dict[str, list[str]], fleet: int) -> None:
     planners, known = given.get("planner", [])[1::2], (*MISSION_PLANNERS, *LAWS, CONTROLLER)
     unknown = ", ".join(sorted({*planners} - {*known}))
     not_in_benchmark = next((words[0] for name, words in given.items() if name not in _OF_BENCHMARK), "")
-    flat = "terrain" not in given and any(word.startswith("simulation.home=") for word in given.get("set_", ()))
+    placed = "terrain" not in given and any(word.startswith("simulation.home=") for word in given.get("set_", ()))
     own_alone = CONTROLLER in planners and "controller" not in given
     wrong = (
         ("planner", unknown, f"there is no {unknown!r}; known: {', '.join(known)}"),
@@ -371,7 +371,7 @@ def _check_options(given: dict[str, list[str]], fleet: int) -> None:
         ("benchmark", not_in_benchmark, f"fixes targets, aircraft and noise; leave out {not_in_benchmark}"),
         ("autopilot", autopilot not in LAG_S, f"there is no simulated {autopilot!r}; give {' or '.join(LAG_S)}"),
         ("routes", "targets" not in given, "routes are read next to recorded tracks; give --targets DIR"),
-        ("set_", flat, "simulation.home places the study on elevation data; give --terrain with it"),
+        ("set_", placed, "simulation.home places the study on elevation data; give --terrain with it"),
         ("terrain", fleet > 1, "flies one aircraft; leave out --fleet"),
         ("terrain", {*planners} - {PREDICTIVE}, "flies the default planner; leave out other planners"),
         ("planner", fleet > 1, f"--fleet compares those of fleets, {', '.join(FleetPlannerName)}; leave it out"),
