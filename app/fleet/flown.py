@@ -115,7 +115,7 @@ def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
 <p>Asked: watch {escape(wanted)}.
 Recorded by {escape(flown.program)}. Each aircraft: {links}.</p>
-{_figures(flown)}
+{html.table(("", "all", *(one.name for one in flown.summary.aircraft)), flown.summary.rows(), "Summary")}
 {_announced(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
 
@@ -124,14 +124,6 @@ def _asked_words(asked: Asked, begin_s: float) -> str:
     words = [f"from the {side_words(one)} at {one.range_min_m:g} to {one.range_max_m:g} m" for _, one in asked]
     later = zip((at_s - begin_s for at_s, _ in asked[1:]), words[1:], strict=True)
     return words[0] + "".join(f", after {at_s:.0f} s {changed}" for at_s, changed in later)
-
-
-def _figures(flown: FleetFlown) -> str:
-    table = flown.summary.table()
-    columns = [[str(cell) for cell in column.cells] for column in table.columns]
-    height = max(map(len, columns))
-    rows = zip(*(column + [""] * (height - len(column)) for column in columns), strict=True)
-    return html.table((str(column.header) for column in table.columns), rows, "Summary")
 
 
 def _announced(flown: FleetFlown) -> str:
