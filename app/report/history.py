@@ -376,7 +376,17 @@ def read_flight(
     path = recording(path)
     if path.is_dir():
         return _run(RunFolder.open(path), truth, config, progress)
-    return _log(path, truth, config, progress, target_needed, warn)
+    settings, telemetry, log = load_config(config), Telemetry(), open_log(path)
+    tracker = tracker_of(settings)
+    builder = HistoryBuilder(tracker)
+    _feed_log(log, telemetry, builder, progress)
+    context = log.context()
+    warn(context.warning)
+    if target_needed:
+        require_sightings(tracker, telemetry, log)
+    history = _built(builder, settings, path, telemetry.plane, truth)
+    program, result = context.firmware or context.autopilot.name, summary_of(history, "recorded log")
+    return FlightRecord(path.name, program, settings, history, result, context=context)
 
 
 class Sink(Protocol):
@@ -428,29 +438,6 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
         result = read_summary(folder.read_summary(), str(folder.summary))
     name = folder.path.resolve().name
     return FlightRecord(name, reader.header.program, settings, history, result, reader.damaged_lines)
-
-
-def _log(
-    path: Path,
-    truth: Path | None,
-    config: Path | None,
-    progress: Progress,
-    target_needed: bool,
-    warn: Callable[[str], object],
-) -> FlightRecord:
-    settings = load_config(config)
-    telemetry = Telemetry()
-    tracker = tracker_of(settings)
-    builder = HistoryBuilder(tracker)
-    log = open_log(path)
-    _feed_log(log, telemetry, builder, progress)
-    context = log.context()
-    warn(context.warning)
-    if target_needed:
-        require_sightings(tracker, telemetry, log)
-    history = _built(builder, settings, path, telemetry.plane, truth)
-    program, result = context.firmware or context.autopilot.name, summary_of(history, "recorded log")
-    return FlightRecord(path.name, program, settings, history, result, context=context)
 
 
 def _built(
