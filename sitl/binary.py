@@ -21,7 +21,7 @@ from pathlib import Path
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.devices import Address, DevicePort, device_of
-from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, HomePosition, PayloadSettings, Settings
+from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
 from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.hills import HillsError
@@ -35,7 +35,7 @@ _PX4_SIGNED_PAYLOAD_UDP = 14640
 _OUTPUT, _LAST_WORDS = "output.log", 400
 # The stock batteries are half empty after a minute (PX4), or empty after a quarter of an hour. ArduPlane's simulated
 # aeroplane draws about this current at its stock airspeed.
-_BATTERY_S, _ARDUPLANE_A = 10_800.0, 10.0
+_ARDUPLANE_A = 10.0
 # PX4's start script runs the first file of this name in PATH, and has an empty one of its own.
 _PX4_PARAMETERS_FILE = "px4-rc.params"
 # Before 1.16 the stock simulated aeroplane does not fly: its surfaces and its motor are on outputs that the simulator
@@ -64,43 +64,32 @@ class Run:
     signed_payload: Address | None = None  # where the autopilot forwards a signing payload without its signature
 
 
-def run_of(
-    flavour: Flavour,
-    binary: Path,
-    folder: Path,
-    instance: int,
-    speed: float,
-    home: HomePosition | None,
-    wind: WindVector = _CALM,
-    endurance_s: float = _BATTERY_S,
-) -> Run:
-    """Return the stock command line of an instance that keeps its files, its wind among them, in ``folder``.
-
-    endurance_s: how long its battery lasts; of ArduPlane about.
-    """
+def run_of(own: Settings, binary: Path, folder: Path, instance: int, speed: float) -> Run:
+    """Return the stock command line of an instance that keeps its files, its wind among them, in ``folder``."""
+    flavour, wind = own.flavour, own.wind
     if flavour is Flavour.ARDUPLANE:
-        place = home or DEFAULT_HOMES[flavour]
+        place = own.home_or_default
         where = f"{place.latitude_deg},{place.longitude_deg},{place.altitude_m},{_HEADING_DEG}"
         command = [str(binary), "--model", "plane", "--speedup", f"{speed:g}", "--home", where]
         command += ["-I", str(instance), "--sysid", str(instance + 1)]
         # A binary inside its source tree has the parameters of its stock aircraft there, too.
         defaults = binary.parents[min(3, len(binary.parents) - 1)] / "Tools/autotest/models/plane.parm"
         files = [str(defaults)] if defaults.exists() else []
-        own = folder / "own.parm"
-        text = f"BATT_CAPACITY {endurance_s * _ARDUPLANE_A / 3.6:.0f}\n"
+        parameters_file = folder / "own.parm"
+        text = f"BATT_CAPACITY {own.endurance_s * _ARDUPLANE_A / 3.6:.0f}\n"  # about
         if wind != _CALM:
             from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s)) % 360.0
             text += f"SIM_WIND_SPD {math.hypot(wind.east_m_s, wind.north_m_s):g}\nSIM_WIND_DIR {from_deg:g}\n"
-        own.write_text(text)
-        command += ["--defaults", ",".join([*files, str(own)])]
+        parameters_file.write_text(text)
+        command += ["--defaults", ",".join([*files, str(parameters_file)])]
         port = _ARDUPLANE_TCP + 10 * instance
         return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}", instance + 1)
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
-    place = home or replace(DEFAULT_HOMES[flavour], altitude_m=0.0)
+    place = own.home or replace(DEFAULT_HOMES[flavour], altitude_m=0.0)
     start_files = binary.parent.parent / "etc"
     environment = {"PX4_SIM_MODEL": "sihsim_airplane", "PX4_SIMULATOR": "sihsim"}
     environment["PX4_SIM_SPEED_FACTOR"] = f"{speed:g}"
-    parameters = {"SIM_BAT_DRAIN": f"{endurance_s:g}", "SIM_BAT_MIN_PCT": "0"}
+    parameters = {"SIM_BAT_DRAIN": f"{own.endurance_s:g}", "SIM_BAT_MIN_PCT": "0"}
     if wind != _CALM:  # by where it comes from
         parameters["SIH_WIND_N"], parameters["SIH_WIND_E"] = f"{-wind.north_m_s:.3f}", f"{-wind.east_m_s:.3f}"
     if _takes_parameters_from_the_environment(start_files):
@@ -157,26 +146,14 @@ class Binary:
 
 
 @contextlib.contextmanager
-def started(
-    flavour: Flavour,
-    binary: Path,
-    speed: float,
-    home: HomePosition | None,
-    wind: WindVector = _CALM,
-    instance: int = 0,
-    logs: Path | None = None,
-    endurance_s: float = _BATTERY_S,
-) -> Iterator[Binary]:
-    """Run a simulator; instance: the first that may be taken, and with it the system id. Raises BinaryError.
-
-    logs: where to keep its folder, which is gone with it otherwise. endurance_s: of its battery.
-    """
+def started(own: Settings, binary: Path, speed: float, instance: int = 0) -> Iterator[Binary]:
+    """Run a simulator; instance: the first that may be taken, and with it the system id. Raises BinaryError."""
     program = binary.resolve()
     if not os.access(program, os.X_OK) or program.is_dir():
         raise BinaryError(f"{binary} is no program that can be run")
-    free = _free_instance(flavour, instance)
-    with _working_folder(logs, flavour, free) as folder, (folder / _OUTPUT).open("wb") as output:
-        run = run_of(flavour, program, folder, free, speed, home, wind, endurance_s)
+    free = _free_instance(own.flavour, instance)
+    with _working_folder(own.logs, own.flavour, free) as folder, (folder / _OUTPUT).open("wb") as output:
+        run = run_of(own, program, folder, free, speed)
         try:
             process = subprocess.Popen(
                 run.command,
@@ -232,17 +209,11 @@ def companions_of(settings: Sequence[Settings], vehicle_id: int | None) -> list[
     """Return a payload for each vehicle, all about the first one's target. Raises TrackError for a wrong track."""
     first = settings[0]
     shared = SharedTarget(target_motion(first.targets[0], first.seed))
-    return [
-        Companion(
-            one.payload or PayloadSettings(),
-            shared.seen_from(one.home_east_m),
-            one.seed,
-            one.terrain,
-            vehicle_id,
-            device_of(one),
-        )
-        for one in settings
-    ]
+    companions = []
+    for one in settings:
+        own, seen = one.payload or PayloadSettings(), shared.seen_from(one.home_east_m)
+        companions.append(Companion(own, seen, one.seed, one.terrain, vehicle_id, device_of(one)))
+    return companions
 
 
 @contextlib.contextmanager
@@ -284,11 +255,9 @@ def run_binaries(
     with contextlib.ExitStack() as stack:
         running: list[Binary] = []
         for number, (path, own) in enumerate(zip(programs, settings, strict=True)):
-            home = own.home
-            if len(programs) > 1 and home is None:  # PX4's height control wants to start at sea level
-                home = replace(own.home_or_default, altitude_m=0.0)
-            binary = started(own.flavour, path, speed, home, own.wind, number, own.logs, own.endurance_s)
-            running.append(stack.enter_context(binary))
+            at_sea = replace(own.home_or_default, altitude_m=0.0)  # where PX4's height control wants to start
+            placed = replace(own, home=at_sea) if len(programs) > 1 and own.home is None else own
+            running.append(stack.enter_context(started(placed, path, speed, number)))
         _print_how_to_fly(running, settings)
         kept = [str(binary.folder) for binary, own in zip(running, settings, strict=True) if own.logs is not None]
         if kept:

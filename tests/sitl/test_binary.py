@@ -4,16 +4,17 @@ import math
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from sidelong.sitl.binary import BinaryError, run_of, started
-from sidelong.sitl.settings import Flavour, HomePosition
+from sidelong.sitl.settings import Flavour, HomePosition, Settings
 from sidelong.sitl.world.airframe import WindVector
 
-ARDUPLANE, PX4 = Flavour.ARDUPLANE, Flavour.PX4
 HOME = HomePosition(47.0, 8.0, 400.0)
+ARDUPLANE, PX4 = Settings(Flavour.ARDUPLANE), Settings(Flavour.PX4)
 
 
 def program(path, text):
@@ -23,14 +24,14 @@ def program(path, text):
 
 
 def test_arduplane_is_met_over_tcp_with_the_payload_on_its_third_port(tmp_path):
-    run = run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 2, 3.0, HOME)
+    run = run_of(replace(ARDUPLANE, home=HOME), tmp_path / "arduplane", tmp_path, 2, 3.0)
     assert run.url == "tcpout://127.0.0.1:5780"
     assert run.payload_url == "tcpout://127.0.0.1:5782"
     assert run.command[1:9] == ["--model", "plane", "--speedup", "3", "--home", "47.0,8.0,400.0,353", "-I", "2"]
 
 
 def test_px4_is_met_over_udp_and_finds_its_start_files_next_to_it(tmp_path):
-    run = run_of(PX4, tmp_path / "bin" / "px4", tmp_path / "work", 1, 5.0, None)
+    run = run_of(PX4, tmp_path / "bin" / "px4", tmp_path / "work", 1, 5.0)
     assert (run.url, run.payload_url) == ("udpin://127.0.0.1:14541", "udpout://127.0.0.1:18571")
     assert run.command[1:] == ["-i", "1", "-d", "-w", str(tmp_path / "work"), str(tmp_path / "etc")]
     assert run.environment["PX4_SIM_SPEED_FACTOR"] == "5"
@@ -42,7 +43,7 @@ def test_px4_before_1_16_takes_parameters_and_home_from_a_file_in_its_path(tmp_p
     scripts = tmp_path / "etc" / "init.d-posix"
     scripts.mkdir(parents=True)
     (scripts / "rcS").write_text(". px4-rc.params\n")
-    run = run_of(PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, HOME)
+    run = run_of(replace(PX4, home=HOME), tmp_path / "bin" / "px4", tmp_path, 0, 1.0)
     assert run.environment["PATH"].startswith(f"{tmp_path}:")
     assert not any(name.startswith(("PX4_PARAM_", "PX4_HOME_")) for name in run.environment)
     assert (tmp_path / "px4-rc.params").read_text().splitlines()[:7] == [
@@ -58,31 +59,31 @@ def test_px4_before_1_16_takes_parameters_and_home_from_a_file_in_its_path(tmp_p
 
 def test_the_wind_is_given_as_each_program_takes_it(tmp_path):
     wind = WindVector.blowing_from(4.0, math.radians(270.0))
-    arduplane = run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, wind)
+    arduplane = run_of(replace(ARDUPLANE, wind=wind), tmp_path / "arduplane", tmp_path, 0, 1.0)
     assert arduplane.command[-2:] == ["--defaults", str(tmp_path / "own.parm")]
     assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 30000\nSIM_WIND_SPD 4\nSIM_WIND_DIR 270\n"
-    px4 = run_of(PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, None, wind)
+    px4 = run_of(replace(PX4, wind=wind), tmp_path / "bin" / "px4", tmp_path, 0, 1.0)
     from_m_s = [float(px4.environment[f"PX4_PARAM_SIH_WIND_{axis}"]) for axis in "NE"]
     assert from_m_s == pytest.approx([0.0, -4.0], abs=1e-9)
 
 
 def test_the_battery_lasts_as_long_as_asked_for(tmp_path):
-    run_of(ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, endurance_s=1800.0)
+    run_of(replace(ARDUPLANE, endurance_s=1800.0), tmp_path / "arduplane", tmp_path, 0, 1.0)
     assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 5000\n"
-    px4 = run_of(PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, None, endurance_s=1800.0)
+    px4 = run_of(replace(PX4, endurance_s=1800.0), tmp_path / "bin" / "px4", tmp_path, 0, 1.0)
     assert px4.environment["PX4_PARAM_SIM_BAT_DRAIN"] == "1800"
     assert px4.environment["PX4_PARAM_SIM_BAT_MIN_PCT"] == "0"
 
 
 def test_what_cannot_be_run_is_reported(tmp_path):
-    with pytest.raises(BinaryError, match="no program that can be run"), started(PX4, tmp_path / "px4", 1.0, None):
+    with pytest.raises(BinaryError, match="no program that can be run"), started(PX4, tmp_path / "px4", 1.0):
         pass
 
 
 def test_it_ends_with_us_and_its_folder_too(tmp_path):
     announced = tmp_path / "reported"
     binary = program(tmp_path / "arduplane", f"pwd > {announced}\nsleep 60")
-    with started(ARDUPLANE, binary, 1.0, None) as running:
+    with started(ARDUPLANE, binary, 1.0) as running:
         while not (announced.exists() and announced.read_text()):
             assert not running.ended
         folder = Path(announced.read_text().strip())
@@ -93,7 +94,7 @@ def test_it_ends_with_us_and_its_folder_too(tmp_path):
 
 def test_its_folder_stays_where_its_logs_are_wanted(tmp_path):
     binary = program(tmp_path / "arduplane", "mkdir logs; echo flown > logs/1.BIN; sleep 60")
-    with started(ARDUPLANE, binary, 1.0, None, logs=tmp_path / "kept") as running:
+    with started(replace(ARDUPLANE, logs=tmp_path / "kept"), binary, 1.0) as running:
         log = running.folder / "logs" / "1.BIN"
         while not (log.exists() and log.read_text()):
             assert not running.ended
@@ -104,7 +105,7 @@ def test_its_folder_stays_where_its_logs_are_wanted(tmp_path):
 
 def test_a_folder_for_logs_that_cannot_be_made_is_reported(tmp_path):
     binary = program(tmp_path / "arduplane", "sleep 60")
-    running = started(ARDUPLANE, binary, 1.0, None, logs=binary / "kept")
+    running = started(replace(ARDUPLANE, logs=binary / "kept"), binary, 1.0)
     with pytest.raises(BinaryError, match="cannot keep its logs"), running:
         pass
 
