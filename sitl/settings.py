@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter
 
-from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.turbulence import Level
@@ -92,6 +91,18 @@ class CameraSettings:
     pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
     trees: Annotated[float, Field(ge=0.0)] = 1.0
     lookalikes: Annotated[float, Field(ge=0.0)] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFaults:
+    """Faults of a link, in each direction."""
+
+    loss: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # fraction
+    duplicate: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # fraction of the datagrams that are not lost
+    delay_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0  # of the stations' clock
+    jitter_s: float = 0.0  # maximum additional delay, drawn for each datagram: datagrams overtake each other
+    # Of a serial line: what it cannot carry is late, then lost.
+    baud: Annotated[float, Field(ge=1200.0)] = float("inf")
 
 
 @dataclass(frozen=True, slots=True)

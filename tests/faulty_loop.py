@@ -14,7 +14,8 @@ import numpy as np
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.kinematic import KinematicVehicle
 from sidelong.app.simulation.loop import ClosedLoop, SimulatedVehicle
-from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+from sidelong.sitl.server import FaultyLink
+from sidelong.sitl.settings import LinkFaults
 
 P = TypeVar("P")
 NO_FAULTS = LinkFaults()

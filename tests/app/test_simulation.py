@@ -22,8 +22,7 @@ from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.paper.planner import PaperPlanner
-from sidelong.sitl.protocol.link import LinkFaults
-from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.settings import Flavour, LinkFaults, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
 from tests.faulty_loop import FaultyLoop, Link, Silence
 from tests.faulty_payload import FaultyPayload, PayloadFaults

@@ -20,10 +20,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.protocol.transfer import Item
 from sidelong.sitl.server import serve
-from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.settings import Flavour, LinkFaults, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
 from tests.command_line import runs_for
 

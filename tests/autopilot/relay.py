@@ -13,7 +13,8 @@ import numpy as np
 
 from sidelong.app.flight.shell import free_udp_port
 from sidelong.app.link.frames import Frame, FrameSplitter
-from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+from sidelong.sitl.server import FaultyLink
+from sidelong.sitl.settings import LinkFaults
 
 GOOD = LinkFaults()
 _CONNECTS_WITHIN_S, _AGAIN_S = 20.0, 0.2

@@ -25,7 +25,7 @@ from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
 from sidelong.mission.core.events import ActivatePlan, HealthChanged, PlanStatus
 from sidelong.mission.core.inputs import Input
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 from tests.autopilot.changing_relay import PAYLOAD, VEHICLE, ChangingRelay, packed, unchanged
 from tests.autopilot.conftest import COMMANDING, PATIENCE_S, Application
 from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, configured

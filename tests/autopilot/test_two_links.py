@@ -10,7 +10,7 @@ import os
 
 import pytest
 
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 
 pytestmark = [pytest.mark.udp, pytest.mark.timeout(3600)]
 

@@ -17,7 +17,7 @@ import pytest
 
 from sidelong.app.flight.shell import free_udp_port
 from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan, Yield
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 from tests.bench.size import size
 
 CHANGES, FLIGHTS = size(50, 1, "CHANGES"), size(4, 0, "FLIGHTS")

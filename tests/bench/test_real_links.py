@@ -22,7 +22,7 @@ import pytest
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
 from sidelong.mission.core.events import ActivatePlan, PlanStatus, UploadPlan, Yield
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 from tests.autopilot.relay import GOOD, Relay
 from tests.bench.test_restart import AGAIN_MAX_S, RESTARTS, watching

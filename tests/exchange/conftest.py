@@ -26,8 +26,7 @@ from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.upload.mission_item import MissionItem
-from sidelong.sitl.protocol.link import LinkFaults
-from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.settings import Flavour, LinkFaults, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
 from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link
 from tests.sitl_vehicle import RATES_HZ, SitlVehicle

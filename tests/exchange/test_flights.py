@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan, Yield
 from sidelong.mission.exchange.mission_controller import DERIVED
 from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 
 BAD = LinkFaults(loss=0.05, duplicate=0.05, delay_s=0.1)
 SLOW = LinkFaults(loss=0.05, delay_s=1.0)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sidelong.mission.core.events import PlanStatus, Yield
-from sidelong.sitl.protocol.link import LinkFaults
-from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.settings import Flavour, LinkFaults, Settings, TargetSettings
 
 BAD = LinkFaults(loss=0.05, duplicate=0.05, delay_s=0.1)
 RELEASES = [

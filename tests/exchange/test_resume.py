@@ -15,8 +15,8 @@ from sidelong.mission.control.present import Phase
 from sidelong.mission.core.events import Announce, ControlAcquired, OperatorRequest, UploadPlan, Yield
 from sidelong.mission.exchange.outbox import SendMessage
 from sidelong.sitl.arduplane import ArduPlaneMode
-from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.px4 import Px4Mode
+from sidelong.sitl.settings import LinkFaults
 
 CYCLES = int(os.environ.get("HANDOVERS", "12"))  # at least three to each mode
 CIRCLING_WITHIN_S = 10.0

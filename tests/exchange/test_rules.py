@@ -17,7 +17,7 @@ from sidelong.app.records.journal import encode
 from sidelong.mission.core.events import ActivatePlan, ControlAcquired, End, PlanStatus, UploadPlan, Yield
 from sidelong.mission.exchange.outbox import SendMessage
 from sidelong.mission.upload.mission_item import same_item
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 
 EXAMPLES, STEPS = int(os.environ.get("EXAMPLES", "12")), int(os.environ.get("STEPS", "6"))
 MISSION_MODES = {"arduplane": 10, "px4": 0x04040000}

@@ -18,7 +18,7 @@ from sidelong.mission.exchange.reports import (
     TimerExpired,
 )
 from sidelong.mission.upload.mission_item import MissionItem, same_item, same_items
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 
 ACCEPTED, DENIED, TIMEOUT = WriteResult
 QUIRKS = {one.name.lower(): one.quirks for one in AUTOPILOTS}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sidelong.mission.core.events import ActivatePlan, PlanStatus, Yield
-from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.settings import LinkFaults
 
 BAD = LinkFaults(loss=0.1, delay_s=0.3)
 CUT_S, BETWEEN_S = 2.0, 2.0

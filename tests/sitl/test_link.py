@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+from sidelong.sitl.server import FaultyLink
+from sidelong.sitl.settings import LinkFaults
 
 
 def through(faults, count=20_000, seed=1):
