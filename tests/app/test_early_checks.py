@@ -121,7 +121,7 @@ _TLS = '[sharing]\ncot = "tls://127.0.0.1:8089"\n'
     [
         ('[route]\nfile = "none.gpx"', "route.file: none.gpx: cannot be read"),
         ('[route]\nfile = "."', "route.file: .: cannot be read: it is not a file"),
-        ('[route]\nfile = ""', "route.file: is empty"),
+        ('[route]\nfile = ""', "route.file: .: cannot be read"),
         ('[route]\nfile = "one.csv"', "route.file: one.csv: contains 1 points"),
         (
             '[route]\nfile = "metres.csv"',
