@@ -137,7 +137,6 @@ class _Command(TyperCommand):
 
 
 def load_command(name: str) -> Any:
-    """Return a command, ready to be called, with its module loaded."""
     gc.disable()
     module = import_module(COMMANDS[name][0])
     gc.freeze()  # to look through all this for garbage, again and again while more came, took a tenth of a start

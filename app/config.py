@@ -544,7 +544,6 @@ class Config(Section):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether no link to a vehicle is given."""
         return not self.link.connections
 
     @property
@@ -681,7 +680,6 @@ def check_flyable(config: Config) -> None:
 
 
 def check_alone(config: Config) -> None:
-    """Raise InputError when the configuration of a single aircraft asks for several."""
     if (size := config.requirement.fleet_size) > 1:
         raise InputError(f"requirement.fleet_size = {size} with one aircraft; leave it out, or give a fleet file.")
 

@@ -117,7 +117,6 @@ Displayed = tuple[Mapping[str, FlightDisplay], Callable[[str], None], ViewDispla
 async def _displayed(
     settings: Config, configs: dict[str, Config], quiet: bool, address: PageAddress | None
 ) -> AsyncIterator[Displayed]:
-    """Show the flight on the terminal, and in the browser if it has an address there."""
     fleet = settings if isinstance(settings, FleetFile) else None
     keyboard = keyboard_descriptor() if fleet is None else None
     with Panel(console, quiet, keyboard, fleet is not None and len(fleet.target) > 1) as panel:

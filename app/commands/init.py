@@ -44,20 +44,16 @@ def _airframe(
     return Preset(about, source, {"aircraft": aircraft, "requirement": {"range_max_m": range_max_m}})
 
 
-_ARDUPILOT = "ArduPilot Tools"
+_FRAMES = "ArduPilot Tools/Frame_params"
 
 PRESETS = {
     "parrot-disco": _airframe(
-        "Parrot Disco, foam flying wing of 1.15 m", f"{_ARDUPILOT}/Frame_params/Parrot_Disco", 14.0, 30.0, 55.0
+        "Parrot Disco, foam flying wing of 1.15 m", f"{_FRAMES}/Parrot_Disco", 14.0, 30.0, 55.0
     ),
-    "3dr-aero": _airframe(
-        "3DR Aero, foam pusher", f"{_ARDUPILOT}/Frame_params/3DR_Aero_RTF.param", 15.0, 73.0, 50.0, 750.0
-    ),
-    "skywalker-x8": _airframe(
-        "Skywalker X8, foam flying wing of 2.1 m", f"{_ARDUPILOT}/Frame_params/SkyWalkerX8.param", 16.0, 50.0, 35.0
-    ),
+    "3dr-aero": _airframe("3DR Aero, foam pusher", f"{_FRAMES}/3DR_Aero_RTF.param", 15.0, 73.0, 50.0, 750.0),
+    "skywalker-x8": _airframe("Skywalker X8, foam wing of 2.1 m", f"{_FRAMES}/SkyWalkerX8.param", 16.0, 50.0, 35.0),
     "arduplane-sitl": _airframe(
-        "the stock ArduPlane simulation", f"{_ARDUPILOT}/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
+        "the stock ArduPlane simulation", "ArduPilot Tools/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
     ),
     "px4-sih": _airframe("the PX4 SIH fixed wing", "PX4 SIH rc_plane, unchanged", 15.5, 80.0, 50.0, 850.0),
 }
@@ -82,15 +78,11 @@ PAYLOAD_PRESETS = {
     "siyi-zt30": _payload("SIYI ZT30, four sensors with laser", "siyi", "SIYI's manuals"),
     "siyi-zt6": _payload(f"SIYI ZT6, {_LASERLESS}", "siyi", "SIYI's manuals", has_laser=False),
     "siyi-a8-mini": _payload(
-        f"SIYI A8 mini, {_LASERLESS}", "siyi", "A8 mini manual v1.5", pan_limit_deg=135.0, has_laser=False
+        f"SIYI A8 mini, {_LASERLESS}", "siyi", "A8 mini manual v1.5", "", 135.0, has_laser=False
     ),
     "viewpro-tcp": _payload("Viewpro with a laser, by Ethernet", "viewpro", "Viewpro's TCP control document"),
-    "viewpro-serial": _payload(
-        "Viewpro with a laser, by a serial line", "viewpro", "ArduPilot AP_Mount_Viewpro", _SERIAL
-    ),
-    "topotek-serial": _payload(
-        "Topotek with a laser, by a serial line", "topotek", "ArduPilot AP_Mount_Topotek", _SERIAL
-    ),
+    "viewpro-serial": _payload("Viewpro with a laser, serial", "viewpro", "ArduPilot AP_Mount_Viewpro", _SERIAL),
+    "topotek-serial": _payload("Topotek with a laser, serial", "topotek", "ArduPilot AP_Mount_Topotek", _SERIAL),
     "gremsy-vio": _payload("Gremsy VIO, laser", "gremsy", "Gremsy PayloadSdk"),
     "gremsy-orus-l": _payload("Gremsy Orus-L, laser", "gremsy", "Gremsy PayloadSdk"),
 }

@@ -108,7 +108,6 @@ JsonOption = Annotated[Path | None, OUTPUT("--json", help="Write the summary the
 
 
 def write_json(path: Path | None, values: dict[str, Any]) -> None:
-    """Write the summary where it was asked for. Raises InputError naming the file."""
     if path is None:
         return
     text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"

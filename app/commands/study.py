@@ -278,7 +278,6 @@ def _announce(results: list[StudyResult], json: Path | None) -> None:
 def _recorded(
     found: tuple[Design, ...], targets: list[Path] | None, runs: int | None, duration_s: float, routes: bool
 ) -> tuple[Design, ...]:
-    """Give the designs recorded targets, if there are any, which no design may find too fast."""
     if targets is None:
         return found
     slowest_m_s = min(one.settings.requirement().target_speed_max_m_s for one in found)

@@ -184,7 +184,6 @@ def _kinds(data: mmap | bytes) -> dict[int, _Kind]:
 
 
 def _whole_entries(data: mmap | bytes, kinds: dict[int, _Kind]) -> Iterator[tuple[int, int]]:
-    """Yield where the whole entries begin, with the numbers of their types."""
     size = len(data)
     lengths = {number: kind.length for number, kind in kinds.items()} | {_FORMAT_TYPE: _FORMAT_BYTES}
 
@@ -368,7 +367,6 @@ class _Topic(NamedTuple):
 
 
 def _topics(data: mmap | bytes, wanted: Collection[str] | None) -> dict[int, _Topic]:
-    """Return the wanted topics (None: all) by their numbers."""
     definitions: dict[bytes, bytes] = {}
     for message in _messages(data, b"F", _DEFINITION_MAX_BYTES):
         definition = _DEFINITION.fullmatch(message)
@@ -427,7 +425,6 @@ def _messages(data: mmap | bytes, letter: bytes, longest_bytes: int) -> Iterator
 
 
 def _topic_entries(data: mmap | bytes, topics: dict[int, _Topic]) -> Iterator[tuple[int, _Topic]]:
-    """Yield where the whole entries of the topics begin, and what they are."""
     headers = {
         _ULOG_HEADER.pack(size + 2, b"D", number): (size, topic)
         for number, topic in topics.items()

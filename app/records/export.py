@@ -83,14 +83,12 @@ class FlownTrack:
         return f"{self.label} {what}" if self.label else what
 
     def of_targets(self) -> dict[str, list[TargetEstimate]]:
-        """Return the estimates by what they are of: "target" or its name."""
         found: dict[str, list[TargetEstimate]] = {}
         for estimate, name in zip(self.estimates, self.targets or [""] * len(self.estimates), strict=True):
             found.setdefault(name or "target", []).append(estimate)
         return found
 
     def tracks(self) -> Iterator[PositionTrack]:
-        """Yield the aircraft's track, then those of the targets that were seen."""
         base_m = self.home_altitude_m or 0.0
         flown = [
             TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), (round(base_m + one.height_m, 3),))
@@ -102,7 +100,6 @@ class FlownTrack:
             yield PositionTrack("target", self.named(name), places)
 
     def at(self, time_s: float) -> datetime | None:
-        """Return the time of day at a time of the vehicle's clock."""
         return None if self.booted is None else self.booted + timedelta(seconds=time_s)
 
     def utc(self, time_s: float) -> str | None:

@@ -104,7 +104,6 @@ def _shape(kind: type) -> tuple[type, Callable[[Any], Any]]:
 
 @cache
 def _decode(kind: type) -> Callable[[bytes], Any]:
-    """Return the decoder of a type's fields."""
     shape, made = _shape(kind)
     decode: Callable[[bytes], Any] = msgspec.json.Decoder(shape, dec_hook=_array).decode
     return decode if shape is kind else lambda line: made(decode(line))
@@ -118,7 +117,6 @@ def to_builtins(event: Any) -> Any:
 
 
 def encode(event: Any) -> bytes:
-    """Return the line for a frozen dataclass."""
     fields = _ENCODE(to_builtins(event))
     body = f'{{"event":"{type(event).__name__}","fields":{fields}'.encode()
     return body + _CHECKSUM % zlib.crc32(body)

@@ -95,7 +95,6 @@ class _Folder:
         raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary whole or not at all."""
         write_text(self.summary, json.dumps(summary, indent=2) + "\n")
         self.summary.chmod(0o600)
 
@@ -122,7 +121,6 @@ class RunFolder(_Folder):
 
     @staticmethod
     def open(path: Path) -> RunFolder:
-        """Return the run folder at ``path``; raises InputError when there is none."""
         run = RunFolder(path)
         if FleetFolder(path).journal.is_file():
             raise InputError(f"{path} is the run of a fleet; give the folder of one aircraft in it.")

@@ -355,7 +355,6 @@ def aircraft_event(
 def sensor_point_event(
     place_m: tuple[float, float], plane: LocalPlane, now: datetime, uid: str, names: CotNames = CotNames()
 ) -> bytes:
-    """Return the sensor's point of interest, linked to the aircraft with that uid."""
     event = _event(f"{uid}.SPI", _SENSOR_POINT, _MACHINE_FUSED, now)
     _point(event, plane, place_m)
     detail = ElementTree.SubElement(event, "detail")
@@ -365,7 +364,6 @@ def sensor_point_event(
 
 
 def route_event(route: Route, plane: LocalPlane, now: datetime, uid: str, callsign: str) -> bytes:
-    """Return the route of the target as a drawn line."""
     outline = route.outline_m(_ROUTE_POINTS)
     event = _event(uid, _DRAWN_LINE, _MACHINE_FUSED, now, _ROUTE_STALE_AFTER)
     _point(event, plane, (float(outline[0, 0]), float(outline[0, 1])))
@@ -426,7 +424,6 @@ class CotOutput:
         self._next_s = self._route_s = -math.inf
 
     def show(self, snapshot: Present) -> None:
-        """Send the available positions if the next event is due."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or snapshot.aircraft is None:
             return

@@ -320,7 +320,6 @@ class ElevationData:
 
 @lru_cache(maxsize=1)
 def elevation_data(path: Path) -> ElevationData:
-    """Return the elevation data of a path, opened once. Raises InputError."""
     return ElevationData(path)
 
 
@@ -403,7 +402,6 @@ def _within(bounds: Bounds, raster: Posts, posts_max: int = _POSTS_MAX) -> Posts
 
 
 def _outlined(posts: Posts, outlines: list[Bounds]) -> float:
-    """Return the share of the posts that lie within any of the outlines."""
     latitude = posts.south_deg + np.arange(posts.rows) * posts.step_north_deg
     longitude = posts.west_deg + np.arange(posts.columns) * posts.step_east_deg
     inside = np.zeros((posts.rows, posts.columns), bool)
