@@ -47,9 +47,7 @@ def _airframe(
 _FRAMES = "ArduPilot Tools/Frame_params"
 
 PRESETS = {
-    "parrot-disco": _airframe(
-        "Parrot Disco, foam flying wing of 1.15 m", f"{_FRAMES}/Parrot_Disco", 14.0, 30.0, 55.0
-    ),
+    "parrot-disco": _airframe("Parrot Disco, foam wing of 1.15 m", f"{_FRAMES}/Parrot_Disco", 14.0, 30.0, 55.0),
     "3dr-aero": _airframe("3DR Aero, foam pusher", f"{_FRAMES}/3DR_Aero_RTF.param", 15.0, 73.0, 50.0, 750.0),
     "skywalker-x8": _airframe("Skywalker X8, foam wing of 2.1 m", f"{_FRAMES}/SkyWalkerX8.param", 16.0, 50.0, 35.0),
     "arduplane-sitl": _airframe(
@@ -77,9 +75,7 @@ def _payload(
 PAYLOAD_PRESETS = {
     "siyi-zt30": _payload("SIYI ZT30, four sensors with laser", "siyi", "SIYI's manuals"),
     "siyi-zt6": _payload(f"SIYI ZT6, {_LASERLESS}", "siyi", "SIYI's manuals", has_laser=False),
-    "siyi-a8-mini": _payload(
-        f"SIYI A8 mini, {_LASERLESS}", "siyi", "A8 mini manual v1.5", "", 135.0, has_laser=False
-    ),
+    "siyi-a8-mini": _payload(f"SIYI A8 mini, {_LASERLESS}", "siyi", "SIYI's manuals", "", 135.0, has_laser=False),
     "viewpro-tcp": _payload("Viewpro with a laser, by Ethernet", "viewpro", "Viewpro's TCP control document"),
     "viewpro-serial": _payload("Viewpro with a laser, serial", "viewpro", "ArduPilot AP_Mount_Viewpro", _SERIAL),
     "topotek-serial": _payload("Topotek with a laser, serial", "topotek", "ArduPilot AP_Mount_Topotek", _SERIAL),
