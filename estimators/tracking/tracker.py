@@ -328,11 +328,6 @@ class Tracker:
         self._pairing.set_delays(delays)
         self.payload.used_s = self._pairing.gimbal_delay_s, self._pairing.range_delay_s
 
-    @property
-    def is_confirmed(self) -> bool:
-        """Whether delays and large errors, or none, were found in readings of the payload as it is now."""
-        return self.payload.is_confirmed
-
     def _errs_otherwise(self, found: Delays) -> bool:
         """Return whether the payload's errors that were found with the delays differ clearly from those in use."""
         known = self._track.calibration

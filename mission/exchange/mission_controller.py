@@ -180,7 +180,7 @@ class MissionController:
         elif isinstance(event, ModeReported):
             self._mode = event.mode
             if not self._silent:
-                self._takeover.mode_reported(event.mode)
+                self._takeover.mode = event.mode
 
     def _settle(self) -> None:
         """Dispatch queued events until none remain."""

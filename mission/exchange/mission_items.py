@@ -295,11 +295,6 @@ class MissionItemBackend:
         self.load_result: WriteResult | None = None
 
     @property
-    def mode(self) -> str:
-        """The flight mode, by name, in which it flies."""
-        return self._dialect.mission_mode
-
-    @property
     def idle(self) -> bool:
         """Whether nothing is under way that should end before the program does."""
         return self._write is None and (self._change is None or self._change.stage is not _Stage.ACTIVATING)
@@ -659,8 +654,6 @@ class MissionItemBackend:
         self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
         self._ownership.switched()
         self._announce(change.command.number, "departed")
-
-    # -- reporting -----------------------------------------------------------------------------------------
 
     def _announce(self, number: int, stage: str, detail: str = "") -> None:
         self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]

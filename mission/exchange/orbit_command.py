@@ -85,11 +85,6 @@ class OrbitCommandBackend:
         self._in_control = self._closed = self._waits = False
 
     @property
-    def mode(self) -> str:
-        """The flight mode, by name, in which it flies."""
-        return self._dialect.circle_mode
-
-    @property
     def idle(self) -> bool:
         """Whether nothing is under way that should end before the program does."""
         return self._command is None
@@ -154,7 +149,7 @@ class OrbitCommandBackend:
             self._command.receive(report)
             self._judge()
         circle = self._dialect.reported_circle(report)
-        if circle is None or not self._in_control or self._mode != self.mode:
+        if circle is None or not self._in_control or self._mode != self._dialect.circle_mode:
             return
         ours = [order for _, order in self._ordered]
         if self._reported is not None:
@@ -162,7 +157,7 @@ class OrbitCommandBackend:
         if any(_same_place(circle, order) for order in ours):
             self._reported = circle
             if self._suspicion.active:
-                self._suspicion.fits()
+                self._suspicion.active = False
                 self._waits = True
         elif self._suspicion.is_confirmed_by(self._outbox.link_s):
             self._outbox.report(ExternalControl(self._outbox.time_s, "another station has moved the circle"))
@@ -170,7 +165,7 @@ class OrbitCommandBackend:
     def _lead(self, plan: UploadPlan) -> None:
         """Command the circle that serves now."""
         aircraft = self._aircraft
-        if aircraft is None or self._mode != self.mode:
+        if aircraft is None or self._mode != self._dialect.circle_mode:
             self._failed("the aircraft's place is not known" if aircraft is None else f"the mode is {self._mode}")
             return
         wanted = plan.plan.circle

@@ -37,10 +37,6 @@ class Suspicion:
     active: bool = False  # the latest report did not fit
     _reports_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
-    def fits(self) -> None:
-        """Take a report that fits."""
-        self.active = False
-
     def is_confirmed_by(self, link_s: float) -> bool:
         """Process a report that does not fit; return whether it proves that another operator is in command."""
         self.active = True
@@ -221,7 +217,7 @@ class MissionOwnership:
         elif report.seq < self._flown or not any(line is not None and report.seq in line for line in lines):
             self._suspect(self._reports, f"another station has chosen item {report.seq} of the mission")
         else:
-            self._reports.fits()
+            self._reports.active = False
             if present is not None and report.seq in present:
                 self._flown = report.seq
 
@@ -269,7 +265,7 @@ class MissionOwnership:
         if not self._begun or report.seq not in layout:
             return
         if same_item(layout.items[report.seq], report.item):
-            self._contents.fits()
+            self._contents.active = False
         else:
             self._audit_s = min(self._audit_s, self._outbox.link_s + _AUDIT_AGAIN_S)
             self._suspect(self._contents, _CHANGED)

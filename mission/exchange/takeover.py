@@ -21,7 +21,14 @@ from sidelong.mission.exchange.mission_write import WriteResult
 from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
 from sidelong.mission.exchange.outbox import Outbox, TakeoverFailed
 from sidelong.mission.exchange.reports import CommandAcknowledged, TakeoverRequested, VehicleReport
-from sidelong.mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
+from sidelong.mission.exchange.vehicle_command import (
+    ACCEPTED,
+    IN_PROGRESS,
+    NOT_NOW,
+    CommandExchange,
+    VehicleCommand,
+    describe_result,
+)
 from sidelong.mission.upload.mission_item import MissionItem, e7
 
 _TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
@@ -62,7 +69,7 @@ class Takeover:
         self._outbox, self._dialect = outbox, dialect
         self._settings, self._missions, self._orbits = settings, missions, orbits
         self._script: Script | None = None
-        self._mode = ""
+        self.mode = ""  # as it was reported last
         self._height_m = -math.inf
         self._aircraft: AircraftState | None = None
         self._command: CommandExchange | None = None
@@ -71,19 +78,14 @@ class Takeover:
         self._until_s = math.inf
 
     @property
-    def running(self) -> bool:
-        """Whether the script is under way."""
-        return self._script is not None
-
-    @property
     def next_timer_s(self) -> float:
         """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
         command_s = self._command.next_timer_s if self._command is not None else math.inf
-        return min(command_s, self._until_s) if self.running else math.inf
+        return min(command_s, self._until_s) if self._script is not None else math.inf
 
     def begin(self, request: TakeoverRequested) -> None:
         """Start the takeover."""
-        self._mode, self._arm_period_s = request.mode, request.arm_period_s
+        self.mode, self._arm_period_s = request.mode, request.arm_period_s
         self._round_trip_s = request.round_trip_s
         self._script = self._take_over(request.flying)
         self.step()
@@ -91,10 +93,6 @@ class Takeover:
     def observe(self, aircraft: AircraftState, height_m: float) -> None:
         """Process the aircraft's position."""
         self._aircraft, self._height_m = aircraft, height_m
-
-    def mode_reported(self, mode: str) -> None:
-        """Process the flight mode."""
-        self._mode = mode
 
     def receive(self, report: VehicleReport) -> None:
         """Process a report of the autopilot."""
@@ -134,7 +132,7 @@ class Takeover:
             flown, adopted = yield from self._flown_circle()
             circle, commanded = self._wanted(flown)
             if not by_command and not adopted:
-                first, mode = replace(self._first(circle), circle=commanded), self._mode
+                first, mode = replace(self._first(circle), circle=commanded), self.mode
                 load = self._load(first, ())
                 # PX4 itself leaves the mission mode when its mission is replaced.
                 yield from load if mode == self._dialect.mission_mode else self._while_in(mode, load)
@@ -172,8 +170,8 @@ class Takeover:
         """Run a part of the script, unless the pilot changes the flight mode during it."""
         for _ in part:
             yield
-            if self._mode != mode:
-                raise _FailedError(f"the flight mode was changed to {self._mode} in the meantime")
+            if self.mode != mode:
+                raise _FailedError(f"the flight mode was changed to {self.mode} in the meantime")
 
     def _commanded(self, command: VehicleCommand | CommandExchange) -> Generator[None, None, CommandExchange]:
         exchange = command if isinstance(command, CommandExchange) else CommandExchange(self._outbox, command)
@@ -189,14 +187,14 @@ class Takeover:
         yield from self._until(lambda: self._aircraft is not None, _MODE_WITHIN_S)
         if self._aircraft is None:
             raise _FailedError("the aircraft's place is not known")
-        if self._mode == self._dialect.mission_mode:
+        if self.mode == self._dialect.mission_mode:
             self._missions.adopt(self._round_trip_s)
             while self._missions.reading:
                 yield
             yield from self._until(lambda: self._missions.flown_index is not None, _REPORTED_WITHIN_S)
             flown = self._missions.adopted()
             return flown, flown is not None
-        if self._mode == self._dialect.circle_mode:
+        if self.mode == self._dialect.circle_mode:
             yield from self._until(lambda: self._circle_reported is not None, _REPORTED_WITHIN_S)
             return self._reported_circle(), False
         return None, False
@@ -243,8 +241,8 @@ class Takeover:
         command = yield from self._commanded(self._orbits.take_over(first))
         mode = self._dialect.circle_mode
         if command.accepted:
-            yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S)
-        if not command.accepted or self._mode != mode:
+            yield from self._until(lambda: self.mode == mode, _MODE_WITHIN_S)
+        if not command.accepted or self.mode != mode:
             raise _FailedError(f"the circle was not taken over ({describe_result(command.result)})")
 
     # -- from the ground -----------------------------------------------------------------------------------
@@ -281,8 +279,8 @@ class Takeover:
             command = yield from self._commanded(_ARM)
             if command.accepted:
                 return
-            if command.stuck or self._outbox.time_s > deadline_s:
-                if command.unsettled:
+            if command.result == IN_PROGRESS or self._outbox.time_s > deadline_s:
+                if command.result in (IN_PROGRESS, None):  # it may have been carried out
                     yield from self._commanded(_DISARM)
                 raise _FailedError(f"the autopilot did not arm ({describe_result(command.result)})")
             if not reasons_asked:
@@ -293,22 +291,22 @@ class Takeover:
     def _start_mission(self) -> Script:
         link_end_s = self._outbox.link_s + _MODE_WITHIN_S
         mode = self._dialect.mission_mode
-        expected = (self._mode, mode, self._dialect.circle_mode)
+        expected = (self.mode, mode, self._dialect.circle_mode)
         # PX4 checks a new mission some time after it has taken it. Until then it refuses the mode, or accepts the
         # command and stays in HOLD. Where an accepted command is final, another mode is the pilot's choice.
         final = self._dialect.quirks.stores_items_one_by_one
         while True:
             command = yield from self._commanded(self._dialect.start_mission())
             if command.accepted:
-                yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S if final else _STARTED_S)
-            if self._mode == mode or self._outbox.link_s >= link_end_s or (final and command.accepted):
+                yield from self._until(lambda: self.mode == mode, _MODE_WITHIN_S if final else _STARTED_S)
+            if self.mode == mode or self._outbox.link_s >= link_end_s or (final and command.accepted):
                 break
-            if self._mode not in expected:
-                raise _FailedError(f"the flight mode was changed to {self._mode} in the meantime")
-            if not (command.accepted or command.refused_for_now):
+            if self.mode not in expected:
+                raise _FailedError(f"the flight mode was changed to {self.mode} in the meantime")
+            if command.result not in (ACCEPTED, NOT_NOW):
                 break
             yield from self._until(lambda: False, _START_AGAIN_S)
-        if not command.accepted or self._mode != mode:
+        if not command.accepted or self.mode != mode:
             raise _FailedError(f"the mission was not started ({describe_result(command.result)})")
 
     def _until_circling(self, first: Plan, again_s: float) -> Script:

@@ -9,7 +9,7 @@ from sidelong.mission.exchange.outbox import Outbox
 from sidelong.mission.exchange.reports import CommandAcknowledged
 
 _ANSWER_S, _TRIES = 1.0, 4
-_ACCEPTED, _NOT_NOW, _IN_PROGRESS = 0, 1, 5
+ACCEPTED, NOT_NOW, IN_PROGRESS = 0, 1, 5  # of MAV_RESULT
 _IN_PROGRESS_S, _IN_PROGRESS_MAX_S = 10.0, 30.0  # after each such answer; after the first one
 _RESULTS = {
     0: "accepted",
@@ -57,28 +57,13 @@ class CommandExchange:
     @property
     def accepted(self) -> bool:
         """Whether it was answered, and accepted."""
-        return self.done and self.result == _ACCEPTED
-
-    @property
-    def refused_for_now(self) -> bool:
-        """Whether it was answered that another time might be better."""
-        return self.done and self.result == _NOT_NOW
-
-    @property
-    def stuck(self) -> bool:
-        """Whether the autopilot kept answering that it is in progress."""
-        return self.done and self.result == _IN_PROGRESS
-
-    @property
-    def unsettled(self) -> bool:
-        """Whether it ended without a final answer: it may have been carried out."""
-        return self.stuck or (self.done and self.result is None)
+        return self.done and self.result == ACCEPTED
 
     def receive(self, report: CommandAcknowledged) -> None:
         """Process an acknowledgement."""
         if self.done or report.command != self._command.command:
             return
-        if report.result == _IN_PROGRESS:
+        if report.result == IN_PROGRESS:
             now_s = self._outbox.link_s
             self._in_progress_until_s = min(self._in_progress_until_s, now_s + _IN_PROGRESS_MAX_S)
             self.next_timer_s = min(now_s + _IN_PROGRESS_S, self._in_progress_until_s)
@@ -91,7 +76,7 @@ class CommandExchange:
         if self.done or now_s < self.next_timer_s:
             return
         if now_s >= self._in_progress_until_s:
-            self.done, self.result, self.next_timer_s = True, _IN_PROGRESS, math.inf
+            self.done, self.result, self.next_timer_s = True, IN_PROGRESS, math.inf
         elif self._sends < _TRIES:
             self._send()
         else:

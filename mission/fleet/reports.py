@@ -49,7 +49,7 @@ class FleetReporter:
         found: list[FleetEvent] = []
         tracker, health = controller.tracker, controller.health
         fault, jumped = health.unknown or controller.door.doubt or "", health.payload.is_suspect(controller.time_s)
-        payload = fault, jumped, tracker.is_confirmed, tracker.corrections
+        payload = fault, jumped, tracker.payload.is_confirmed, tracker.corrections
         if payload != self._payload:
             self._payload = payload
             found.append(PayloadReported(self._name, *payload, *tracker.remaining_sigmas))

@@ -166,16 +166,16 @@ def test_sightings_are_shared_without_the_errors_that_were_found(yaw_deg, off_m,
             shared = tracker.without_found(outcome.sighting)
             off.append(math.dist((shared.east_m, shared.north_m), target_m(np.array(shared.time_s))))
     assert np.median(off[-100:]) < 8.0  # the errors alone: 70 m, 45 m
-    assert tracker.is_confirmed is (off_m == 0.0)
+    assert tracker.payload.is_confirmed is (off_m == 0.0)
     assert (tracker.corrections > 0) is corrected
 
 
 def test_a_payload_is_confirmed_by_readings_after_it_is_suspect_only():
     tracker = fed(TrackerSettings(), 0.0, 0.0)
-    assert tracker.is_confirmed
+    assert tracker.payload.is_confirmed
     tracker.payload.restart()
-    assert not tracker.is_confirmed
-    assert not fed(TrackerSettings(latency_sigma_s=0.0), 0.0, 0.0).is_confirmed
+    assert not tracker.payload.is_confirmed
+    assert not fed(TrackerSettings(latency_sigma_s=0.0), 0.0, 0.0).payload.is_confirmed
 
 
 @pytest.mark.parametrize(("late_s", "used_s"), [(0.5, 0.5), (0.2, 0.0)])
