@@ -372,11 +372,9 @@ class StandoffController:
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self._may_depart)
         if self.door.doubt is not None:
-            self._hold(self.door.doubt)
-            return announced
+            return announced + self._hold(self.door.doubt)
         if self.door.no_heartbeat:
-            self._hold("no heartbeat from the autopilot")
-            return announced
+            return announced + self._hold("no heartbeat from the autopilot")
         if self.door.faulty:
             if due:  # a link that often fails may bring few other positions
                 self._next_decision_s = self.time_s
@@ -445,8 +443,7 @@ class StandoffController:
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, reach: Reach | None
     ) -> tuple[StepOutput, ...]:
         if self.health.payload.is_suspect(self.time_s):
-            self._hold(_JUMPED)
-            return ()
+            return self._hold(_JUMPED)
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         news = self.planning.route_news()
         announced: tuple[StepOutput, ...] = (Announce(self.time_s, "route", news),) if news else ()
@@ -547,15 +544,15 @@ class StandoffController:
         if self._height_m is None or crossed is None or self._crossed % _CROSSED_COUNT:
             return ()
         plan, _ = self._best_way(aircraft, present)
-        if plan is None and self._crossed == _CROSSED_COUNT:
-            text, layer_m = f"no separated circle is free: {crossed}", self.planning.layer_m
-            if layer_m > self._height_m + _BELOW_LAYER_M:  # as after the takeover of two that circle together
-                text += f"; climbing to {layer_m:.0f} m on the present circle"
-                return self.changes.upload(self.time_s, self._again(present), self._wind, text)
-            return (Announce(self.time_s, "decision", text),)
-        if plan is None:
+        if plan is not None:
+            return self.changes.upload(self.time_s, plan, self._wind, f"leaving the circle: {crossed}")
+        if self._crossed != _CROSSED_COUNT:
             return ()
-        return self.changes.upload(self.time_s, plan, self._wind, f"leaving the circle: {crossed}")
+        text, layer_m = f"no separated circle is free: {crossed}", self.planning.layer_m
+        if layer_m <= self._height_m + _BELOW_LAYER_M:
+            return (Announce(self.time_s, "decision", text),)
+        text += f"; climbing to {layer_m:.0f} m on the present circle"  # as two do that circled together at first
+        return self.changes.upload(self.time_s, self._again(present), self._wind, text)
 
     # -- ways out ------------------------------------------------------------------------------------------
 
@@ -624,8 +621,7 @@ class StandoffController:
         if height and is_again:
             return self._recover(self._again(present), f"{height}: commanding the circle's height again")
         if is_low:
-            self._hold("below the floor nothing new is commanded")
-            return ()
+            return self._hold("below the floor nothing new is commanded")
         if fence and is_again:
             plan, _ = self._best_way(aircraft, present)
             if plan is not None:
@@ -668,8 +664,7 @@ class StandoffController:
         if self.time_s - self._retreated_s < _RETREAT_S:
             clear_m += _RETREAT_GAIN * keep_m
         if plan is None or min(one.clearance_m(plan, airspeed_m_s, LEAVE_S) for one in reaches) <= clear_m:
-            self._hold(why)
-            return ()
+            return self._hold(why)
         self._retreated_s = self.time_s
         text = f"moving away: {why} and may be within {keep_m:.0f} m"
         return self.changes.upload(self.time_s, plan, self._wind, text)
@@ -678,8 +673,9 @@ class StandoffController:
         """Return the present circle as a new plan, without a transition."""
         return replace(present, transition=None, departure_s=self.time_s + self.latency.expected_s)
 
-    def _hold(self, why: str) -> None:
+    def _hold(self, why: str) -> tuple[()]:
         self.decision = Decision(self.time_s, None, f"holding the circle: {why}")
+        return ()
 
     def _corrected_radius(self, present: Plan) -> tuple[StepOutput, ...]:
         wanted_m = self.changes.wanted_radius_m()
