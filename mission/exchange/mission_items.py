@@ -181,56 +181,10 @@ def _flies(aircraft: AircraftState, plan: Plan) -> tuple[bool, bool]:
 
 
 _NEAR_M = 100.0  # off its line, an aircraft passes a waypoint at such a distance
-SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
+_SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 
 
-def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: float) -> int:
-    """Return the number of the first item that is ahead on a path, at most that of the circle."""
-    for seq in range(layout.first, layout.end - 1):
-        east_m, north_m = place_of(layout.items[seq], plane)
-        nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
-        if path.arc_m[nearest] > flown_m + SWITCH_M:
-            return seq
-    return layout.end - 1
-
-
-def flown_after(
-    layout: MissionLayout, seq: int | None, aircraft: AircraftState | None, plane: LocalPlane, duration_s: float
-) -> int:
-    """Return the item that will be flown after ``duration_s``: the next waypoint may be passed until then."""
-    index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
-    if aircraft is None or index == layout.end - 1:
-        return index
-    east_m, north_m = place_of(layout.items[index], plane)
-    off_m = math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m)
-    return index + (off_m < SWITCH_M + aircraft.ground_speed_m_s * duration_s)
-
-
-def is_skipped(
-    layout: MissionLayout,
-    seq: int,
-    begun_m: tuple[float, float],
-    aircraft: AircraftState,
-    plane: LocalPlane,
-    flown_m: float,
-) -> bool:
-    """Return whether ``seq`` is flown although the aircraft cannot have passed the waypoint before it.
-
-    Args:
-        begun_m: Where the aircraft was when it began to fly to that waypoint; one that misses it passes it abeam.
-        flown_m: How far it may have flown since it passed that waypoint.
-    """
-    if seq - 1 not in layout or seq not in layout:
-        return False
-    east_m, north_m = place_of(layout.items[seq - 1], plane)
-    ahead_m = east_m - aircraft.east_m, north_m - aircraft.north_m
-    leg_m = east_m - begun_m[0], north_m - begun_m[1]
-    left_m = (ahead_m[0] * leg_m[0] + ahead_m[1] * leg_m[1]) / max(math.hypot(*leg_m), 1.0)
-    return min(math.hypot(*ahead_m), left_m) > _NEAR_M + flown_m
-
-
-def place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
-    """Return where an item lies (east, north), m."""
+def _place_of(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
     return plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
 
 
@@ -346,7 +300,7 @@ class MissionItemBackend:
         self._onboard = items
         self._ownership.adopted(self._current)
         item = items[last]
-        return Circle(*place_of(item, self._settings.plane), abs(item.param3), item.param3 > 0.0)
+        return Circle(*_place_of(item, self._settings.plane), abs(item.param3), item.param3 > 0.0)
 
     @property
     def line_first(self) -> int:
@@ -460,7 +414,13 @@ class MissionItemBackend:
             late_s += on_the_way_s
         else:
             return layout.first + self._first_to_fly(change.command, path, layout)
-        return first_ahead(layout, path, self._settings.plane, late_s * self._settings.aircraft.airspeed_m_s)
+        flown_m = late_s * self._settings.aircraft.airspeed_m_s
+        for seq in range(layout.first, layout.end - 1):
+            east_m, north_m = _place_of(layout.items[seq], self._settings.plane)
+            nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
+            if path.arc_m[nearest] > flown_m + _SWITCH_M:
+                return seq
+        return layout.end - 1
 
     def _first_to_fly(self, command: UploadPlan, transition: Path, layout: MissionLayout) -> int:
         """Return which item of a line the aircraft begins with, from where it is."""
@@ -468,7 +428,7 @@ class MissionItemBackend:
             return 0
         settings = self._settings
         tracking = self._dialect.tracking(settings.aircraft.airspeed_m_s, command.wind)
-        places = [place_of(item, settings.plane) for item in layout.line()[:-1]]
+        places = [_place_of(item, settings.plane) for item in layout.line()[:-1]]
         return first_to_fly(transition, command.commanded, tracking, places, self._aircraft, settings.tolerance_m)
 
     # -- uploading -----------------------------------------------------------------------------------------
@@ -546,8 +506,14 @@ class MissionItemBackend:
 
         That is the item flown at that moment, so a waypoint passed during the upload is not flown again.
         """
-        assert self._layout is not None
-        return flown_after(self._layout, self.flown_index, self._aircraft, self._settings.plane, self._took_s)
+        layout, aircraft, seq = self._layout, self._aircraft, self.flown_index
+        assert layout is not None
+        index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
+        if aircraft is None or index == layout.end - 1:
+            return index
+        east_m, north_m = _place_of(layout.items[index], self._settings.plane)
+        off_m = math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m)
+        return index + (off_m < _SWITCH_M + aircraft.ground_speed_m_s * self._took_s)
 
     # -- what is reported ----------------------------------------------------------------------------------
 
@@ -607,15 +573,23 @@ class MissionItemBackend:
         self._ownership.current(report, self._layout, self._left)
 
     def _look_for_skipped(self, before: _Flown | None, aircraft: AircraftState) -> None:
-        """Announce that another station has chosen a later item of our line: it is flown."""
+        """Announce that another station has chosen a later item of our line: it is flown.
+
+        The aircraft cannot have passed the waypoint before that; one that misses a waypoint passes it abeam.
+        """
         layout, now = self._layout, self._flown
         if before is None or now is None or layout is None or now.seq <= before.seq or before.seq not in layout:
+            return
+        if now.seq - 1 not in layout or now.seq not in layout:
             return
         # Reports may have come late, all at once: the vehicle's clock counts.
         since_s = aircraft.time_s - before.aircraft.time_s + self._outbox.vehicle_s(self._round_trip_s)
         flown_m = aircraft.ground_speed_m_s * (_MISSED_S + since_s)
-        begun_m = before.begun.east_m, before.begun.north_m
-        if is_skipped(layout, now.seq, begun_m, aircraft, self._settings.plane, flown_m):
+        east_m, north_m = _place_of(layout.items[now.seq - 1], self._settings.plane)
+        ahead_m = east_m - aircraft.east_m, north_m - aircraft.north_m
+        leg_m = east_m - before.begun.east_m, north_m - before.begun.north_m
+        left_m = (ahead_m[0] * leg_m[0] + ahead_m[1] * leg_m[1]) / max(math.hypot(*leg_m), 1.0)
+        if min(math.hypot(*ahead_m), left_m) > _NEAR_M + flown_m:
             text = f"another station has chosen item {now.seq} of the mission: flying on from there"
             self._outbox.report(Announce(self._outbox.time_s, "plan", text))
 
