@@ -30,11 +30,7 @@ def _getter(names: tuple[str, ...]) -> attrgetter[tuple[object, ...]]:
 
 
 def convert_to_floats(instance: object, *names: str) -> None:
-    """Replace whole numbers and NumPy scalars in a frozen dataclass by floats: compiled code accepts floats only.
-
-    Raises:
-        TypeError: A field holds something else; the message names it.
-    """
+    """Replace numbers in a frozen dataclass by floats, as compiled code needs them; a TypeError names the field."""
     if {*map(type, _getter(names)(instance))} == _FLOAT:  # as nearly always
         return
     for name in names:

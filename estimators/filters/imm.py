@@ -111,10 +111,7 @@ class TargetImm:
         self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """Update the state with a sighting made at the filter's time, unless the gate rejects it; return the NIS.
-
-        For laser and gimbal that is chi-square with three degrees of freedom.
-        """
+        """Update the state with a sighting of now unless the gate rejects it; return the NIS, of three freedoms."""
         state = self.state.copy()
         nis = kernel.update(state, sighting.payload, seen(sighting), gate_nis, self._soft_nis)
         if nis <= gate_nis:

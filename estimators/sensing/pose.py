@@ -147,10 +147,7 @@ _GIMBAL_GAP_MAX_S = 1.0  # between two attitudes of a gimbal: across more, it ma
 
 
 def gimbal_at(gimbals: ReadingHistory[GimbalReading], time_s: float) -> tuple[GimbalReading, float] | None:
-    """Return the gimbal's attitude at a time, and the time between the readings that it lies between.
-
-    None outside the readings, in a long gap, and between readings of two devices or frames.
-    """
+    """Return the gimbal's attitude, and the time between its readings; None outside, in gaps, between devices."""
     pair = gimbals.around(time_s)
     if pair is None:
         return None

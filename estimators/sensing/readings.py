@@ -29,10 +29,7 @@ class Source:
 
 @value_type(frozen=True, slots=True)
 class PositionReading:
-    """The aircraft's position and ground velocity.
-
-    Height is above the autopilot's present home, whose altitude above the sea is home_altitude_m; None: not reported.
-    """
+    """The aircraft's position and ground velocity; its height is above the autopilot's present home."""
 
     time_s: float
     east_m: float
@@ -41,7 +38,7 @@ class PositionReading:
     velocity_east_m_s: float
     velocity_north_m_s: float
     velocity_up_m_s: float
-    home_altitude_m: float | None = None
+    home_altitude_m: float | None = None  # above the sea; None: not reported
 
 
 @value_type(frozen=True, slots=True)
@@ -56,19 +53,16 @@ class AttitudeReading:
 
 @value_type(frozen=True, slots=True)
 class RangeReading:
-    """A slant range along the line of sight. quality is 0..1, None when the sensor does not report it.
-
-    sensor_quaternion_wxyz is the mounting of a DISTANCE_SENSOR with custom orientation, None otherwise.
-    """
+    """A slant range along the line of sight."""
 
     time_s: float
     slant_range_m: float
     source: Source
     sigma_m: float | None = None
-    quality: float | None = None
+    quality: float | None = None  # 0..1; None where the sensor does not report it
     min_range_m: float = 0.0
     max_range_m: float = float("inf")
-    sensor_quaternion_wxyz: tuple[float, float, float, float] | None = None
+    sensor_quaternion_wxyz: tuple[float, float, float, float] | None = None  # mounting of a custom orientation
 
 
 @value_type(frozen=True, slots=True)

@@ -201,10 +201,7 @@ class JointTrack:
         own = slice(first, first + ERRORS)
         return Biases(biases.mean[own], biases.covariance[own, own]).calibration
 
-    # -- which payloads are used ------------------------------------------------------------------------------
-
     def _compare(self, time_s: float) -> None:
-        """Hold the payloads' own tracks against one another."""
         alive = {
             payload: estimate
             for payload, track in enumerate(self._own)
@@ -285,7 +282,6 @@ class JointTrack:
             self._track.add(self._latest[payload])
 
     def _covering(self, time_s: float) -> TargetEstimate | None:
-        """Return an estimate that covers the places where the payloads see the target."""
         every = (track.estimate(time_s) for track in self._own)
         seen = [one for one in every if one is not None and one.quality is not TrackQuality.LOST]
         if not seen:

@@ -312,10 +312,7 @@ class PayloadFit:
         self._sight_repeats, self._yaw_repeats = _Repeats(_SAME_SIGHT), _Repeats(_SAME_SIGHT)
 
     def stand_on(self, hills: bool, sigma_m: float) -> None:
-        """Let lines of sight end on a ground, which is hilly or flat, with a standard deviation of its height.
-
-        A flat one is too high or too low as a whole: that is the ranges' bias.
-        """
+        """Let lines of sight end on a ground; a flat one is too high or low as a whole: that is the ranges' bias."""
         self._on_hills, self._ground_sigma_m = hills, sigma_m if hills else 0.0
 
     @property
@@ -462,7 +459,6 @@ class PayloadFit:
         self._course_rad = course_rad
 
     def _sweep(self) -> None:
-        """Add up by what angle the line of sight has turned."""
         before, self._sight = self._sight, None
         if self._samples:
             last = self._samples[-1]
@@ -759,7 +755,6 @@ class PayloadFit:
     # -- delays, smaller errors and drifts -----------------------------------------------------------------
 
     def _judge_errors(self, now_s: float) -> None:
-        """Fit drifts and constant errors from time to time."""
         if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(self._drift_seen or self._drift or self.wander_m(now_s))]:
             self._drift_s = now_s
             self._judge_drift(now_s)
@@ -1023,10 +1018,7 @@ class PayloadFit:
         return bound_m if bound_m > _WANDER_MIN_M else 0.0
 
     def _pitch_drift(self, readings: Readings, bearing_rad: FloatArray, down_rad: FloatArray) -> tuple[float, ...]:
-        """Return the pitch error at the end, its change, and what one metre of a range error looks like, rad/m.
-
-        The height of the target over the ground shows them.
-        """
+        """Return the pitch error at the end, its change, and what a metre of range error looks like, by heights."""
         time_s, slant_m, _ = readings.ranges.T
         rows = self._since(time_s[0] - _GAP_MAX_S)
         level_m = slant_m * np.cos(down_rad)

@@ -390,10 +390,7 @@ class Tracker:
         return replace(reading, quaternion_wxyz=multiply(turn, reading.quaternion_wxyz))
 
     def _correct_yaw(self, yaw_error_rad: float) -> None:
-        """Correct the yaw by a large error that was found in the lines of sight as they are used now.
-
-        The errors and delays that were found before are forgotten, unless they hold the error already.
-        """
+        """Correct a large yaw error, and forget what was found before, unless that holds the error already."""
         source, payload = self.gimbals.chosen, self.payload
         payload.yaw_error_rad = 0.0
         if source is None or abs(wrap_rad(yaw_error_rad - self._track.calibration.yaw_bias_rad)) < _YAW_KNOWN_RAD:

@@ -164,8 +164,6 @@ class Envelope:
         """Whether the narrowest circle that the aircraft can fly fits into the range band."""
         return self.aircraft is self._configured or fits_band(self.aircraft, self._requirement)
 
-    # -- what the aircraft can do --------------------------------------------------------------------------
-
     def configure(self, aircraft: Aircraft, requirement: Requirement) -> None:
         """Take other limits, or another requirement, from an operator."""
         self._configured, self._requirement = aircraft, requirement
@@ -237,8 +235,6 @@ class Envelope:
         elif abs(bank_rad) > self._reached_rad + _SHORT_RAD:
             self._reached_rad = math.inf
             self._learn()
-
-    # -- once a second -------------------------------------------------------------------------------------
 
     def step(self, now: Present) -> None:
         """Judge the present moment; ``faults`` has the result."""

@@ -229,7 +229,6 @@ def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: 
 
 
 def _jump(last: PositionReading, reading: PositionReading, jump_m: float) -> str:
-    """Return which of position, height and velocity has jumped, in words."""
     step_s = reading.time_s - last.time_s
     climbed_m = abs(reading.height_m - last.height_m - last.velocity_up_m_s * step_s)
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
@@ -271,7 +270,6 @@ def _velocity_follows(
 
 
 def _dead_reckoned(last: PositionReading, announced: PositionReading, bank_rad: float) -> PositionReading:
-    """Return the dead-reckoned position at the time of a rejected reading."""
     step_s = announced.time_s - last.time_s
     east_m_s, north_m_s = last.velocity_east_m_s, last.velocity_north_m_s
     speed_m_s = math.hypot(east_m_s, north_m_s)
@@ -400,7 +398,6 @@ class Plausibility:
         return reading
 
     def _above_first_home(self, reading: PositionReading) -> PositionReading:
-        """Return the position with its height above the home of the takeover."""
         if reading.home_altitude_m is not None:
             if self._home_altitude_m is None or not self.home_is_fixed:
                 self._home_altitude_m = reading.home_altitude_m

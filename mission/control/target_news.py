@@ -288,7 +288,7 @@ _PROBATION_S = 8.0  # a payload that reports a wrong target is found out within 
 
 
 class UnseenTarget:
-    """Follows the track of one flight."""
+    """Where the target can be while it is not seen."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker

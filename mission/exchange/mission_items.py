@@ -423,7 +423,6 @@ class MissionItemBackend:
         return layout.end - 1
 
     def _first_to_fly(self, command: UploadPlan, transition: Path, layout: MissionLayout) -> int:
-        """Return which item of a line the aircraft begins with, from where it is."""
         if self._aircraft is None:
             return 0
         settings = self._settings

@@ -146,8 +146,6 @@ class MissionWrite:
             self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
             self.result = WriteResult.TIMEOUT
 
-    # -- writing -------------------------------------------------------------------------------------------
-
     def _announce(self) -> None:
         self._phase, self._awaited, self._repeats = _Phase.ANNOUNCING, self.changed.start, 0
         self._over = False
@@ -247,8 +245,6 @@ class MissionWrite:
             self.result = WriteResult.TIMEOUT
         else:  # often only the last acknowledgement was lost
             self._read = self._reading()
-
-    # -- what is on board ----------------------------------------------------------------------------------
 
     def _verify(self) -> None:
         if not self._quirks.stores_items_one_by_one:

@@ -163,7 +163,6 @@ class OrbitCommandBackend:
             self._outbox.report(ExternalControl(self._outbox.time_s, "another station has moved the circle"))
 
     def _lead(self, plan: UploadPlan) -> None:
-        """Command the circle that serves now."""
         aircraft = self._aircraft
         if aircraft is None or self._mode != self._dialect.circle_mode:
             self._failed("the aircraft's place is not known" if aircraft is None else f"the mode is {self._mode}")

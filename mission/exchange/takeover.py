@@ -160,7 +160,6 @@ class Takeover:
     def _until(
         self, holds: Callable[[], bool], link_s: float = math.inf, vehicle_s: float = math.inf
     ) -> Iterator[None]:
-        """Wait until a condition holds, or until the timeout."""
         link_end_s, vehicle_end_s = self._outbox.link_s + link_s, self._outbox.time_s + vehicle_s
         while not holds() and self._outbox.link_s < link_end_s and self._outbox.time_s < vehicle_end_s:
             self._until_s = min(link_end_s, self._outbox.link_s + _TICK_S)
@@ -220,7 +219,6 @@ class Takeover:
         return wanted, flown
 
     def _reported_circle(self) -> Circle | None:
-        """Return the circle flown by command, as far as the autopilot reports it."""
         order, here = self._circle_reported, self._here()
         if order is None:
             return None

@@ -205,10 +205,7 @@ class Health:
         self._refused: set[Source] = set()
 
     def received(self, event: Event, now_s: float, lasers: SourceSelector | None = None) -> bool:
-        """Note that an event came, whatever its content; return whether the states are due to be judged.
-
-        A range of a laser that is never used is no input.
-        """
+        """Note that an event came, whatever its content; return whether the states are due to be judged."""
         goes_on = self._ticks > self._moved_tick + _TICKS_MARGIN and now_s != self._now_s
         if goes_on:
             self._moved_tick, self._now_s = self._ticks, now_s
