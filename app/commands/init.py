@@ -75,7 +75,7 @@ def _payload(
 PAYLOAD_PRESETS = {
     "siyi-zt30": _payload("SIYI ZT30, four sensors with laser", "siyi", "SIYI's manuals"),
     "siyi-zt6": _payload(f"SIYI ZT6, {_LASERLESS}", "siyi", "SIYI's manuals", has_laser=False),
-    "siyi-a8-mini": _payload(f"SIYI A8 mini, {_LASERLESS}", "siyi", "SIYI's manuals", "", 135.0, has_laser=False),
+    "siyi-a8-mini": _payload(f"SIYI A8 mini, {_LASERLESS}", "siyi", "A8 mini manual 1.5", "", 135.0, has_laser=False),
     "viewpro-tcp": _payload("Viewpro with a laser, by Ethernet", "viewpro", "Viewpro's TCP control document"),
     "viewpro-serial": _payload("Viewpro with a laser, serial", "viewpro", "ArduPilot AP_Mount_Viewpro", _SERIAL),
     "topotek-serial": _payload("Topotek with a laser, serial", "topotek", "ArduPilot AP_Mount_Topotek", _SERIAL),
