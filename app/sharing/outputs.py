@@ -270,6 +270,7 @@ _STALE_AFTER, _ROUTE_STALE_AFTER = timedelta(seconds=10.0), timedelta(seconds=18
 _DRAWN_LINE = "u-d-f"
 _ROUTE_EVERY_S, _ROUTE_POINTS = 60.0, 40
 _SENSOR_POINT = "b-m-p-s-p-i"
+_LatLon = tuple[float, float]  # degrees
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,9 +305,9 @@ def target_event(
     route: RouteProgress | None = None,
 ) -> bytes:
     """Return the event for the target at ``time_s`` of the vehicle's clock, which is ``now`` by the wall's."""
-    event = _event(uid, names.type, _MACHINE_FUSED, now)
     error_m = confidence_ellipse(estimate.covariance[:2, :2], _ONE_SIGMA).semi_major_m
-    _point(event, plane, estimate.position_m(time_s), ce=f"{error_m:.1f}")
+    place = plane.latitude_longitude_deg(*estimate.position_m(time_s))
+    event = _event(uid, names.type, _MACHINE_FUSED, now, place, ce=f"{error_m:.1f}")
     detail = _detail(event, names.callsign, estimate.course_rad, estimate.speed_m_s)
     remarks = ElementTree.SubElement(detail, "remarks")
     remarks.text = f"sidelong: track {estimate.quality}, within {estimate.ellipse_95.semi_major_m:.1f} m with 95 %"
@@ -324,14 +325,10 @@ def aircraft_event(
     names: CotNames = CotNames(),
     looks_m: tuple[float, float, float] | None = None,
 ) -> bytes:
-    """Return the event for the aircraft.
-
-    Args:
-        looks_m: How far east, north and below of it the place is at which its sensor looks.
-    """
-    event = _event(uid, names.own_type, _MACHINE_GPS, now)
+    """Return the event for the aircraft; looks_m: how far east, north and below of it its sensor looks."""
+    place = plane.latitude_longitude_deg(aircraft.east_m, aircraft.north_m)
     hae = _UNKNOWN if height_above_ellipsoid_m is None else f"{height_above_ellipsoid_m:.1f}"
-    _point(event, plane, (aircraft.east_m, aircraft.north_m), hae=hae)
+    event = _event(uid, names.own_type, _MACHINE_GPS, now, place, hae=hae)
     detail = _detail(event, names.own_callsign, aircraft.course_rad, aircraft.ground_speed_m_s)
     ElementTree.SubElement(detail, "__group", name=names.team, role="Team Member")
     if names.video:
@@ -355,8 +352,8 @@ def aircraft_event(
 def sensor_point_event(
     place_m: tuple[float, float], plane: LocalPlane, now: datetime, uid: str, names: CotNames = CotNames()
 ) -> bytes:
-    event = _event(f"{uid}.SPI", _SENSOR_POINT, _MACHINE_FUSED, now)
-    _point(event, plane, place_m)
+    place = plane.latitude_longitude_deg(*place_m)
+    event = _event(f"{uid}.SPI", _SENSOR_POINT, _MACHINE_FUSED, now, place)
     detail = ElementTree.SubElement(event, "detail")
     ElementTree.SubElement(detail, "contact", callsign=f"{names.own_callsign}.SPI")
     ElementTree.SubElement(detail, "link", uid=uid, type=names.own_type, relation="p-p")
@@ -364,32 +361,30 @@ def sensor_point_event(
 
 
 def route_event(route: Route, plane: LocalPlane, now: datetime, uid: str, callsign: str) -> bytes:
-    outline = route.outline_m(_ROUTE_POINTS)
-    event = _event(uid, _DRAWN_LINE, _MACHINE_FUSED, now, _ROUTE_STALE_AFTER)
-    _point(event, plane, (float(outline[0, 0]), float(outline[0, 1])))
+    places = [plane.latitude_longitude_deg(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()]
+    event = _event(uid, _DRAWN_LINE, _MACHINE_FUSED, now, places[0], _ROUTE_STALE_AFTER)
     detail = ElementTree.SubElement(event, "detail")
-    for place in outline.tolist():
-        latitude_deg, longitude_deg = plane.latitude_longitude_deg(*place)
+    for latitude_deg, longitude_deg in places:
         ElementTree.SubElement(detail, "link", point=f"{latitude_deg:.6f},{longitude_deg:.6f}")
     ElementTree.SubElement(detail, "contact", callsign=callsign)
     return _encoded(event)
 
 
-def _event(uid: str, kind: str, how: str, now: datetime, lasts: timedelta = _STALE_AFTER) -> ElementTree.Element:
+def _event(
+    uid: str,
+    kind: str,
+    how: str,
+    now: datetime,
+    place: _LatLon,
+    lasts: timedelta = _STALE_AFTER,
+    **known_m: str,
+) -> ElementTree.Element:
+    """Return an event at a latitude and longitude; known_m: its height above the ellipsoid (hae) and error (ce)."""
     at, stale = _utc(now), _utc(now + lasts)
-    return ElementTree.Element("event", version="2.0", uid=uid, type=kind, how=how, time=at, start=at, stale=stale)
-
-
-def _point(
-    event: ElementTree.Element,
-    plane: LocalPlane,
-    place_m: tuple[float, float],
-    ce: str = _UNKNOWN,
-    hae: str = _UNKNOWN,
-) -> None:
-    latitude_deg, longitude_deg = plane.latitude_longitude_deg(*place_m)
-    place = {"lat": f"{latitude_deg:.7f}", "lon": f"{longitude_deg:.7f}"}
-    ElementTree.SubElement(event, "point", place, hae=hae, ce=ce, le=_UNKNOWN)
+    event = ElementTree.Element("event", version="2.0", uid=uid, type=kind, how=how, time=at, start=at, stale=stale)
+    where = {"lat": f"{place[0]:.7f}", "lon": f"{place[1]:.7f}"}
+    ElementTree.SubElement(event, "point", where | dict.fromkeys(("hae", "ce", "le"), _UNKNOWN) | known_m)
+    return event
 
 
 def _detail(event: ElementTree.Element, callsign: str, course_rad: float, speed_m_s: float) -> ElementTree.Element:
