@@ -184,7 +184,7 @@ class CameraRunner:
         if self._show is not None:
             self._show(lambda: encoded(line, picture))
         if self._output is not None:
-            with contextlib.suppress(OSError):  # a full disk: the flight goes on
+            with contextlib.suppress(OSError, ValueError):  # a full disk, or values outside the standard's ranges
                 self._write(self._output, picture, pictured, taken_s, line)
         if pictured is None:
             return

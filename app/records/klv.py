@@ -36,7 +36,7 @@ _EVERY_S = 0.2
 _SEEN_FOR_S = 1.0  # how long a sighting, or an attitude of the gimbal, is the sensor's present line of sight
 _VERSION, _VMTI_VERSION, _SECURITY_VERSION = 19, 6, 12
 _LASER_ON, _SLANT_RANGE_MEASURED = 1, 16  # of Generic Flag Data
-_CE90 = 0.9
+_CE90, _CE90_MAX_M = 0.9, 4095.0
 _GATE_MAX_PX = 510.0
 _ACTIVE, _COASTING = 1, 4  # of detectionStatus
 _DEPRESSION_MIN_RAD = math.radians(1.0)  # a line of sight nearer to the horizon meets the ground nowhere
@@ -123,7 +123,8 @@ class UasMetadata:
             ground_m = 0.0 if sensor is None else sensor.ground_m
             values |= self._place((40, 41, 42), *estimate.position_m(time_s), ground_m)
             # CE90: the radius in which a circular error of the same mean variance stays at 90 %.
-            values[45] = math.sqrt(-math.log(1.0 - _CE90) * float(np.trace(estimate.covariance[:2, :2])))
+            variance_m2 = float(np.trace(estimate.covariance[:2, :2]))
+            values[45] = min(math.sqrt(-math.log(1.0 - _CE90) * variance_m2), _CE90_MAX_M)
         if marked is not None:
             values |= self._tracked(values[2], marked)
         return bytes(self._package.encode_uas_local_set(values))
