@@ -30,7 +30,7 @@ _HIDDEN_BELOW, _LEARNT_FROM, _ALIKE_FROM = 0.45, 0.75, 0.65  # shares of how muc
 _HIDDEN_PICTURES = 3
 _LEARN_EVERY_S = 0.25
 _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
-_CANDIDATES_MAX = 6
+_CANDIDATES_MAX = 10
 _REMEMBERED_S, _SAME_SIZES = 60.0, 0.9
 _SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
 _FRESH_S, _NEAR_M = 2.0, 3.0
@@ -186,13 +186,15 @@ class _Candidate:
         return speed_m_s is not None and speed_m_s > _STANDING_SHARE * _MOVES_M_S
 
     def speed_m_s(self, over_s: float) -> float | None:
-        """Return its mean speed over the last ``over_s``; None where it was not seen for all of it."""
+        """Return its mean speed over the last ``over_s``; None where it was not seen for all of it.
+
+        What stands jumps when the gimbal turns quickly: the speed is not higher than over all that was seen of it.
+        """
         end_s, east_m, north_m = self.latest
         past = [one for one in self.seen if one[0] <= end_s - over_s]
-        if not past:
-            return None
-        begin_s, east0_m, north0_m = past[-1]
-        return math.hypot(east_m - east0_m, north_m - north0_m) / (end_s - begin_s)
+        return min(
+            (math.dist(one[1:], (east_m, north_m)) / (end_s - one[0]) for one in past[:1] + past[-1:]), default=None
+        )
 
 
 @dataclass(slots=True)
@@ -223,6 +225,7 @@ class ObjectTracker:
         self._seen_s = self._learnt_s = self._searched_s = self._surveyed_s = -math.inf
         self._doubts = 0
         self._candidates: list[_Candidate] = []
+        self._watched_m: tuple[float, float] | None = None  # the likeliest candidate
         self._trial: _Trial | None = None
         self._alike: list[tuple[float, float, float]] = []  # time s, east m, north m of what looks like it
 
@@ -236,12 +239,17 @@ class ObjectTracker:
         return time_s - self._seen_s
 
     def expected_m(self, time_s: float) -> tuple[float, float]:
-        """Return where to look for it (east, north): by its last motion, after some seconds around there in turn."""
+        """Return where to look for it (east, north): by its last motion, after some seconds around there in turn.
+
+        Then what may be it is looked at until it is known whether it moves.
+        """
         hidden_s = time_s - self._seen_s
         east_m, north_m = self._velocity_m_s[0] * _STOPPED_S, self._velocity_m_s[1] * _STOPPED_S
         if hidden_s <= _STOPPED_S:
             share = hidden_s / _STOPPED_S
             return self._at_m[0] + share * east_m, self._at_m[1] + share * north_m
+        if self._watched_m is not None:
+            return self._watched_m
         far_m = math.hypot(east_m, north_m)
         if far_m < _SLACK_M:
             east_m, north_m = 0.0, _SLACK_M
@@ -305,7 +313,7 @@ class ObjectTracker:
         self._tracker = (cv2.TrackerCSRT if self._kind == "csrt" else cv2.TrackerKCF).create()
         self._tracker.init(window.picture, window.middle_box(self._size_m))
         self._state, self._at_m, self._seen_s, self._doubts = "object", at_m, time_s, 0
-        self._candidates, self._confidence = [], 1.0
+        self._candidates, self._watched_m, self._confidence = [], None, 1.0
         if self._learnt_s == -math.inf:
             self._learn(window, 0.5 * _WINDOW_PX, 0.5 * _WINDOW_PX, time_s)
 
@@ -364,7 +372,7 @@ class ObjectTracker:
         if self._trial is not None:  # it was not the object: that was last seen before
             self._seen_s, self._at_m, self._trial = self._trial.lost[0], self._trial.lost[1:], None
         self._state, self._tracker, self._doubts = "lost", None, 0
-        self._candidates, self._searched_s = [], -math.inf
+        self._candidates, self._watched_m, self._searched_s = [], None, -math.inf
         self._look.forget_lately()
 
     def _remember_alike(self, picture: Picture, time_s: float, view: View) -> None:
@@ -431,7 +439,7 @@ class ObjectTracker:
             _, value, _, (x, y) = cv2.minMaxLoc(alike)
             if value < _ALIKE_FROM:
                 break
-            alike[max(y - height // 2, 0) : y + height // 2 + 1, max(x - width // 2, 0) : x + width // 2 + 1] = -1.0
+            alike[max(y - height, 0) : y + height + 1, max(x - width, 0) : x + width + 1] = -1.0
             at = view.ground(*window.pixel(x + 0.5 * width, y + 0.5 * height))
             near = None if at is None else _Window.around(picture, view, at, self._size_m, 2 * _SIDE_PX)
             if near is None:
@@ -474,23 +482,27 @@ class ObjectTracker:
             if speed_m_s > _MOVES_M_S and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
                 moved_m_s = one.speed_m_s(_STANDS_FOR_S)
                 stands = moved_m_s is not None and moved_m_s < _STANDING_SHARE * speed_m_s
-                if stands and (seen_for_s < _STOOD_FOR_S or not self._may_stand(one.latest[1:], hidden_s)):
+                has_stood, is_on_way = seen_for_s >= _STOOD_FOR_S, self._is_on_way(one.latest[1:])
+                if stands and has_stood and not is_on_way:
+                    self._alike.append(one.latest)
+                if stands and not (has_stood and is_on_way and hidden_s > _STOPPED_S):
                     continue  # what stands may have been hidden before, too
                 fits &= moved_m_s is not None
             rated.append((off_m, fits, one))
         rated.sort(key=lambda rate: rate[0])
+        self._watched_m = rated[0][2].latest[1:] if rated else None
         # The nearest, and not before it is known whether it moves; at first, of two about as near, neither.
         unclear = len(rated) > 1 and rated[0][0] > 0.5 * rated[1][0] and hidden_s < _STOPPED_S
         return rated[0][2] if rated and rated[0][1] and not unclear else None
 
-    def _may_stand(self, at_m: tuple[float, float], hidden_s: float) -> bool:
-        """Return whether the object may have stopped there: on its way, and hidden for long."""
+    def _is_on_way(self, at_m: tuple[float, float]) -> bool:
+        """Return whether the object may have stopped there, as it went straight on."""
         speed_m_s = max(math.hypot(*self._velocity_m_s), 1e-3)
         ahead, aside = (one / speed_m_s for one in self._velocity_m_s)
         east_m, north_m = at_m[0] - self._at_m[0], at_m[1] - self._at_m[1]
         along_m = min(max(ahead * east_m + aside * north_m, 0.0), speed_m_s * _STOPPED_S)
         off_m = math.hypot(east_m - along_m * ahead, north_m - along_m * aside)
-        return hidden_s > _STOPPED_S and off_m < _ON_WAY_M
+        return off_m < _ON_WAY_M
 
 
 @dataclass(frozen=True, slots=True)
