@@ -117,7 +117,7 @@ def connected(request, tmp_path, free_port):
 def test_driver_reports_angles_and_range_of_the_target(connected, tmp_path):
     driver, start = connected
     truth, logs, seen = tmp_path / "truth.csv", tmp_path / "logs", defaultdict(list)
-    with start("--truth", truth, "--logs", logs) as vehicle:
+    with start("--truth", truth, "--set", f"logs={logs}") as vehicle:
         station = Station(vehicle.urls[0])
 
         def take_off():
