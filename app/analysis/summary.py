@@ -96,25 +96,16 @@ class Summary:
     outcome: str
     time_in_sight: float | None = None
     min_clearance_m: float | None = None
-    time_within_pan_limits: float | None = None
-    """Share of the time in which the gimbal could look at the target; None if it pans all around."""
-    time_on_side_now: float | None = None
-    """By the target's present course; ``time_on_side`` is by the course it made good."""
-    reversals: int | None = None
-    """Moves within 10 s of the last one; None in summaries of earlier versions."""
-    time_unknown: float | None = None
-    """Share of the time in which missing or contradicting inputs made the judgement unknown."""
-    inputs: tuple[InputTime, ...] = ()
-    """How long each input was not ok."""
-    gimbal_delay_s: float | None = None
+    time_within_pan_limits: float | None = None  # None if the gimbal pans all around
+    time_on_side_now: float | None = None  # by the target's present course, not by the one it made good
+    reversals: int | None = None  # moves within 10 s of the last one; None in summaries of earlier versions
+    time_unknown: float | None = None  # share in which inputs were missing or contradictory
+    inputs: tuple[InputTime, ...] = ()  # how long each input was not ok
+    gimbal_delay_s: float | None = None  # how late the payload stamped its readings, as estimated
     range_delay_s: float | None = None
-    """How late the payload stamped its readings, as estimated; None while it was not known."""
-    battery_percent: tuple[int, int] | None = None
-    """When watching began, and at the end."""
-    links: tuple[dict[str, Any], ...] = ()
-    """Each way to the vehicle, as ``LinkReport.as_json`` has it."""
-    records_lost: str = ""
-    """Why the records of the flight are incomplete; '' if they are complete."""
+    battery_percent: tuple[int, int] | None = None  # when watching began, and at the end
+    links: tuple[dict[str, Any], ...] = ()  # each way to the vehicle, as ``LinkReport.as_json`` has it
+    records_lost: str = ""  # why the records of the flight are incomplete; '' if they are complete
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
