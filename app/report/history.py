@@ -160,10 +160,8 @@ class HistoryBuilder:
     def __init__(self, tracker: Tracker) -> None:
         self._sensing = Sensing(tracker)
         self.positions: list[PositionReading] = []
-        self._estimates: list[TargetEstimate] = []
-        self._targets: list[str] = []  # of each estimate
+        self._seen: list[tuple[TargetEstimate, str, bool]] = []  # with the target's name; whether inputs were sound
         self._breaches, self._out = Breaches(), set[Input]()
-        self._known: list[bool] = []  # whether the inputs of each estimate were sound
         self._target = ""
         self.sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
@@ -219,13 +217,11 @@ class HistoryBuilder:
     def _position(self, reading: PositionReading) -> None:
         if not self.positions or reading.time_s >= self.positions[-1].time_s + _AIRCRAFT_STEP_S:
             self.positions.append(reading)
-        last_s = self._estimates[-1].time_s if self._estimates else -math.inf
+        last_s = self._seen[-1][0].time_s if self._seen else -math.inf
         if reading.time_s >= last_s + _ESTIMATE_STEP_S:
             estimate = self._sensing.tracker.estimate(reading.time_s)
             if estimate is not None:
-                self._estimates.append(estimate)
-                self._targets.append(self._target)
-                self._known.append(not self._sensing.unknown)
+                self._seen.append((estimate, self._target, not self._sensing.unknown))
                 progress = None if self._follower is None else self._follower.update(estimate)
                 if progress is not None:
                     self._progress.append((estimate.time_s, progress))
@@ -245,23 +241,30 @@ class HistoryBuilder:
 
     def build(self, asked: FlightRequirements, plane: LocalPlane, truth: Truth | None) -> FlightHistory:
         """Return the history so far; there must be at least two positions."""
-        aircraft = _track(self.positions)
+        rows = [(p.time_s, p.east_m, p.north_m, p.velocity_east_m_s, p.velocity_north_m_s) for p in self.positions]
+        time_s, east_m, north_m, east_m_s, north_m_s = np.array(rows).T
+        aircraft = AircraftTrack(
+            time_s, east_m, north_m, np.arctan2(east_m_s, north_m_s), np.hypot(east_m_s, north_m_s)
+        )
         start_s = self._start_s
         if start_s is None:  # no takeover: the log begins where the target is first seen
-            start_s = self._estimates[0].time_s if self._estimates else float(aircraft.time_s[0])
+            start_s = self._seen[0][0].time_s if self._seen else float(time_s[0])
         # What is seen before the fleet has named its target is of the first one named.
-        first = next(filter(None, self._targets), "")
-        targets = [name or first for name in self._targets]
-        end_s = float(aircraft.time_s[-1])
-        moments = () if truth is None else tuple(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
-        judged = moments or _estimated_moments(self._estimates, targets, self._known, aircraft, start_s)
+        first = next((name for _, name, _ in self._seen if name), "")
+        seen = [(one, name or first, sound) for one, name, sound in self._seen]
+        moments = () if truth is None else tuple(truth.moments(plane, start_s, float(time_s[-1]), _TRUTH_STEP_S))
+        watched = [of for of in seen if of[0].time_s >= start_s]
+        at_s = [one.time_s for one, _, _ in watched]
+        here_m = zip(*(np.interp(at_s, time_s, place_m).tolist() for place_m in (east_m, north_m)), strict=True)
+        known = zip(here_m, watched, strict=True)
+        judged = moments or tuple(Moment.by_estimate(e, n, one, name, sound) for (e, n), (one, name, sound) in known)
         return FlightHistory(
             asked,
             start_s,
             tuple(self.positions),
             aircraft,
-            tuple(self._estimates),
-            tuple(targets),
+            tuple(one for one, _, _ in seen),
+            tuple(name for _, name, _ in seen),
             tuple(self.sightings),
             tuple(self._breaches.applied(judged)),
             bool(moments),
@@ -284,31 +287,6 @@ class HistoryBuilder:
             elif requirement.sector is None and change.side is not None:
                 requirement = replace(requirement, side=change.side)
             yield change.time_s, requirement
-
-
-def _track(positions: list[PositionReading]) -> AircraftTrack:
-    time_s, east_m, north_m, velocity_e, velocity_n = np.array(
-        [(p.time_s, p.east_m, p.north_m, p.velocity_east_m_s, p.velocity_north_m_s) for p in positions]
-    ).T
-    return AircraftTrack(
-        time_s, east_m, north_m, np.arctan2(velocity_e, velocity_n), np.hypot(velocity_e, velocity_n)
-    )
-
-
-def _estimated_moments(
-    estimates: list[TargetEstimate], targets: list[str], known: list[bool], aircraft: AircraftTrack, start_s: float
-) -> tuple[Moment, ...]:
-    return tuple(
-        Moment.by_estimate(
-            float(np.interp(one.time_s, aircraft.time_s, aircraft.east_m)),
-            float(np.interp(one.time_s, aircraft.time_s, aircraft.north_m)),
-            one,
-            target,
-            sound,
-        )
-        for one, target, sound in zip(estimates, targets, known, strict=True)
-        if one.time_s >= start_s
-    )
 
 
 def curvature_per_m(aircraft: AircraftTrack) -> tuple[FloatArray, FloatArray]:
