@@ -46,20 +46,18 @@ from sidelong.mission.exchange.mission_controller import MissionController
 from sidelong.mission.geometry.line_kernel import Trapezoid, laid_out, trapezoid
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.wind import ground_speeds_m_s
-from sidelong.mission.route.progress import RoutePlanner
 from sidelong.mission.route.progress_kernel import fresh_progress
-from sidelong.mission.route.route import route_of
+from sidelong.mission.route.route import RoutePlanner, route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline, intersection
 from sidelong.mission.upload.items import lay_out
 from sidelong.mission.upload.line_tracking import LineTracking
-from sidelong.mission.viewpoint.course_hold import TargetCourse, courses_made_good_rad
+from sidelong.mission.viewpoint.watch_course import TargetCourse, courses_made_good_rad
 
 if TYPE_CHECKING:
     from sidelong.app.link.stored import VehicleFences
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight
-    from sidelong.mission.terrain.heights import FlightHeights
-    from sidelong.mission.terrain.sight import SightField
+    from sidelong.mission.terrain.heights import FlightHeights, SightField
 
 
 Pair = tuple[float, float]
@@ -344,8 +342,7 @@ def surroundings_of(
     if ground is None:
         return Surroundings(fences, OneHeight(aircraft.rates()), bounds=bounds)
     # Compiled code takes a second to load, so it is imported only if there is elevation data.
-    from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
-    from sidelong.mission.terrain.sight import SightField  # noqa: PLC0415
+    from sidelong.mission.terrain.heights import FlightHeights, HeightRules, SightField  # noqa: PLC0415
 
     rules = HeightRules(
         aircraft.height_m,

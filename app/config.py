@@ -30,7 +30,7 @@ from sidelong.app.records.text_file import read_toml
 from sidelong.mission.core.feasibility import in_words
 from sidelong.mission.core.plan import ClimbRates
 from sidelong.mission.core.requirement import PAN_LIMIT_MIN_DEG, Aircraft, Requirement, Side, widest_radius_m
-from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.viewpoint.watch_course import watching_from
 
 if TYPE_CHECKING:
     PlannerName = str

@@ -3,7 +3,7 @@
 - **Band**: the horizontal range is within ``range_min_m`` to ``range_max_m`` of the requirement.
 - **Side**: the aircraft is within 90 degrees of the normal of the target's course, on the required side. The course
   is the one made good over ``requirement.course_horizon_s``, 20 s by default; see
-  :mod:`sidelong.mission.viewpoint.course_hold`. Only the time after the target has made good a course counts. A
+  :mod:`sidelong.mission.viewpoint.watch_course`. Only the time after the target has made good a course counts. A
   required sector replaces the course; with either side allowed every direction is right.
 - **Observation angle**: from that normal, or from the middle of the sector, to the line from target to aircraft.
 - **Within the pan limits**: the target is no further from the nose than the gimbal pans.
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.viewpoint.course_hold import STANDING_M_S, courses_made_good_rad
+from sidelong.mission.viewpoint.watch_course import STANDING_M_S, courses_made_good_rad
 
 BoolArray = npt.NDArray[np.bool_]
 

@@ -33,12 +33,11 @@ from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet import events
-from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from sidelong.mission.fleet.judges import WatchedCourse
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget, WatchedCourse
 from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
-from sidelong.mission.route.progress import RouteFollower
+from sidelong.mission.route.route import RouteFollower
 
 _UTC_SINCE_S = 1.5e9  # an earlier time is a clock that has not been set
 _UTC_SIGMA_S = 0.02  # GPS time, stamped by the autopilot's main loop

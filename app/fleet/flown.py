@@ -28,7 +28,7 @@ from sidelong.app.report import html
 from sidelong.app.report.history import FlightRecord, read_flight, read_summary
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, VehicleReported
-from sidelong.mission.viewpoint.side_policy import side_words
+from sidelong.mission.viewpoint.watch_course import side_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,8 +18,7 @@ import numpy as np
 
 from sidelong.app.process import helper_command, helper_environment
 from sidelong.estimators.compiled import FOLDER
-from sidelong.mission.predictive.value_iteration import compute
-from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
+from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed, compute
 
 _REMEMBERED_MAX = 8
 _IN_PARALLEL_WITHIN_S, _NICER = 120.0, 10

@@ -36,7 +36,7 @@ from sidelong.mission.core.events import (
     UploadPlan,
 )
 from sidelong.mission.core.plan import Plan
-from sidelong.mission.route.progress import RouteFollower, follower_of
+from sidelong.mission.route.route import RouteFollower, follower_of
 
 _UNSTAMPED = frozenset({"foxglove.GeoJSON", "foxglove.SceneUpdate"})
 

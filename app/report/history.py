@@ -57,8 +57,7 @@ from sidelong.mission.core.inputs import UNFULFILLED, Input, InputState
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.route.progress import RouteFollower, RouteProgress, follower_of
-from sidelong.mission.route.route import Route
+from sidelong.mission.route.route import Route, RouteFollower, RouteProgress, follower_of
 
 _MOVES = "moving"  # how the reason of a decision to move begins
 

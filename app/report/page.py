@@ -19,7 +19,7 @@ from sidelong.app.report.html import Axis, Chart, Drawing, Mark, line, mark
 from sidelong.app.view.shading import hillshade
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.viewpoint.side_policy import side_words
+from sidelong.mission.viewpoint.watch_course import side_words
 
 _TICK_S = 50.0
 _LABELS_MAX = 12

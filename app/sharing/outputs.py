@@ -31,8 +31,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality, confidenc
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.route.progress import RouteProgress, describe
-from sidelong.mission.route.route import Route
+from sidelong.mission.route.route import Route, RouteProgress, describe
 
 _CONNECT_TIMEOUT_S, _AGAIN_AFTER_S = 10.0, 5.0
 _BACKLOG_MAX_BYTES = 64 << 10

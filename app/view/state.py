@@ -18,9 +18,8 @@ from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.route.progress import RouteProgress
-from sidelong.mission.route.route import Route
-from sidelong.mission.viewpoint.side_policy import side_words
+from sidelong.mission.route.route import Route, RouteProgress
+from sidelong.mission.viewpoint.watch_course import side_words
 
 
 def _limits(section: type[BaseModel], name: str) -> list[float]:

@@ -94,11 +94,11 @@ from sidelong.mission.core.plan import (
     settled_m,
 )
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
+from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, escapes, paths_to, retreats
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
-from sidelong.mission.geometry.retreat import HOLD_S, LEAVE_S, Reach, escapes, paths_to, retreats
 from sidelong.mission.geometry.separation import Encounter
 from sidelong.mission.health.health import Health
-from sidelong.mission.viewpoint.course_hold import TargetCourse
+from sidelong.mission.viewpoint.watch_course import TargetCourse
 
 # Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
 _WIND_MAX_SHARE = 0.9

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sidelong.mission.core.events import MissionChange
 from sidelong.mission.core.requirement import Aircraft, Requirement
-from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.viewpoint.watch_course import watching_from
 
 
 def requirement_after(change: MissionChange, requirement: Requirement) -> Requirement:

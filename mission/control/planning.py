@@ -28,9 +28,8 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, P
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, off_track, point_at
-from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe, progress_of
 from sidelong.mission.route.progress_kernel import fresh_progress, reset
-from sidelong.mission.route.route import Route, route_from
+from sidelong.mission.route.route import Route, RoutePlanner, RouteProgress, describe, progress_of, route_from
 
 WINDS_MAX = 5
 """A flight prepares for at most this number of wind speeds: a table takes seconds."""

@@ -17,7 +17,7 @@ from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.inputs import UNFULFILLED, Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
-from sidelong.mission.route.progress import RouteProgress
+from sidelong.mission.route.route import RouteProgress
 
 _STANDING_M_S = 0.3  # a slower target's course is noise
 

@@ -22,7 +22,7 @@ from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Announce
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.geometry.retreat import Reach
+from sidelong.mission.geometry.approach import Reach
 
 # A shorter gap is not announced: lasers often miss for some seconds.
 _AFTER_S = 8.0

@@ -45,15 +45,10 @@ class WindPrepared:
 
 @dataclass(frozen=True, slots=True)
 class RouteGiven:
-    """The route that the target is expected to follow; without way points, none.
+    """The route that the target is expected to follow, as way points in the local plane; without any, none.
 
-    Attributes:
-        east_m: East of the way points in the local plane, m.
-        north_m: North of the way points, m.
-        lap: Whether the last way point connects to the first one.
-        tolerance_m: One standard deviation of the target's lateral offset from the route, m.
-        speed_m_s: Expected speed along the route, m/s; None: unknown.
-        direction: Direction in which the target follows the way points.
+    lap: the last way point connects to the first one. tolerance_m: one standard deviation of the target's lateral
+    offset. speed_m_s: expected along the route; None: unknown. direction: in which the target follows the way points.
     """
 
     time_s: float
@@ -93,11 +88,7 @@ class BankLimitReported:
 
 @dataclass(frozen=True, slots=True)
 class ModeReported:
-    """A heartbeat of the autopilot: its flight mode by name, and whether it is armed.
-
-    Attributes:
-        failsafe: Why the autopilot is in a failsafe, in its own words; '' if it is in none.
-    """
+    """A heartbeat of the autopilot; failsafe: why it is in one, in its own words, '' if it is in none."""
 
     time_s: float
     mode: str
@@ -109,8 +100,7 @@ class ModeReported:
 class ControlAcquired:
     """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
 
-    Attributes:
-        commanded: The circle as it was commanded, where that differs from ``circle``.
+    commanded: the circle as it was commanded, where that differs.
     """
 
     time_s: float
@@ -121,14 +111,12 @@ class ControlAcquired:
 
 @dataclass(frozen=True, slots=True)
 class PlanStatus:
-    """How far the autopilot has followed plan ``number``.
+    """How far the autopilot has followed plan ``number``; detail: the reason of a failure, in words.
 
-    Attributes:
-        stage: ready: the autopilot holds the plan and still flies the previous path. departed: it flies the plan.
-            failed: it does neither, and flies the previous path. unconfirmed: the plan was commanded, but not
-            confirmed; departed or failed follows. A failed departure may still be followed by departed.
-        detail: The reason of a failure, in words.
-        by_command: With ready: no upload was needed; departed follows when the command is obeyed.
+    ready: the autopilot holds the plan and still flies the previous path. departed: it flies the plan. failed: it
+    does neither, and flies the previous path; a failed departure may still be followed by departed. unconfirmed: the
+    plan was commanded, but not confirmed; departed or failed follows. by_command, with ready: no upload was needed;
+    departed follows when the command is obeyed.
     """
 
     time_s: float
@@ -148,11 +136,7 @@ class LinkReported:
 
 @dataclass(frozen=True, slots=True)
 class ClockTick:
-    """A second of this computer has passed: shows the silence of a vehicle whose own clock stands still.
-
-    Attributes:
-        link_s: this computer's clock.
-    """
+    """A second of this computer's clock, link_s, has passed: the vehicle's own may stand still."""
 
     time_s: float
     link_s: float
@@ -176,10 +160,7 @@ class YieldRequested:
 
 @dataclass(frozen=True, slots=True)
 class OperatorRequest:
-    """A person's wish: hold the circle, resume, watch from another side, confirm what is seen, or end the mission.
-
-    who: as the page knows the person; '' where it came from no page.
-    """
+    """A person's wish; who: as the page knows the person, '' where it came from no page."""
 
     time_s: float
     action: Literal["hold", "resume", "side", "confirm", "end"]
@@ -276,10 +257,8 @@ Event = (
 class UploadPlan:
     """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
 
-    Attributes:
-        commanded: The plan's circle, corrected so that the autopilot flies the required one.
-        wind: The present estimate of the wind, for which waypoints are laid out.
-        home_m: Height of the autopilot's present home above the home that the plan's heights count from.
+    commanded: the plan's circle, corrected so that the autopilot flies the required one. wind: for which waypoints
+    are laid out. home_m: of the autopilot's present home above the home that the plan's heights count from.
     """
 
     time_s: float
@@ -337,11 +316,9 @@ class Announce:
 
 @dataclass(frozen=True, slots=True)
 class HealthChanged:
-    """The state of an input has changed.
+    """The state of an input has changed; text: what has happened and what to do, in one sentence.
 
-    Attributes:
-        text: what has happened and what to do, in one sentence.
-        lasted_s: how long the previous state lasted; 0 if there was none.
+    lasted_s: of the previous state; 0 if there was none.
     """
 
     time_s: float

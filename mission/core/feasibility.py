@@ -51,41 +51,29 @@ def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...
 
     The circle may be too tight, the target too fast, the band too narrow.
     """
-    return (
-        *_circle_too_tight(aircraft),
-        *_target_too_fast(aircraft, requirement),
-        *_band_too_narrow(aircraft, requirement),
-    )
+    return tuple(_changes(aircraft, requirement))
 
 
-def _circle_too_tight(aircraft: Aircraft) -> Iterator[Change]:
-    if aircraft.radius_m >= aircraft.min_radius_m:
-        return
-    because = f"the circle is tighter than a bank of {math.degrees(aircraft.bank_max_rad):.0f} degrees allows"
-    airspeed_m_s = math.sqrt(aircraft.radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
-    yield Change("radius_m", aircraft.radius_m, aircraft.min_radius_m, because)
-    yield Change("airspeed_m_s", aircraft.airspeed_m_s, airspeed_m_s, because)
-
-
-def _target_too_fast(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
-    if requirement.target_speed_max_m_s < aircraft.airspeed_m_s:
-        return
-    because = "the target is as fast as the aircraft"
-    yield Change("target_speed_max_m_s", requirement.target_speed_max_m_s, 0.99 * aircraft.airspeed_m_s, because)
-    yield Change("airspeed_m_s", aircraft.airspeed_m_s, 1.01 * requirement.target_speed_max_m_s, because)
-
-
-def _band_too_narrow(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
-    if fits_band(aircraft, requirement):
-        return
-    diameter_m = 2.0 * aircraft.radius_m
-    because = "the circle does not fit between the least and the greatest range"
-    yield Change("range_max_m", requirement.range_max_m, requirement.range_min_m + diameter_m, because)
-    if requirement.range_max_m > diameter_m:
-        yield Change("range_min_m", requirement.range_min_m, requirement.range_max_m - diameter_m, because)
-    if requirement.range_max_m > requirement.range_min_m:
-        half_band_m = (requirement.range_max_m - requirement.range_min_m) / 2.0
-        yield Change("radius_m", aircraft.radius_m, half_band_m, because)
+def _changes(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
+    radius_m, airspeed_m_s = aircraft.radius_m, aircraft.airspeed_m_s
+    if radius_m < aircraft.min_radius_m:
+        because = f"the circle is tighter than a bank of {math.degrees(aircraft.bank_max_rad):.0f} degrees allows"
+        slow_m_s = math.sqrt(radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
+        yield Change("radius_m", radius_m, aircraft.min_radius_m, because)
+        yield Change("airspeed_m_s", airspeed_m_s, slow_m_s, because)
+    fastest_m_s = requirement.target_speed_max_m_s
+    if fastest_m_s >= airspeed_m_s:
+        because = "the target is as fast as the aircraft"
+        yield Change("target_speed_max_m_s", fastest_m_s, 0.99 * airspeed_m_s, because)
+        yield Change("airspeed_m_s", airspeed_m_s, 1.01 * fastest_m_s, because)
+    if not fits_band(aircraft, requirement):
+        diameter_m, min_m, max_m = 2.0 * radius_m, requirement.range_min_m, requirement.range_max_m
+        because = "the circle does not fit between the least and the greatest range"
+        yield Change("range_max_m", max_m, min_m + diameter_m, because)
+        if max_m > diameter_m:
+            yield Change("range_min_m", min_m, max_m - diameter_m, because)
+        if max_m > min_m:
+            yield Change("radius_m", radius_m, (max_m - min_m) / 2.0, because)
 
 
 def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:

@@ -27,13 +27,10 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another aircraft.
+    """Another aircraft: ours follows the plans of ``NeighbourPlanned``; a foreign one goes on as it flies.
 
-    Attributes:
-        ours: It follows the plans of ``NeighbourPlanned``; a foreign aircraft goes on straight or turning as it does.
-        target: Name of the target it watches; '' for a foreign aircraft.
-        climb_m_s: Of a foreign aircraft.
-        clear_m: Distance to keep from it horizontally or vertically, m; (0, 0): the least distance in all directions.
+    target: name of the one it watches; '' for a foreign aircraft. clear_m: distance to keep from it horizontally or
+    vertically; (0, 0): the least distance in all directions.
     """
 
     name: str
@@ -50,14 +47,10 @@ class Neighbour:
 class FleetAdvice:
     """About once a second: which target to watch, from which side, and where the others are.
 
-    Attributes:
-        estimate: Joint estimate of that target; None before it was seen.
-        height_m: Height of the layer to fly in, above home, m.
-        reason: Why this differs from the previous advice; '' where it does not.
-        turn_payload: The payload looks at another target and has to turn.
-        course_rad: Course of the target by which the fleet assigns the sides, clockwise from north; None before the
-            first aircraft watches.
-        separation: Which aircraft is too near, in words; '' if none is.
+    estimate: joint one of that target; None before it was seen. height_m: of the layer to fly in, above home. reason:
+    why this differs from the previous advice; '' where it does not. turn_payload: the payload looks at another target
+    and has to turn. course_rad: of the target, by which the fleet assigns the sides; None before the first aircraft
+    watches. separation: which aircraft is too near, in words; '' if none is.
     """
 
     time_s: float
@@ -77,8 +70,7 @@ class FleetAdvice:
 class NeighbourPlanned:
     """What another aircraft of the fleet flies, and the plan on its way to it; sent whenever either changes.
 
-    Attributes:
-        present: None: not known, or the aircraft has left the fleet.
+    present is None where it is not known, or the aircraft has left the fleet.
     """
 
     time_s: float

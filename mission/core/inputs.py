@@ -50,12 +50,9 @@ class InputState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class InputReport:
-    """The present state of one input, for displays.
+    """The present state of one input, for displays: since when on the vehicle's clock, and why, in a sentence.
 
-    Attributes:
-        since_s: since when, on the vehicle's clock.
-        rate_hz: readings per second of the vehicle's clock over the last seconds; NaN before it is known.
-        text: the sentence of the last change.
+    rate_hz: readings per second of that clock over the last seconds; NaN before it is known.
     """
 
     input: Input

@@ -83,20 +83,12 @@ class Plan:
         return 0.0 if self.transition is None else self.transition.length_m
 
     def circle_height_m(self, configured_m: float) -> float:
-        """Return the height of the circle, above home.
-
-        Args:
-            configured_m: Height for a plan without heights of its own, above home, m.
-        """
+        """Return the height of the circle above home: the configured one for a plan without heights of its own."""
         return configured_m if self.heights is None else self.heights.to_m
 
 
 def settled_m(height_m: float, plan: Plan | None) -> float:
-    """Return the height that an aircraft flies: that of its plan, once it is close to it.
-
-    Args:
-        height_m: Present height above home, m.
-    """
+    """Return the height above home that an aircraft flies: that of its plan, once it is close to it."""
     if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
         return height_m
     return plan.heights.to_m
@@ -121,14 +113,10 @@ class Planner(Protocol):
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s`` while ``present`` is flown.
+        """Return a new plan, or None to continue, at ``aircraft.time_s`` while ``present`` is flown, with the reason.
 
         Args:
-            latency_s: Time that a new plan takes to reach the autopilot, s: it departs no earlier than
-                ``aircraft.time_s + latency_s``.
-
-        Returns:
-            A new plan, or None to continue, with the reason.
+            latency_s: Time that a new plan takes to reach the autopilot, s: it departs no earlier than after it.
         """
 
 
@@ -171,22 +159,15 @@ class Heights(Protocol):
     """Gives plans their heights, m above home."""
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
-        """Return a plan with its heights.
+        """Return a plan with its heights above home, or in words why there are none.
 
         Args:
             flown_m: Present height above home, m; None before the first circle.
             target_m: Target's position (east, north), m.
-
-        Returns:
-            The plan with heights above home, or in words why there are none.
         """
 
     def at(self, height_m: float) -> Heights:
-        """Return the same rules for another height.
-
-        Args:
-            height_m: The height, above the reference of the configured one, m.
-        """
+        """Return the same rules for another height, above the reference of the configured one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,12 +134,7 @@ class Aircraft:
         return 2.0 * math.pi * self.radius_m / self.airspeed_m_s
 
     def roll_s(self, to_per_m: float, from_per_m: float = 0.0) -> float:
-        """Return the time that the aircraft takes to roll from one turn into another.
-
-        Args:
-            to_per_m: Curvature of the turn, 1/m; positive to the right.
-            from_per_m: Curvature flown before, 1/m.
-        """
+        """Return the time to roll into a turn from another one, by their curvatures, positive to the right."""
         to_rad, from_rad = (
             math.atan(self.airspeed_m_s**2 * per_m / GRAVITY_M_S2) for per_m in (to_per_m, from_per_m)
         )

@@ -20,9 +20,9 @@ Rules
 -----
 1. Only what was reported lately counts: an aircraft silent for 5 s has lost its role to the others.
    Mission time goes by the aircraft's clocks: a jump of one aircraft's UTC never moves it; see
-   :class:`sidelong.mission.fleet.clocks.VehicleTime`.
+   :class:`sidelong.mission.fleet.vehicle.VehicleTime`.
 2. Roles are given out each second by expected cost; see :mod:`sidelong.mission.fleet.roles`. The sides are those of
-   one course for all, known since the target was first seen (:class:`sidelong.mission.fleet.judges.WatchedCourse`).
+   one course for all, known since the target was first seen (:class:`WatchedCourse`).
 3. Relief: an aircraft whose battery is below 30 %, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the required side away, but holds it until the other one is there; a reserve
    is asked for. Below 15 % it leaves in any case. A reserve is also asked for when no aircraft is left.
@@ -42,9 +42,10 @@ Source: docs/how-to/several-aircraft.md; docs/decisions/0012-fleet-as-a-layer.md
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -52,12 +53,12 @@ from scipy.optimize import linear_sum_assignment
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.tracking.joint_track import JointTrack
+from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState
-from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
+from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -79,10 +80,20 @@ from sidelong.mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from sidelong.mission.fleet.judges import MakeJudge, RoleJudges
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
-from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
+from sidelong.mission.fleet.vehicle import (
+    FleetMember,
+    FleetVehicle,
+    shifted_estimate,
+    shifted_plan,
+    shifted_state,
+)
 from sidelong.mission.geometry.separation import MIN_SEPARATION_M, circles_apart_m
+from sidelong.mission.route.route import RouteFollower, follower_of
+from sidelong.mission.viewpoint.watch_course import CourseHold, SidePolicy
+
+if TYPE_CHECKING:
+    from sidelong.mission.fleet.team_planner import TeamPlanner
 
 AFTER_S, CLEAR_AFTER_S = 3.0, 5.0
 _AIRBORNE_M = 10.0  # above home; lower, aircraft may stand side by side
@@ -94,13 +105,14 @@ class _Flying:
     name: str
     state: AircraftState
     height_m: float
-    vehicle: FleetVehicle | None  # None: not commanded by this program
+    ours: bool = False  # commanded by this program
     member: bool = True  # of the fleet
+    circle: Circle | None = None
 
 
 @dataclass(slots=True)
 class _Pair:
-    """upper: the aircraft that the alarm belongs to; text: the alarm in words, '' until it is raised."""
+    """upper: the aircraft that the alarm belongs to; text: '' until it is raised."""
 
     upper: str
     begun_s: float
@@ -119,23 +131,23 @@ class Proximity:
     ) -> dict[str, str]:
         """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to."""
         flying = [craft for craft in _all_of(fleet, foreign) if craft.height_m >= _AIRBORNE_M]
-        flying.sort(key=lambda craft: (craft.vehicle is None, -craft.height_m, craft.name))
+        flying.sort(key=lambda craft: (not craft.ours, -craft.height_m, craft.name))
         for upper, lower in combinations(flying, 2):
-            if upper.vehicle is not None:
+            if upper.ours:
                 self._compare(now_s, upper, lower)
         self._pairs = {key: pair for key, pair in self._pairs.items() if now_s - pair.seen_s < CLEAR_AFTER_S}
-        raised: dict[str, str] = {}
+        raised: dict[str, list[str]] = {}
         for pair in self._pairs.values():
             if pair.text:
-                raised[pair.upper] = f"{raised[pair.upper]}; {pair.text}" if pair.upper in raised else pair.text
-        return raised
+                raised.setdefault(pair.upper, []).append(pair.text)
+        return {name: "; ".join(texts) for name, texts in raised.items()}
 
     def _compare(self, now_s: float, upper: _Flying, lower: _Flying) -> None:
-        apart_m, crosses = _apart_m(now_s, upper, lower), self._crosses(upper, lower)
-        gap_m = abs(upper.height_m - lower.height_m)
-        shares = lower.vehicle is None and lower.member and gap_m < MIN_SEPARATION_M
-        near = apart_m < MIN_SEPARATION_M
-        if not (near or crosses or shares):
+        apart_m, gap_m, crosses = _apart_m(now_s, upper, lower), abs(upper.height_m - lower.height_m), False
+        near, level = apart_m < MIN_SEPARATION_M, gap_m < MIN_SEPARATION_M
+        if level and upper.circle is not None and lower.circle is not None:
+            crosses = math.hypot(circles_apart_m(upper.circle, lower.circle), gap_m) < MIN_SEPARATION_M
+        if not (near or crosses or (level and not lower.ours and lower.member)):
             return
         pair = self._pairs.setdefault(frozenset((upper.name, lower.name)), _Pair(upper.name, now_s))
         pair.seen_s = now_s
@@ -146,42 +158,26 @@ class Proximity:
             why = "and their circles cross" if crosses else "which was yielded and may come here"
             pair.text = f"the height differs by only {gap_m:.0f} m from that of {other}, {why}"
 
-    def _crosses(self, upper: _Flying, lower: _Flying) -> bool:
-        vertical_m = abs(upper.height_m - lower.height_m)
-        circles = [
-            craft.vehicle.plans.present.circle
-            for craft in (upper, lower)
-            if craft.vehicle is not None
-            and craft.vehicle.role is not Role.LEAVE
-            and craft.vehicle.plans is not None
-            and craft.vehicle.plans.present is not None
-        ]
-        return (
-            vertical_m < MIN_SEPARATION_M
-            and len(circles) == 2
-            and math.hypot(circles_apart_m(*circles), vertical_m) < MIN_SEPARATION_M
-        )
-
 
 def _all_of(fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]) -> Iterator[_Flying]:
     for vehicle in fleet:
         if vehicle.report is not None and not vehicle.yielded:
-            yield _Flying(vehicle.member.name, vehicle.report.state, vehicle.report.height_m, vehicle)
+            plan = vehicle.plans.present if vehicle.plans is not None and vehicle.role is not Role.LEAVE else None
+            circle, report = None if plan is None else plan.circle, vehicle.report
+            yield _Flying(vehicle.member.name, report.state, report.height_m, ours=True, circle=circle)
     for other in foreign:
-        yield _Flying(other.identity, other.state, other.height_m, None, other.member)
+        yield _Flying(other.identity, other.state, other.height_m, member=other.member)
 
 
 def _apart_m(now_s: float, first: _Flying, other: _Flying) -> float:
     """Return the distance at ``now_s`` by the latest reports, m; infinite where a report is too old."""
     places = []
     for state in (first.state, other.state):
-        age_s = now_s - state.time_s
+        age_s, course_rad = now_s - state.time_s, state.course_rad
         if age_s > _REPORT_MAX_AGE_S:
             return math.inf
         gone_m = state.ground_speed_m_s * age_s
-        places.append(
-            (state.east_m + gone_m * math.sin(state.course_rad), state.north_m + gone_m * math.cos(state.course_rad))
-        )
+        places.append((state.east_m + gone_m * math.sin(course_rad), state.north_m + gone_m * math.cos(course_rad)))
     return math.hypot(math.dist(*places), first.height_m - other.height_m)
 
 
@@ -201,16 +197,13 @@ def spread_over(
 ) -> tuple[list[str], float]:
     """Return the assignment of the aircraft to the targets that costs least among the even ones.
 
-    Each target has a position on its required side, then one opposite, and so on in turn.
+    Each target has a position on its required side, then one opposite, and so on in turn. Also returns the gain over
+    the present assignment in seconds off the required side, which are the unit of costs and change_s, the price of
+    each change; infinite if the aircraft are spread unevenly now, or one has no target.
 
     Args:
         costs: Costs of each aircraft (rows) at each target (columns), finite.
         at: The present target of each aircraft; any other name if it has none.
-        change_s: Price of each change of target, in seconds off the required side.
-
-    Returns:
-        The target of each aircraft, and the gain over the present assignment in seconds off the required side. The
-        gain is infinite if the aircraft are spread unevenly now, or one has no target.
     """
     each, odd = divmod(len(costs), len(targets))
     places = [(k, row) for k in range(len(targets)) for row in range(each + (odd > 0))]
@@ -229,6 +222,107 @@ def _cheapest(to_s: FloatArray) -> tuple[list[int], float]:
     """Return the place of each aircraft, and what all cost together."""
     rows, columns = linear_sum_assignment(to_s)
     return columns.tolist(), float(to_s[rows, columns].sum())
+
+
+MakeJudge = Callable[[str, Aircraft, Requirement], "TeamPlanner"]
+
+
+class WatchedCourse:
+    """The course that defines the sides for a whole fleet, of one target from its first sighting on.
+
+    course_rad: the one made good over the requirement's horizon. While the way is still short, the present one, held
+    while the target stands; before it has moved, one by which the first aircraft is on the required side; None until
+    there is an aircraft.
+    """
+
+    def __init__(self, requirement: Requirement) -> None:
+        self._normal_turn_rad = requirement.side.normal_turn_rad
+        self._policy = SidePolicy(requirement, 0.0, requirement.course_horizon_s)
+        self._hold = CourseHold()
+        self._presumed_rad: float | None = None
+        self.course_rad: float | None = None
+
+    def update(self, target: TargetEstimate, first: AircraftState | None) -> None:
+        """Take an estimate, in the order of time. first: the aircraft that began to watch first, None before."""
+        self._policy.viewpoint(target.east_m, target.north_m, target)
+        if first is not None and self._presumed_rad is None:
+            away_rad = math.atan2(first.east_m - target.east_m, first.north_m - target.north_m)
+            self._presumed_rad = away_rad - self._normal_turn_rad
+        held_rad, made_good_rad = self._hold.update(target), float(self._policy.memory[0].made_good_rad)
+        if not math.isnan(made_good_rad):
+            self.course_rad = made_good_rad
+        else:
+            self.course_rad = self._presumed_rad if held_rad is None else held_rad
+
+
+class RoleJudges:
+    """One judge for each aircraft and target, all by the target's one course."""
+
+    def __init__(self, make_judge: MakeJudge) -> None:
+        self._make_judge = make_judge
+        self._judges: dict[tuple[str, str], TeamPlanner] = {}
+        self._wanted: dict[str, Requirement] = {}
+        self._courses: dict[str, WatchedCourse] = {}
+        self._followers: dict[str, RouteFollower] = {}
+
+    def ask(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
+        """Judge by this requirement of a target from now on."""
+        self._wanted[target] = wanted
+        self._courses.setdefault(target, WatchedCourse(wanted))
+        for one in fleet:
+            self._judges[one.member.name, target] = self._make_judge(one.member.name, one.member.aircraft, wanted)
+        self._expect_on_route(target)
+
+    def expect(self, target: str, given: RouteGiven) -> None:
+        """Expect a target on a route from now on, if its points are one."""
+        follower = follower_of(given)
+        if follower is not None:
+            self._followers[target] = follower
+            self._expect_on_route(target)
+
+    def _expect_on_route(self, target: str) -> None:
+        follower = self._followers.get(target)
+        if follower is not None:
+            for (_, watched), judge in self._judges.items():
+                if watched == target:
+                    judge.follow(follower.route, follower.progress)
+
+    def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
+        """Take the targets' estimates, in the order of time."""
+        for name, estimate in estimates.items():
+            if estimate is not None and estimate.quality is not TrackQuality.LOST:
+                watching = [one for one in fleet if one.takes_part and one.target == name]
+                first = min(watching, key=lambda one: one.since_s).report if watching else None
+                self._courses[name].update(estimate, None if first is None else first.state)
+                if name in self._followers:
+                    self._followers[name].update(estimate)
+
+    def course_rad(self, target: str) -> float | None:
+        """Return the course of a target whose sides count."""
+        return self._courses[target].course_rad
+
+    def costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
+        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
+        report = vehicle.report
+        present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
+        if report is None or present is None:
+            return None
+        judge, course_rad = self._judges[vehicle.member.name, target], self.course_rad(target)
+        if course_rad is not None:
+            judge.presume(course_rad)
+        return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
+
+    def way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
+        """Return how long an aircraft needs to a target, 0 where it is at it."""
+        range_m = vehicle.range_m(estimate)
+        at_it = range_m <= self._wanted[target].range_max_m
+        return 0.0 if at_it else range_m / vehicle.member.aircraft.airspeed_m_s
+
+    def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
+        """Return what an aircraft would pay in each role at a target, the flight there included."""
+        costs = self.costs(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
+        way_s = self.way_s(vehicle, target, estimate)
+        return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)
 
 
 _PERIOD_S = 1.0
@@ -261,12 +355,7 @@ class FleetCoordinator:
     has no sides.
     """
 
-    def __init__(
-        self,
-        members: Sequence[FleetMember],
-        targets: Sequence[FleetTarget],
-        make_judge: MakeJudge,
-    ) -> None:
+    def __init__(self, members: Sequence[FleetMember], targets: Sequence[FleetTarget], make_judge: MakeJudge) -> None:
         names = [member.name for member in members]
         if len(set(names)) < len(names) or len({target.name for target in targets}) < len(targets):
             raise ValueError("every aircraft and every target needs a name of its own")
@@ -391,19 +480,16 @@ class FleetCoordinator:
             self._say(event.name, "is back")
         if before is None:
             for other in self._vehicles.values():
-                if other is not vehicle:
-                    self._announce_plans(vehicle, other)
-                    self._announce_plans(other, vehicle)
+                self._announce_plans(vehicle, other)
+                self._announce_plans(other, vehicle)
 
     def _planned(self, vehicle: FleetVehicle, event: PlansReported) -> None:
         vehicle.plans = event
         for other in self._vehicles.values():
-            if other is not vehicle:
-                self._announce_plans(other, vehicle)
+            self._announce_plans(other, vehicle)
 
     def _announce_plans(self, listener: FleetVehicle, other: FleetVehicle) -> None:
-        """Send an aircraft another one's plans, if they are known."""
-        if listener.report is None or other.report is None or other.plans is None:
+        if listener is other or listener.report is None or other.report is None or other.plans is None:
             return
         plans, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
         present, coming = shifted_plan(plans.present, by_s), shifted_plan(plans.coming, by_s)
@@ -511,11 +597,8 @@ class FleetCoordinator:
             self._assign_roles(name, estimates[name])
         self._relieve(estimates)
         too_near = self._proximity.watch(self._now_s, self._vehicles.values(), self._foreign.values())
-        self._foreign = {
-            key: craft
-            for key, craft in self._foreign.items()
-            if self._now_s - craft.mission_time_s < _FOREIGN_FORGOTTEN_S
-        }
+        now_s, foreign = self._now_s, self._foreign.items()
+        self._foreign = {key: one for key, one in foreign if now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S}
         for vehicle in self._vehicles.values():
             if vehicle.report is not None:
                 advice = self._advice_to(vehicle, estimates[vehicle.target], too_near.get(vehicle.member.name, ""))
@@ -533,29 +616,14 @@ class FleetCoordinator:
         # While the payloads contradict one another, each aircraft watches by its own track.
         if vehicle.watches == target and vehicle.member.name in self._tracks[target].refused:
             estimate = estimate if self._tracks[target].is_led else None
-        ours = [
-            Neighbour(
-                other.member.name,
-                shifted_state(other.report.state, by_s),
-                other.report.height_m,
-                True,
-                other.target,
-                other.role,
-            )
-            for other in self._vehicles.values()
-            if other is not vehicle and other.report is not None and not other.yielded
-        ]
-        others = [
-            Neighbour(
-                craft.identity,
-                shifted_state(craft.state, by_s),
-                craft.height_m,
-                False,
-                climb_m_s=craft.climb_m_s,
-                clear_m=craft.clear_m,
-            )
-            for craft in self._foreign.values()
-        ]
+        neighbours: list[Neighbour] = []
+        for other in self._vehicles.values():
+            if other is not vehicle and other.report is not None and not other.yielded:
+                flown = shifted_state(other.report.state, by_s), other.report.height_m
+                neighbours.append(Neighbour(other.member.name, *flown, True, other.target, other.role))
+        for craft in self._foreign.values():
+            flown, kept = (shifted_state(craft.state, by_s), craft.height_m), (craft.climb_m_s, craft.clear_m)
+            neighbours.append(Neighbour(craft.identity, *flown, False, "", Role.WANTED, *kept))
         return FleetAdvice(
             self._now_s + by_s,
             target,
@@ -563,7 +631,7 @@ class FleetCoordinator:
             wanted.opposite if vehicle.role is Role.OPPOSITE else wanted,
             shifted_estimate(estimate, by_s),
             vehicle.member.height_m,
-            (*ours, *others),
+            tuple(neighbours),
             reason,
             vehicle.watches != target,
             self._judges.course_rad(target),
@@ -571,7 +639,6 @@ class FleetCoordinator:
         )
 
     def _give_route(self, vehicle: FleetVehicle) -> None:
-        """Send an aircraft the route of its target, unless it has it."""
         route = self._routes.get(vehicle.target)
         if route is not vehicle.route:
             vehicle.route = route
@@ -596,11 +663,7 @@ class FleetCoordinator:
             for name, estimate in estimates.items()
             if estimate is not None and estimate.quality is not TrackQuality.LOST
         }
-        free = [
-            vehicle
-            for vehicle in self._vehicles.values()
-            if vehicle.takes_part and estimates[vehicle.target] is not None
-        ]
+        free = [one for one in self._vehicles.values() if one.takes_part and estimates[one.target] is not None]
         if len(self._targets) < 2 or not known or not free:
             return
         costs = [
@@ -633,9 +696,8 @@ class FleetCoordinator:
             way_s = math.inf if self._is_to_be_relieved(vehicle) else self._judges.way_s(vehicle, target, estimate)
             costs = replace(costs, wanted_s=costs.wanted_s + way_s)
             on_station = is_on_station(report.state, estimate, wanted, self._judges.course_rad(target))
-            candidates[name] = Candidate(
-                costs, on_station, vehicle.plans is not None and vehicle.plans.coming is not None
-            )
+            under_way = vehicle.plans is not None and vehicle.plans.coming is not None
+            candidates[name] = Candidate(costs, on_station, under_way)
         roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))
         for name, role in roles.items():
             self._vehicles[name].role = role

@@ -68,13 +68,9 @@ class SightingReported:
 class PayloadReported:
     """What the vehicle's own check knows of its payload: whenever that changes.
 
-    Attributes:
-        fault: Why its sightings are not to be trusted, in words; '' while they are.
-        jumped: The position at which it sees the target has jumped lately.
-        confirmed: Its errors and delays are known from this flight.
-        corrections: How often it turned out to err. Sightings before the latest correction show another place.
-        yaw_sigma_rad: Standard deviation of the yaw error that remains.
-        range_sigma_m: The same of the range.
+    fault: why its sightings are not to be trusted, in words; '' while they are. jumped: the position at which it sees
+    the target has jumped lately. confirmed: its errors and delays are known from this flight. corrections: how often
+    it turned out to err; earlier sightings show another place. The sigmas are of the errors that remain.
     """
 
     name: str

@@ -46,12 +46,7 @@ class RoleCosts:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One aircraft that takes part.
-
-    Attributes:
-        on_station: It watches from the required side now.
-        under_way: A plan for it is on its way to the autopilot.
-    """
+    """One aircraft that takes part: whether it watches from the required side now, and has a plan under way to it."""
 
     costs: RoleCosts
     on_station: bool = True
@@ -140,11 +135,7 @@ def course_is_known(target: TargetEstimate) -> bool:
 def is_on_station(
     aircraft: AircraftState, target: TargetEstimate, requirement: Requirement, course_rad: float | None
 ) -> bool:
-    """Return whether an aircraft is on the required side of a target and in the band.
-
-    Args:
-        course_rad: Course of the target whose sides count, rad; None before it has one: any place is on either side.
-    """
+    """Return whether an aircraft is in the band and on the required side of a target's course, if it has one."""
     east_m, north_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m
     in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
     if course_rad is None:

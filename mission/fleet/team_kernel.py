@@ -26,10 +26,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
-from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
+from sidelong.mission.geometry.line_kernel import speed_m_s
 from sidelong.mission.predictive.decision_kernel import (
     Question,
     add_prices,
@@ -42,13 +42,16 @@ from sidelong.mission.predictive.decision_kernel import (
 from sidelong.mission.predictive.moves_kernel import MOVES, ramp_on
 from sidelong.mission.predictive.rollout_kernel import (
     STEP_S,
+    IntArray,
     Lines,
     Pose,
     Scenarios,
     add_up,
+    cost_rate,
     from_target,
+    least,
     placed,
-    speed_m_s,
+    table_value,
     turn_samples,
 )
 from sidelong.mission.predictive.scene_kernel import Scene, Turns, classes_about, first_of, in_frame, winding
@@ -57,27 +60,23 @@ FORESEEN = 111  # seconds, as far as any line leads
 BACK_SHARE = 0.6  # of the airspeed, at which an aircraft comes back over the edge of the side
 IN_BAND_M = 15.0  # outside the band that is planned for, still in the required one
 _OFF_MAX_S = 60.0
+_ALONE = 0.2  # of what an aircraft would pay alone
+_TURN_WEIGHT, _MARGIN = 2.0, 0.5  # of what turns would cost; of the side, in radii of the circle
 
 
 class Team(NamedTuple):
     """What joint decisions are made with.
 
-    wanted: the side, 1 left, -1 right. turns_rad, chances (t,): the turns that the target may make. alone_running,
-    alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on. opposite: per
-    second, of the share of courses that no aircraft would cover. turn: weight of what turns would cost. margin: of
-    the side, in radii of the circle. price: share of what changes cost alone. own: weight of what the moves of the
-    primary are worth to it alone.
+    wanted: the side, 1 left, -1 right. turns_rad, chances (t,): the turns that the target may make. price: share of
+    what changes cost alone. opposite: per second, of the share of courses that no aircraft would cover. own: weight
+    of what the moves of the primary are worth to it alone.
     """
 
     wanted: float
     turns_rad: FloatArray
     chances: FloatArray
-    alone_running: float
-    alone_end: float
     price: float
     opposite: float
-    turn: float
-    margin: float
     own: float
 
 
@@ -106,18 +105,15 @@ def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, turned: Fl
     """
     for i in range(len(team.turns_rad)):
         across_m = x_m * turned[i, 1] - y_m * turned[i, 0]
-        off_s = (across_m + team.margin * scene.radius_m) / (BACK_SHARE * scene.air.airspeed_m_s)
+        off_s = (across_m + _MARGIN * scene.radius_m) / (BACK_SHARE * scene.air.airspeed_m_s)
         found[i] = min(max(off_s, 0.0), _OFF_MAX_S)
 
 
 class Scratch(NamedTuple):
     """Arrays to work in.
 
-    Attributes:
-        classes: to look up one value with, (1, 1, 4).
-        share: the same, (1, 1, 4).
-        off_s: time off the side after each turn, (t,).
-        places: positions of four continuations, (4, 2, k).
+    classes, share (1, 1, 4): to look up one value with. off_s (t,): time off the side after each turn. places
+    (4, 2, k): of four continuations.
     """
 
     classes: IntArray
@@ -127,20 +123,17 @@ class Scratch(NamedTuple):
 
 
 @compiled
-def scratch_for(team: Team) -> Scratch:
+def new_scratch(turns: int) -> Scratch:
     """Return arrays to work in."""
     classes, share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
-    return Scratch(classes, share, np.empty(len(team.turns_rad)), np.empty((4, 2, _CONTINUED)))
+    return Scratch(classes, share, np.empty(turns), np.empty((4, 2, _CONTINUED)))
 
 
 @compiled
 def blurred_m(scene: Scene, sigma_rad: float, along_m: float, time_s: float) -> float:
     """Return the standard deviation of the distance across the side's limit, after ``time_s``."""
-    velocity_m = scene.doubt.velocity_m_s * time_s
-    place_m = scene.doubt.position_m
-    return 1.0 + math.sqrt(
-        place_m * place_m + velocity_m * velocity_m + (sigma_rad * along_m) * (sigma_rad * along_m)
-    )
+    place_m, velocity_m, aside_m = scene.doubt.position_m, scene.doubt.velocity_m_s * time_s, sigma_rad * along_m
+    return 1.0 + math.sqrt(place_m * place_m + velocity_m * velocity_m + aside_m * aside_m)
 
 
 @compiled
@@ -149,32 +142,31 @@ def off_side(across_m: float, blur_m: float) -> float:
     return min(max(0.5 + 0.5 * across_m / blur_m, 0.0), 1.0)
 
 
+@inlined
+def turned_to(turn: FloatArray, one: int, p: int, x_m: float, y_m: float) -> tuple[float, float]:
+    """Return a place relative to the target (across, along) a course: turn (f, k, 2...) as in Scenarios."""
+    sin_t, cos_t = turn[one, p, 0], turn[one, p, 1]
+    return x_m * cos_t - y_m * sin_t, x_m * sin_t + y_m * cos_t
+
+
 @compiled
 def wanted_value(
     scene: Scene, f: Scenarios, question: Question, s: float, one: int, p: int, off: Pose, scratch: Scratch
 ) -> float:
-    """Return what an aircraft alone would pay on the wanted side, from a place relative to the target on.
+    """Return what an aircraft alone would pay from a place relative to the target on.
 
     Args:
-        s: 1 where the departure's frame is the wanted one, -1 where it is mirrored.
+        s: 1 on the side of its role, which the departure's frame is for; -1 on the other one.
     """
-    off_x, off_y, heading_rad = off
-    classes, share = scratch.classes, scratch.share
-    sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
-    vx, vy, air = f.place[one, p, 2], f.place[one, p, 3], scene.air
-    which, shares, _ = classes_about(
-        question.context.motions,
-        s * (vx * cos_t - vy * sin_t),
-        vx * sin_t + vy * cos_t,
-        s * (air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t),
-        air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
-    )
+    classes, share, air, table = scratch.classes, scratch.share, scene.air, question.table
+    vx, vy = turned_to(f.course, one, p, f.place[one, p, 2], f.place[one, p, 3])
+    wind_x, wind_y = turned_to(f.course, one, p, air.wind_x_m_s, air.wind_y_m_s)
+    which, shares, _ = classes_about(question.context.motions, s * vx, vy, s * wind_x, wind_y)
     for c in range(4):
         classes[0, 0, c], share[0, 0, c] = which[c], shares[c]
-    across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
-    heading_rad = s * (heading_rad - f.course[one, p, 2])
-    table = question.table
-    return table_value(table.values, table.cell_m, across_m, along_m, heading_rad, classes, share, 0, 0)
+    across_m, along_m = turned_to(f.course, one, p, off.x_m, off.y_m)
+    heading_rad = s * (off.heading_rad - f.course[one, p, 2])
+    return table_value(table.values, table.cell_m, s * across_m, along_m, heading_rad, classes, share, 0, 0)
 
 
 @compiled
@@ -185,7 +177,7 @@ def cover_of(
     futures, turns, m = len(f.weight), len(team.turns_rad), len(others)
     off, now = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN), np.inf)
     after = np.full((futures, FORESEEN, turns), np.inf)
-    bearings, scratch = np.empty((futures, FORESEEN, m)), scratch_for(team)
+    bearings, scratch = np.empty((futures, FORESEEN, m)), new_scratch(turns)
     found = scratch.off_s
     s = scene.mirror * team.wanted
     near_m, far_m = question.context.terms.near_m, question.context.terms.far_m
@@ -208,12 +200,11 @@ def cover_of(
             heading_rad = scene.mirror * (others[j, 2, i] - scene.course_rad)
             for one in range(futures):
                 p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-                sin_t, cos_t = f.facing[one, p, 0], f.facing[one, p, 1]
-                across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
+                across_m, along_m = turned_to(f.facing, one, p, off_x, off_y)
                 bearings[one, k, j] = math.atan2(off_x, off_y)
                 range_m = math.hypot(off_x, off_y)
                 if near_m - IN_BAND_M < range_m < far_m + IN_BAND_M:
-                    off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
+                    off[one, k] *= off_side(s * across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
                 value = wanted_value(scene, f, question, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
                 now[one, k] = min(now[one, k], value)
                 off_after_turns(team, scene, s * off_x, off_y, turned[one, p], found)
@@ -250,16 +241,7 @@ _QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 
 
 class Joint(NamedTuple):
-    """What the lines of one aircraft are judged by next to the others.
-
-    Attributes:
-        scene: the scene of its decision.
-        scenarios: what the target may do.
-        cover: what the others cover.
-        question: what the aircraft decides with alone.
-        team: what is decided with together.
-        scratch: arrays to work in.
-    """
+    """What the lines of one aircraft are judged by next to the others; question: what it decides with alone."""
 
     scene: Scene
     scenarios: Scenarios
@@ -278,15 +260,14 @@ def _team_rate(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
     total = 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        sin_t, cos_t = f.facing[one, p, 0], f.facing[one, p, 1]
-        across_m, along_m = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
+        across_m, along_m = turned_to(f.facing, one, p, off_x, off_y)
         blur_m = blurred_m(scene, f.facing[one, p, 2], along_m, time_s)
         widened_m = math.hypot(d.position_m, d.velocity_m_s * time_s)
         alone = off_side(across_m, blur_m)
         walls = cost_rate(across_m, along_m, widened_m, blur_m, c) - alone
         missing = off_side(s * across_m, blur_m) * cover.off[one, k]
         gap = uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
-        total += f.weight[one] * (walls + team.alone_running * alone + missing + team.opposite * gap)
+        total += f.weight[one] * (walls + _ALONE * alone + missing + team.opposite * gap)
     return total
 
 
@@ -302,21 +283,7 @@ def _turn_cost(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
         off_after_turns(team, scene, s * off_x, off_y, cover.turned[one, p], off_s)
         for t in range(len(team.turns_rad)):
             total += f.weight[one] * team.chances[t] * min(off_s[t], cover.after[one, k, t])
-    return team.turn * total
-
-
-@compiled
-def _role_value(f: Scenarios, question: Question, x_m: float, y_m: float, heading_rad: float, time_s: float) -> float:
-    """Return what an aircraft alone would pay from a place of the departure's frame on, on the side of its role."""
-    table, total = question.table, 0.0
-    for one in range(len(f.weight)):
-        p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
-        across_m, along_m = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
-        heading = heading_rad - f.course[one, p, 2]
-        value = table_value(table.values, table.cell_m, across_m, along_m, heading, f.classes, f.share, one, p)
-        total += f.weight[one] * value
-    return total
+    return _TURN_WEIGHT * total
 
 
 @compiled
@@ -390,18 +357,18 @@ def _end_value(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -
     There it circles with that curvature.
     """
     scene, f, cover, question, team, scratch = joint
-    x_m, y_m, heading_rad = end
-    k, s, total, back = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0
+    k, s, total, back, role = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0, 0.0
     for one in range(len(f.weight)):
-        p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        value = wanted_value(scene, f, question, s, one, p, Pose(off_x, off_y, heading_rad), scratch)
-        total += f.weight[one] * min(value, cover.now[one, k])
+        p, off_x, off_y = from_target(f.place, f.step_s, one, end.x_m, end.y_m, time_s)
+        off = Pose(off_x, off_y, end.heading_rad)
+        total += f.weight[one] * min(wanted_value(scene, f, question, s, one, p, off, scratch), cover.now[one, k])
         back += f.weight[one] * _way_back(scene, question, math.hypot(off_x, off_y))
+        role += f.weight[one] * wanted_value(scene, f, question, 1.0, one, p, off, scratch)
     turn, gap = _circling_cost(joint, end, time_s, curvature_per_m)
     return (
         total
         + _TAIL_S * team.opposite * gap
-        + team.alone_end * _role_value(f, question, x_m, y_m, heading_rad, time_s)
+        + _ALONE * role
         + _CIRCLING_S / question.table.mean_leg_s * turn
         + back
         + _edges_after(joint, end, time_s, curvature_per_m)
@@ -461,7 +428,7 @@ def team_look_ahead(joint: Joint, costs: FloatArray) -> float:
     beyond_m = scene.air.airspeed_m_s * math.ceil(max(scene.latency_s - _QUICK_S, 0.0))
     among, prices = alternatives(scene, question, beyond_m), question.prices
     stay_costs = np.empty(len(among.stays.trunk))
-    stay_per_m = scene.mirror / scene.circle.radius_m
+    stay_per_m = scene.mirror / scene.present.circle.radius_m
     team_lines_costs(among.moves, among.start, joint, 1.0 / scene.radius_m, costs)
     team_lines_costs(among.stays, among.stays_start, joint, stay_per_m, stay_costs)
     add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
@@ -477,10 +444,10 @@ def role_value(scene: Scene, question: Question) -> float:
     every = winding(scene, question.context.motions, question.context.watcher, turns)
     if routed:
         every, _ = along_route(scene, question, every)
-    f = first_of(every, 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
-    heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
-    return _role_value(f, question, x_m, y_m, heading_rad, 0.0)
+    p, off_x, off_y = from_target(every.place, every.step_s, 0, x_m, y_m, 0.0)
+    off = Pose(off_x, off_y, scene.mirror * (scene.start.course_rad - scene.course_rad))
+    return wanted_value(scene, every, question, 1.0, 0, p, off, new_scratch(0))
 
 
 @compiled
@@ -504,7 +471,7 @@ def team_decide(
         every = winding(scene, question.context.motions, question.context.watcher, question.context.turns)
         every, _ = along_route(scene, question, every)
     f = first_of(every, 1)
-    cover, scratch = cover_of(scene, f, others, first_s, question, team), scratch_for(team)
+    cover, scratch = cover_of(scene, f, others, first_s, question, team), new_scratch(len(team.turns_rad))
     stay_cost = team_look_ahead(Joint(scene, f, cover, question, team, scratch), costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)

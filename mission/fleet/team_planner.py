@@ -34,7 +34,7 @@ from sidelong.mission.predictive.rollout_kernel import STEP_S
 from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.route.progress_kernel import Progress
 from sidelong.mission.route.route import Route
-from sidelong.mission.viewpoint.descriptions import describe_new_circle
+from sidelong.mission.viewpoint.watch_course import describe_new_circle
 
 # A circle that takes more of the band swings further about the target: predictions of the others are worth less.
 _WIDE, _WIDER_POWER = 1.0 / 7.0, 3
@@ -67,12 +67,8 @@ def team_of(table: ValueTable, wanted: Side) -> Team:
         wanted=1.0 if wanted is Side.LEFT else -1.0,
         turns_rad=np.radians(habits.turns_deg),
         chances=np.array(habits.chances),
-        alone_running=0.2,
-        alone_end=0.2,
         price=0.6 / haste,
         opposite=0.6 * haste,
-        turn=2.0,
-        margin=0.5,
         own=max(1.0, wide**_WIDER_POWER),
     )
 
@@ -126,7 +122,7 @@ class TeamPlanner:
         self._alone.questions[0].context.watcher.memory[0].presumed_course_rad = course_rad  # of all questions
 
     def follow(self, route: Route | None, progress: Progress) -> None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
+        """See :class:`sidelong.mission.route.route.RoutePlanner`."""
         self._alone.follow(route, progress)
 
     def prepare(self, wind_speed_m_s: float) -> None:
@@ -179,7 +175,6 @@ class TeamPlanner:
         return Decision(aircraft.time_s, None, reason, values)
 
     def _for(self, wind: Wind) -> tuple[Question, Team]:
-        """Return what to decide with in this wind."""
         questions = self._alone.questions
         k = min(
             range(len(questions)), key=lambda i: abs(questions[i].context.motions.wind_speed_m_s - wind.speed_m_s)
@@ -187,7 +182,6 @@ class TeamPlanner:
         return questions[k], self._teams[k]._replace(wanted=self._wanted)
 
     def _others(self, time_s: float) -> list[Neighbour]:
-        """Return who else watches the same target and is to be counted on."""
         advice = self._advice
         if advice is None or time_s - advice.time_s > _ADVICE_S:
             return []

@@ -53,13 +53,7 @@ OFF_TRACK_M, OFF_TRACK_RAD = 40.0, math.radians(40.0)
 class Trapezoid(NamedTuple):
     """A line that ramps from one curvature to another, holds that, and ramps on to the one of its circle.
 
-    Attributes:
-        start_per_m: curvature at the start.
-        first_per_m2: rate of the first ramp.
-        first_end_m: arc at which it ends.
-        last_per_m2: rate of the last ramp.
-        last_start_m: arc at which it begins.
-        end_m: arc at which the circle begins.
+    first_per_m2, last_per_m2: rates of the ramps, which end and begin at these arcs; end_m: where the circle begins.
     """
 
     start_per_m: float
@@ -89,6 +83,14 @@ def craft_of(aircraft: Aircraft, turn_share: float = 1.0) -> Craft:
     return Craft(aircraft.airspeed_m_s, aircraft.radius_m, *limits, turn_share)
 
 
+class Air(NamedTuple):
+    """Airspeed, and the wind in the frame of the courses."""
+
+    airspeed_m_s: float
+    wind_x_m_s: float
+    wind_y_m_s: float
+
+
 class LinePoint(NamedTuple):
     """A point of a flown line: place, course and curvature there."""
 
@@ -113,36 +115,28 @@ def remainder(angle_rad: float) -> float:
 
 
 @compiled
-def ground_speed_m_s(heading_rad: float, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float) -> float:
-    """Return the speed over the ground on a heading over the ground: the long side of the wind triangle.
-
-    NaN where the heading cannot be held.
-    """
-    if wind_east_m_s == 0.0 and wind_north_m_s == 0.0:
-        return airspeed_m_s
-    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
-    along_m_s = wind_east_m_s * sin_h + wind_north_m_s * cos_h
-    across_m_s = wind_east_m_s * cos_h - wind_north_m_s * sin_h
-    return along_m_s + math.sqrt(airspeed_m_s * airspeed_m_s - across_m_s * across_m_s)
+def speed_m_s(course_rad: float, air: Air) -> float:
+    """Return the speed over the ground on a course: the long side of the wind triangle; NaN if it cannot be held."""
+    if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
+        return air.airspeed_m_s
+    sin_c, cos_c = math.sin(course_rad), math.cos(course_rad)
+    along_m_s = air.wind_x_m_s * sin_c + air.wind_y_m_s * cos_c
+    across_m_s = air.wind_x_m_s * cos_c - air.wind_y_m_s * sin_c
+    return along_m_s + math.sqrt(air.airspeed_m_s * air.airspeed_m_s - across_m_s * across_m_s)
 
 
 @compiled
-def crab_rad(course_rad: float, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float) -> float:
-    """Return how far the course over the ground lies clockwise of the nose."""
-    across_m_s = wind_east_m_s * math.cos(course_rad) - wind_north_m_s * math.sin(course_rad)
-    return math.asin(across_m_s / airspeed_m_s)
+def nose_rad(course_rad: float, air: Air) -> float:
+    """Return where the nose points on a course over the ground."""
+    across_m_s = air.wind_x_m_s * math.cos(course_rad) - air.wind_y_m_s * math.sin(course_rad)
+    return course_rad - math.asin(across_m_s / air.airspeed_m_s)
 
 
 @compiled
-def ground_speeds_m_s(
-    heading_rad: FloatArray, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float, found: FloatArray
-) -> None:
-    """Fill in :func:`ground_speed_m_s` for many headings (n,)."""
-    for i in range(len(heading_rad)):
-        found[i] = ground_speed_m_s(heading_rad[i], airspeed_m_s, wind_east_m_s, wind_north_m_s)
-
-
-# -- trapezoids ------------------------------------------------------------------------------------------------------
+def speeds_m_s(course_rad: FloatArray, air: Air, found: FloatArray) -> None:
+    """Fill in :func:`speed_m_s` on many courses (n,)."""
+    for i in range(len(course_rad)):
+        found[i] = speed_m_s(course_rad[i], air)
 
 
 @compiled
@@ -267,16 +261,16 @@ def laid_out(shape: Trapezoid, east_m: float, north_m: float, course_rad: float)
 
 
 @compiled
+def circle_touching(east_m: float, north_m: float, course_rad: float, signed_m: float) -> Circling:
+    """Return the circle of a signed radius that touches a ray at its origin."""
+    return Circling(east_m + signed_m * math.cos(course_rad), north_m - signed_m * math.sin(course_rad), signed_m)
+
+
+@compiled
 def circle_after(line: FloatArray, radius_m: float) -> Circling:
     """Return the circle that continues a line with the sign of its last curvature."""
     signed_m = radius_m if line[CURVATURE, -1] > 0.0 else -radius_m
-    course_rad = line[COURSE, -1]
-    return Circling(
-        line[EAST, -1] + signed_m * math.cos(course_rad), line[NORTH, -1] - signed_m * math.sin(course_rad), signed_m
-    )
-
-
-# -- along a plan ----------------------------------------------------------------------------------------------------
+    return circle_touching(line[EAST, -1], line[NORTH, -1], line[COURSE, -1], signed_m)
 
 
 @compiled
@@ -394,17 +388,15 @@ def flown_places(
     coming: FloatArray,
     coming_circle: Circling,
     departure_s: float,
-    wind: tuple[float, float, float],
+    air: Air,
     step_s: float,
     found: FloatArray,
 ) -> None:
     """Fill in (east, north, course) (3, n) every step_s: along the present line, from the departure on the other.
 
-    state: time, east, north and course from which on; departure_s is inf where nothing else is coming. wind: airspeed
-    and wind (east, north), after which goes the speed over the ground.
+    state: time, east, north and course from which on; departure_s is inf where nothing else is coming.
     """
     now_s, east_m, north_m, course_rad = state
-    airspeed_m_s, wind_east_m_s, wind_north_m_s = wind
     arc_m = nearest_arc_m(present, present_circle, east_m, north_m, course_rad)
     line, circle, departed = present, present_circle, False
     for k in range(found.shape[1]):
@@ -412,7 +404,7 @@ def flown_places(
             line, circle, arc_m, departed = coming, coming_circle, 0.0, True
         point = point_at(line, circle, arc_m, east_m, north_m)
         found[0, k], found[1, k], found[2, k] = point.east_m, point.north_m, point.course_rad
-        arc_m += step_s * ground_speed_m_s(point.course_rad, airspeed_m_s, wind_east_m_s, wind_north_m_s)
+        arc_m += step_s * speed_m_s(point.course_rad, air)
 
 
 @compiled

@@ -39,14 +39,9 @@ _LONGEST_S = 180.0
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """The predicted closest approach of a foreign aircraft.
+    """The predicted closest approach of a foreign aircraft, in in_s: its height above home then, and the distances.
 
-    Attributes:
-        in_s: Time until then, s.
-        horizontal_m: Horizontal distance then.
-        height_m: Height of the other aircraft above home then.
-        vertical_m: Difference of the heights then.
-        share: The larger one of both distances, each as a share of what is to be kept; below 1 neither is.
+    share: the larger one of both distances, each as a share of what is to be kept; below 1 neither is.
     """
 
     other: Neighbour
@@ -88,11 +83,9 @@ class Separation:
         wind: Wind,
         airspeed_m_s: float,
     ) -> str | None:
-        """Return in words which aircraft a plan comes too near to, or None. height_m: the own one now.
+        """Return in words which aircraft a plan comes too near to, or None.
 
-        Args:
-            present: The plan that is flown; None before the takeover.
-            aircraft: State of the aircraft; None if unknown.
+        height_m: the own one now. present is None before the takeover, aircraft if its state is unknown.
         """
         if not self._others or aircraft is None or height_m is None:
             return None
@@ -161,9 +154,6 @@ class Separation:
         """Return in words which lower aircraft of the fleet flies a circle that crosses the own one, or None.
 
         The higher aircraft gives way: an aircraft has sunk out of its layer or climbed into the own one.
-
-        Args:
-            height_m: The own height above home, m.
         """
         for name, other in self._others.items():
             neighbour, vertical_m = self._plans.get(name), height_m - other.height_m
@@ -192,12 +182,8 @@ class Separation:
         if neighbour is None or neighbour.present is None:
             n = min(n, 1 + int(_FOREIGN_S / _STEP_S))
             gone_m = state.ground_speed_m_s * (lag_s + _STEP_S * np.arange(n))
-            theirs = np.stack(
-                [
-                    state.east_m + gone_m * math.sin(state.course_rad),
-                    state.north_m + gone_m * math.cos(state.course_rad),
-                ]
-            )
+            sin_c, cos_c = math.sin(state.course_rad), math.cos(state.course_rad)
+            theirs = np.stack((state.east_m + gone_m * sin_c, state.north_m + gone_m * cos_c))
         else:
             speed_m_s = airspeed_of(state, wind)
             late = max(0, round(lag_s / _STEP_S))  # their places are counted from their own report
@@ -221,8 +207,7 @@ def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighb
     vertical_m = np.abs(heights_m - their_m)
     shares = np.maximum(flat_m / other.clear_m[0], vertical_m / other.clear_m[1])
     k = int(shares.argmin())
-    found = float(flat_m[k]), float(their_m[k]), float(vertical_m[k]), float(shares[k])
-    return Encounter(other, _STEP_S * k, *found)
+    return Encounter(other, _STEP_S * k, *(float(row[k]) for row in (flat_m, their_m, vertical_m, shares)))
 
 
 def _heights_m(
@@ -255,7 +240,7 @@ def flown_places(
         *line_of(present),
         *line_of(coming or present),
         math.inf if coming is None else coming.departure_s,
-        (max(airspeed_m_s, 1.01 * wind.speed_m_s), wind.east_m_s, wind.north_m_s),
+        kernel.Air(max(airspeed_m_s, 1.01 * wind.speed_m_s), wind.east_m_s, wind.north_m_s),
         step_s,
         found,
     )

@@ -19,17 +19,14 @@ class WindError(ValueError):
 
 
 def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -> FloatArray:
-    """Return the ground speed on each course: the long side of the wind triangle.
-
-    Args:
-        course_rad: Courses over the ground, rad, any shape.
+    """Return the ground speed on each course (of any shape): the long side of the wind triangle.
 
     Raises:
         WindError: A course cannot be held, or only by drifting backwards along it.
     """
     speed_m_s = np.empty(course_rad.size)
     course = np.ascontiguousarray(course_rad, np.float64).ravel()
-    line_kernel.ground_speeds_m_s(course, airspeed_m_s, wind.east_m_s, wind.north_m_s, speed_m_s)
+    line_kernel.speeds_m_s(course, line_kernel.Air(airspeed_m_s, wind.east_m_s, wind.north_m_s), speed_m_s)
     if not np.all(speed_m_s > 0.0):
         raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
     return speed_m_s.reshape(course_rad.shape)

@@ -19,12 +19,7 @@ _AHEAD_S = 0.2  # over which the rate of the field's course is taken
 
 @dataclass(frozen=True, slots=True)
 class CourseField(ABC):
-    """A field that leads onto a circle around the target.
-
-    Attributes:
-        clockwise: Direction, seen from above.
-        course_gain_per_s: Turn rate for each radian off the field's course, 1/s.
-    """
+    """A field that leads onto a circle around the target; course_gain_per_s: turn rate for each radian off it."""
 
     radius_m: float
     clockwise: bool
@@ -79,10 +74,7 @@ class StandoffOrbit(CourseField):
     limited by the range alone, so the radius does not change; the rate of the radius is left out here.
 
     Source: Hague, Wolek, "Occlusion-Aware Ground Target Tracking by a Dubins Vehicle using Visibility Volumes", arXiv
-    2506.03400, 2025: the steering controller.
-
-    Attributes:
-        approach_per_m: How sharply the circle is approached, 1/m.
+    2506.03400, 2025: the steering controller. approach_per_m: how sharply the circle is approached.
     """
 
     approach_per_m: float
@@ -140,11 +132,9 @@ def phased(
     airspeed_m_s: float,
     constant_speed: bool,
 ) -> list[tuple[float, float]]:
-    """Return the curvature, 1/m, and the airspeed, m/s, that each aircraft is to fly.
+    """Return the curvature, 1/m, and the airspeed, m/s, that each aircraft is to fly; changed by a fifth at most.
 
-    Args:
-        airspeed_m_s: The middle one; it is changed by a fifth at most.
-        constant_speed: The circular formation in place of the phased field.
+    constant_speed: the circular formation in place of the phased field.
     """
     found = []
     for state, behind_rad in zip(aircraft, behind(aircraft, target, clockwise), strict=True):

@@ -29,9 +29,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.wind import WindError, flight_times_s, path_times_s
 from sidelong.mission.paper.transition import abcd, departure_course_rad, min_move_m, stretched_lap
-from sidelong.mission.viewpoint.course_hold import CourseHold
-from sidelong.mission.viewpoint.descriptions import describe_move
-from sidelong.mission.viewpoint.side_policy import SidePolicy, Viewpoint
+from sidelong.mission.viewpoint.watch_course import CourseHold, SidePolicy, Viewpoint, describe_move
 
 Vector = tuple[float, float]
 
@@ -65,10 +63,7 @@ class LapClock:
 
 @dataclass(frozen=True, slots=True)
 class DepartureState:
-    """A circle that is flown, now on ``course_rad``, and a target that is taken to keep its velocity.
-
-    latency_s: no move can depart earlier.
-    """
+    """A circle that is flown, now on ``course_rad``, and a target that is taken to keep its velocity."""
 
     circle: Circle
     course_rad: float
@@ -81,10 +76,7 @@ class DepartureState:
 
     def target_after(self, wait_s: float) -> Vector:
         """Return (east, north) of the target after ``wait_s`` at its present velocity, m."""
-        return (
-            self.target_m[0] + self.velocity_m_s[0] * wait_s,
-            self.target_m[1] + self.velocity_m_s[1] * wait_s,
-        )
+        return (self.target_m[0] + self.velocity_m_s[0] * wait_s, self.target_m[1] + self.velocity_m_s[1] * wait_s)
 
     def min_range_m(self, path: Path, wait_s: float) -> float:
         """Return the least range while ``path`` is flown from ``wait_s`` on."""
@@ -243,13 +235,8 @@ class PaperPlanner:
             return Decision(now_s, None, f"next decision in {move.wait_s - latency_s:.0f} s")
         self._decided_until_s = now_s + move.wait_s + clock.lap_s / 2.0
         departure_s = now_s + move.wait_s
-        values = {
-            "move_east_m": move.east_m,
-            "move_north_m": move.north_m,
-            "min_move_m": self._min_move_m,
-            "range_after_lap_m": move.range_after_lap_m,
-            "departure_s": departure_s,
-        }
+        moved = {"move_east_m": move.east_m, "move_north_m": move.north_m, "min_move_m": self._min_move_m}
+        values = {**moved, "range_after_lap_m": move.range_after_lap_m, "departure_s": departure_s}
         if restarted is None:
             staying = self._reason_to_stay(move)
             if staying is not None:
@@ -278,10 +265,8 @@ class PaperPlanner:
         if not self._must_move(regular):
             return f"another lap: after it the target would be {regular.range_after_lap_m:.0f} m away"
         if regular.length_m < self._min_move_m:
-            return (
-                f"another lap: the move of {regular.length_m:.1f} m is shorter "
-                f"than the transition needs, {self._min_move_m:.1f} m"
-            )
+            needed = f"than the transition needs, {self._min_move_m:.1f} m"
+            return f"another lap: the move of {regular.length_m:.1f} m is shorter {needed}"
         return None
 
     def _reason_to_place_again(self, situation: DepartureState, regular: Move, placed: bool) -> str | None:
@@ -289,9 +274,8 @@ class PaperPlanner:
         ends_badly = self._must_move(regular)
         if circle.clockwise != side.clockwise:
             return f"on the target's {side} the circle is flown the other way round"
-        if not self._on_side(regular.circle, regular.target_m) and (
-            ends_badly or not self._on_side(circle, regular.target_m)
-        ):
+        stays_on_side = not ends_badly and self._on_side(circle, regular.target_m)
+        if not stays_on_side and not self._on_side(regular.circle, regular.target_m):
             return f"the circle is no longer on the target's {side}"
         lap_later_m = situation.target_after(regular.wait_s + situation.clock.lap_s)
         nearest_m = min(_distance_m(circle, at_m) for at_m in (regular.target_m, lap_later_m)) - circle.radius_m
@@ -327,11 +311,12 @@ class PaperPlanner:
         for lead_rad in (self._psi_c_rad, *_STRETCHES_RAD):
             by_abcd = not tried and lead_rad == self._psi_c_rad
             move = next_move(situation, self._alongside, lead_rad)
-            if not _alike(situation.circle, move.circle):
+            present, new = situation.circle, move.circle
+            if present.clockwise != new.clockwise or not math.isclose(present.radius_m, new.radius_m):
                 return self._at_once(situation)
             if by_abcd and move.length_m < self._min_move_m:
                 continue
-            path = (abcd if by_abcd else stretched_lap)(situation.circle, move.circle, lead_rad)
+            path = (abcd if by_abcd else stretched_lap)(present, new, lead_rad)
             min_m = situation.min_range_m(path, move.wait_s)
             if min_m >= (1.0 - _DIP) * self._requirement.range_min_m:
                 return move, path
@@ -345,9 +330,8 @@ class PaperPlanner:
         turn = 1.0 if circle.clockwise else -1.0
         begin_s = situation.clock.time_s(turn * situation.course_rad)
         course_rad = turn * situation.clock.turn_rad(begin_s + wait_s)
-        east_m, north_m = circle.position_at_course(course_rad)
-        airspeed_m_s = self._aircraft.airspeed_m_s
-        start = AircraftState(wait_s, east_m, north_m, course_rad, airspeed_m_s, circle.curvature_per_m)
+        flown = course_rad, self._aircraft.airspeed_m_s, circle.curvature_per_m
+        start = AircraftState(wait_s, *circle.position_at_course(course_rad), *flown)
         target_m = situation.target_after(wait_s)
         new = self._alongside(target_m)
         move = situation.move(new, wait_s, target_m, course_rad)
@@ -367,10 +351,6 @@ class PaperPlanner:
             flight_s = float(path_times_s(present.transition, self._aircraft.airspeed_m_s, wind)[-1])
             self._arrival = (present, present.departure_s + flight_s)
         return self._arrival[1]
-
-
-def _alike(a: Circle, b: Circle) -> bool:
-    return a.clockwise == b.clockwise and math.isclose(a.radius_m, b.radius_m)
 
 
 def _distance_m(circle: Circle, target_m: Vector) -> float:

@@ -25,11 +25,9 @@ _THRESHOLD_MAX = 1.0  # beyond, the aircraft would leave the band by design
 
 
 def infeasible(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> tuple[Change, ...]:
-    """Check that the circle can be flown, fits the band (19), and can always be moved in time (46-47).
+    """Return the changes that would help where the circle cannot be flown, fitted (19) or moved in time (46-47).
 
-    Returns:
-        The changes that would help, none if it is feasible. Each cures its own cause alone; where two causes are
-        named, one change of each is needed.
+    Each cures its own cause alone; where two causes are named, one change of each is needed.
     """
     return (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
 
@@ -50,12 +48,8 @@ def _moves_too_short(aircraft: Aircraft, requirement: Requirement, psi_c_rad: fl
 
     if of.min_threshold <= _THRESHOLD_MAX:
         yield Change("threshold", requirement.threshold, of.min_threshold, because)
-    yield Change(
-        "range_max_m",
-        requirement.range_max_m,
-        of.min_threshold * requirement.range_max_m / requirement.threshold,
-        because,
-    )
+    range_max_m = requirement.range_max_m
+    yield Change("range_max_m", range_max_m, of.min_threshold * range_max_m / requirement.threshold, because)
     for field, value, ends in (
         ("target_speed_max_m_s", requirement.target_speed_max_m_s, (0.0, requirement.target_speed_max_m_s)),
         ("range_min_m", requirement.range_min_m, (0.0, requirement.range_min_m)),

@@ -33,7 +33,6 @@ _SETTLED = 30.0  # the turn that remains after 30 T is lost in rounding
 
 
 def _integrals(angle_rad: Any) -> Any:
-    """Return sine and cosine integral."""
     from scipy.special import sici  # noqa: PLC0415  # a tenth of a second, for the paper's planner alone
 
     return sici(angle_rad)
@@ -73,8 +72,7 @@ def abcd(present: Circle, new: Circle, psi_c_rad: float = math.pi / 2, step_m: f
     """Return the transition from A on ``present`` to D on ``new``, sampled at most ``step_m`` apart.
 
     Raises:
-        TransitionError: The circles differ in radius or direction, psi_c is not in (0, pi/2], or the move is shorter
-            than ``min_move_m``.
+        TransitionError: The circles differ in kind, psi_c is not in (0, pi/2], or the move is below ``min_move_m``.
     """
     if present.clockwise != new.clockwise or not math.isclose(present.radius_m, new.radius_m):
         raise TransitionError("ABCD joins circles of one radius and one direction")

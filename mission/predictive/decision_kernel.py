@@ -7,44 +7,54 @@ turns keep a fifth of the probability at least: a route does not exclude that th
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inlined, record_type
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
-from sidelong.mission.geometry.line_kernel import ARC, line_at, sharpness_per_m2, turn_radius_m
-from sidelong.mission.predictive.cost_kernel import CostTerms, Table, blind_rate, fading_per_s, least
-from sidelong.mission.predictive.foresight_kernel import (
-    HEADINGS,
-    RouteValues,
-    course_index,
-    fill_layers,
-    layer_s,
-    least_of,
-    resample,
-)
+from sidelong.mission.geometry.line_kernel import ARC, Air, line_at, nose_rad, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.moves_kernel import (
     EIGHTS,
+    MOVE_BRANCHES,
     MOVES,
+    STAY_BRANCHES,
     LineCache,
+    Second,
+    SecondMoves,
+    deep_cost,
     eights_from,
+    lay_out_second_moves,
     lines_from,
+    moving_ahead,
     ramp_anywhere,
     ramp_on,
+    scenario_rows,
+    staying_ahead,
+    workspace_for,
 )
 from sidelong.mission.predictive.rollout_kernel import (
     STEP_S,
+    CostTerms,
+    Float32,
+    IntArray,
     Lines,
     Pose,
     Sampling,
     Scenarios,
+    Table,
+    Uncertainty,
     WatchFrame,
     add_sight,
+    blind_rate,
+    blind_rates,
+    cost_rate,
+    fading_per_s,
+    least,
     lines_costs,
-    nose_rad,
     single_line,
+    table_value,
     times_s,
 )
 from sidelong.mission.predictive.scene_kernel import (
@@ -58,19 +68,7 @@ from sidelong.mission.predictive.scene_kernel import (
     watched,
     winding,
 )
-from sidelong.mission.predictive.second_kernel import (
-    MOVE_BRANCHES,
-    STAY_BRANCHES,
-    Second,
-    SecondMoves,
-    deep_cost,
-    lay_out_second_moves,
-    moving_ahead,
-    scenario_rows,
-    staying_ahead,
-    workspace_for,
-)
-from sidelong.mission.route.progress_kernel import forecast, update_progress
+from sidelong.mission.route.progress_kernel import Progress, RouteArrays, forecast, update_progress
 
 UNCERTAIN_M = 10.0
 _WIND_STEP_M_S = 0.5  # second moves are recomputed when the wind grows by this much
@@ -78,6 +76,38 @@ OTHER_WIND = 0.15  # of the airspeed
 MIN_MOVE = 0.4  # of the radius: the length of a transition
 # A transition within this of its end counts as flown.
 NEARLY_FLOWN_S = 0.2
+
+HEADINGS = 16
+CELLS = 22  # from the target to the edge of the grid
+SIZE = 2 * CELLS + 1
+_PAD = 8  # cells beyond the edge, equal to it: more than aircraft and target move apart in a step
+_INNER = slice(_PAD, _PAD + SIZE)
+_TURN = 2  # headings of a step on the circle
+_MODES = 3  # on the circle, straight, the other way round
+HORIZON_S = 45.0
+LAYERS = record_type(
+    computed_s="f8",  # when the layers were computed, for which mirror, part of the route and direction of the wind
+    mirror="f8",
+    part="i8",
+    wind_rad="f8",
+    known=("i1", (HEADINGS,)),  # 1 or 0: for which courses the values after a turn are computed
+)
+
+
+class RouteValues(NamedTuple):
+    """A route and the layers of the value table along it; without points, no route.
+
+    values: classes of the value table on the program's grid, then the layers. after_turn: the same classes, then one
+    for each of HEADINGS courses. least (classes + layers,): of ``values``. state: one record of ``LAYERS``, (1,).
+    """
+
+    way: RouteArrays
+    progress: Progress
+    values: Float32
+    after_turn: Float32
+    cell_m: float
+    least: FloatArray
+    state: Any
 
 
 class SwitchingCosts(NamedTuple):
@@ -108,17 +138,7 @@ class LookaheadDepth(NamedTuple):
 
 
 class PlannerContext(NamedTuple):
-    """What a planner decides with in every decision.
-
-    Attributes:
-        watcher: the aircraft, how it watches, and its memory.
-        terms: running cost.
-        motions: arrangement of the value table's classes.
-        turns: how the target may turn.
-        line_cache: lines of earlier decisions, which change.
-        second_moves: laid out for one circle and airspeed; they change.
-        route: the target's route, and the value table along it.
-    """
+    """What a planner decides with in every decision; line_cache and second_moves change."""
 
     watcher: Watcher
     terms: CostTerms
@@ -130,14 +150,7 @@ class PlannerContext(NamedTuple):
 
 
 class Question(NamedTuple):
-    """What a decision answers.
-
-    Attributes:
-        context: what the planner decides with.
-        table: value table.
-        prices: switching costs that go with the table.
-        depth: how far the two-stage lookahead goes.
-    """
+    """What a decision answers: by which value table, with which prices, and how deep it looks."""
 
     context: PlannerContext
     table: Table
@@ -159,12 +172,6 @@ class Alternatives(NamedTuple):
 
 
 @compiled
-def choices(question: Question) -> int:
-    """Return the number of moves to choose among: figures of eight are for a gimbal that cannot pan all around."""
-    return MOVES + EIGHTS if question.context.terms.blind > 0.0 else MOVES
-
-
-@compiled
 def flown_on(scene: Scene, length_m: float) -> tuple[FloatArray, FloatArray]:
     """Return (x, y, heading) (3, k) in the frame and the times (k,) of flying on along the present plan."""
     size = max(2, math.ceil(length_m / (scene.air.airspeed_m_s * STEP_S)) + 1)
@@ -172,7 +179,7 @@ def flown_on(scene: Scene, length_m: float) -> tuple[FloatArray, FloatArray]:
     for k in range(size):
         arc[k] = scene.arc_m + k * (length_m / (size - 1))
     found = np.empty((3, size))
-    line_at(scene.line, scene.circle, arc, scene.aircraft_east_m, scene.aircraft_north_m, found)
+    line_at(scene.present.line, scene.present.circle, arc, scene.aircraft.east_m, scene.aircraft.north_m, found)
     for k in range(size):
         found[0, k], found[1, k] = in_frame(scene, found[0, k], found[1, k])
         found[2, k] = scene.mirror * (found[2, k] - scene.course_rad)
@@ -197,7 +204,7 @@ def likely(futures: Scenarios) -> Scenarios:
 @compiled
 def left_m(scene: Scene) -> float:
     """Return how much of the present plan's line is left at the departure, 0 where it is nearly flown."""
-    line = scene.line
+    line = scene.present.line
     ahead_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
     return ahead_m if ahead_m > NEARLY_FLOWN_S * scene.air.airspeed_m_s else 0.0
 
@@ -217,7 +224,7 @@ def alternatives(scene: Scene, question: Question, beyond_m: float) -> Alternati
         ahead, time_s = flown_on(scene, rest_m + beyond_m)
         rest = single_line(ahead[0], ahead[1], ahead[2], time_s, rate_per_s)
         return Alternatives(moves, start, rest, Pose(0.0, 0.0, 0.0), True)
-    circle_per_m = scene.mirror / scene.circle.radius_m
+    circle_per_m = scene.mirror / scene.present.circle.radius_m
     stays = lines_from(1.0, scene, circle_per_m, ramp, sampling, craft, kept)
     return Alternatives(moves, start, stays, start, False)
 
@@ -236,28 +243,34 @@ def add_prices(among: Alternatives, radius_m: float, leave: float, change: float
 
 
 @compiled
+def _line_costs(
+    lines: Lines, start: Pose, scene: Scene, futures: Scenarios, question: Question, sight: Sight, costs: FloatArray
+) -> None:
+    """Fill in what lines (lines,) from a start cost, with what the ground hides."""
+    table, radius_m = question.table, scene.radius_m
+    lines_costs(lines, start, futures, scene.doubt, question.context.terms, table, scene.air, costs)
+    view = WatchFrame(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
+    lap_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s
+    add_sight(lines, start, sight, view, radius_m, lap_s, fading_per_s(table), costs)
+
+
+@compiled
 def look_ahead(scene: Scene, futures: Scenarios, question: Question, sight: Sight, costs: FloatArray) -> float:
-    """Fill in what each move costs (choices,), its price included, and return what going on as planned costs."""
-    table, prices, radius_m = question.table, question.prices, scene.radius_m
-    terms = question.context.terms
+    """Fill in what each move costs (moves,), its price included, and return what going on as planned costs."""
+    prices, radius_m = question.prices, scene.radius_m
     # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
     beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, question.context.motions) else 0.0
     among = alternatives(scene, question, beyond_m)
     stay_costs = np.empty(len(among.stays.trunk))
-    view = WatchFrame(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
-    lap_s, rate_per_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s, fading_per_s(table)
-    lines_costs(among.moves, among.start, futures, scene.doubt, terms, table, scene.air, costs)
-    add_sight(among.moves, among.start, sight, view, radius_m, lap_s, rate_per_s, costs)
-    lines_costs(among.stays, among.stays_start, futures, scene.doubt, terms, table, scene.air, stay_costs)
-    add_sight(among.stays, among.stays_start, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
+    _line_costs(among.moves, among.start, scene, futures, question, sight, costs)
+    _line_costs(among.stays, among.stays_start, scene, futures, question, sight, stay_costs)
     add_prices(among, radius_m, prices.leave, prices.change, costs)
     if len(costs) > MOVES:
         ramp = ramp_anywhere(scene.air, question.context.watcher.craft)
         start_per_m = scene.mirror * scene.start.curvature_per_m
-        sampling = Sampling(beyond_m, among.start.heading_rad, scene.air, rate_per_s)
+        sampling = Sampling(beyond_m, among.start.heading_rad, scene.air, fading_per_s(question.table))
         eights = eights_from(start_per_m, radius_m, ramp, sampling)
-        lines_costs(eights, among.start, futures, scene.doubt, terms, table, scene.air, costs[MOVES:])
-        add_sight(eights, among.start, sight, view, radius_m, lap_s, rate_per_s, costs[MOVES:])
+        _line_costs(eights, among.start, scene, futures, question, sight, costs[MOVES:])
         costs[MOVES:] += prices.change if among.under_way else prices.leave
     return least(stay_costs)
 
@@ -275,12 +288,7 @@ def lay_out(question: Question, radius_m: float, airspeed_m_s: float, wind_m_s: 
 
 @compiled
 def look_two_moves_ahead(
-    scene: Scene,
-    futures: Scenarios,
-    question: Question,
-    sight: Sight,
-    min_gain: float,
-    costs: FloatArray,
+    scene: Scene, futures: Scenarios, question: Question, sight: Sight, min_gain: float, costs: FloatArray
 ) -> float:
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
@@ -350,7 +358,7 @@ def commitment(scene: Scene, futures: Scenarios, question: Question) -> float:
     is not given up so early.
     """
     prices, terms = question.prices, question.context.terms
-    if scene.line.shape[1] == 0 or scene.age_s >= prices.commit_s:
+    if scene.present.line.shape[1] == 0 or scene.present.age_s >= prices.commit_s:
         return 0.0
     return 0.0 if leaves(scene, likely(futures), question, terms.near_m, terms.far_m) else prices.commit
 
@@ -361,6 +369,170 @@ _LEAST_TRUST = 0.3  # a less probable route is not planned along
 _RENEW_S = 2.5  # how long the layers are used
 _OTHER_WIND_RAD = 0.3
 _PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are needed, and they gain more
+
+
+@compiled
+def layer_s(airspeed_m_s: float, radius_m: float) -> float:
+    """Return the duration of a step: that of 45 degrees of the circle."""
+    return _TURN * 2.0 * math.pi / HEADINGS * radius_m / airspeed_m_s
+
+
+@inlined
+def _course_index(f: Scenarios, k: int, turn_rad: float) -> int:
+    """Return which of HEADINGS directions of the plane the target moves in at a sample; turn_rad: of the plane."""
+    motion_rad = math.atan2(f.place[_ROUTE, k, 2], f.place[_ROUTE, k, 3])
+    return round((motion_rad - turn_rad) / (2.0 * math.pi) * HEADINGS) % HEADINGS
+
+
+@compiled
+def resample(
+    values: Float32,
+    from_cell_m: float,
+    classes: IntArray,
+    share: FloatArray,
+    k: int,
+    cell_m: float,
+    turn_rad: float,
+    found: Float32,
+) -> None:
+    """Fill in classes[0, k] of a table, mixed by their shares, on the coarse grid (HEADINGS, SIZE, SIZE).
+
+    turn_rad: course of the table's frame in the frame of the result.
+    """
+    sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
+    for h in range(HEADINGS):
+        heading_rad = h * 2.0 * math.pi / HEADINGS - turn_rad
+        for i in range(SIZE):
+            for j in range(SIZE):
+                x, y = (i - CELLS) * cell_m, (j - CELLS) * cell_m
+                across, along = x * cos_t - y * sin_t, x * sin_t + y * cos_t
+                found[h, i, j] = np.float32(
+                    table_value(values, from_cell_m, across, along, heading_rad, classes, share, 0, k)
+                )
+
+
+@compiled
+def _fill_rates(
+    f: Scenarios, k: int, since_s: float, turn_rad: float, cell_m: float, d: Uncertainty, c: CostTerms, found: Float32
+) -> None:
+    """Fill in the running cost (SIZE, SIZE) about the target at sample k. turn_rad: of the plane in the frame."""
+    sin_w, cos_w, sigma_rad = f.facing[_ROUTE, k, 0], f.facing[_ROUTE, k, 1], f.facing[_ROUTE, k, 2]
+    sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
+    # Of the watch course in the plane: its angle in the frame less that of the plane.
+    sin_f, cos_f = sin_w * cos_t - cos_w * sin_t, cos_w * cos_t + sin_w * sin_t
+    sigma_m = math.sqrt(d.position_m * d.position_m + (d.velocity_m_s * since_s) ** 2)
+    for i in range(SIZE):
+        for j in range(SIZE):
+            x, y = (i - CELLS) * cell_m, (j - CELLS) * cell_m
+            across, along = x * cos_f - y * sin_f, x * sin_f + y * cos_f
+            aside_m = sigma_rad * along
+            blur_m = max(1.0 + math.sqrt(sigma_m * sigma_m + aside_m * aside_m), 0.5 * cell_m)
+            found[i, j] = np.float32(cost_rate(across, along, sigma_m, blur_m, c))
+
+
+@compiled
+def _extend_edges(padded: Float32) -> None:
+    """Give the cells beyond the grid the values of its edge."""
+    for row in padded[_INNER]:
+        row[:_PAD], row[-_PAD:] = row[_PAD], row[-_PAD - 1]
+    padded[:_PAD], padded[-_PAD:] = padded[_PAD], padded[-_PAD - 1]
+
+
+@compiled
+def _fill_layers(f: Scenarios, turn_rad: float, scene: Scene, question: Question, prices: SwitchingCosts) -> None:
+    """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on, and their minima.
+
+    A dynamic program that runs backward from the value table at the end of the expected path. A state is a place
+    relative to the target on a coarse grid, one of 16 headings, and the manner of turning: on the circle, straight,
+    or the other way round. A step lasts as long as the circle takes for 45 degrees, so that no heading is
+    interpolated. Leaving the circle, or changing the manner of turning, costs what moves cost. The target may leave
+    the path: the value after a turn counts at the same hazard as in the value table.
+
+    Neglected: roll dynamics (a change of curvature is a shift in time), and the change of ground speed around a
+    circle in wind. All layers lie in the local plane, east mirrored where the right side is required: they stay valid
+    as the target, and with it the frame of a decision, turns. turn_rad: the plane's (mirrored) north in that frame.
+    """
+    s, table, terms = question.context.route, question.table, question.context.terms
+    air, radius_m, cell_m, classes = scene.air, scene.radius_m, s.cell_m, len(table.values)
+    after_turn, found, minima = s.after_turn[classes:], s.values[classes:], s.least[classes:]
+    layers, n = len(found), SIZE + 2 * _PAD
+    dt_s, turn_step_rad = layer_s(air.airspeed_m_s, radius_m), 2.0 * math.pi / HEADINGS
+    rate, table_values = np.empty((SIZE, SIZE), np.float32), np.empty((HEADINGS, SIZE, SIZE), np.float32)
+    # Planes of the padded grid. Their rows are processed as one long row, in which the padding is computed in vain.
+    paid, here = np.zeros((HEADINGS, n * n), np.float32), np.empty(n * n, np.float32)
+    values, best = np.zeros((_MODES, HEADINGS, n * n), np.float32), np.zeros((_MODES, HEADINGS, n * n), np.float32)
+    first, last = _PAD * n, (_PAD + SIZE) * n
+    hazard_per_s = 1.0 / table.mean_leg_s
+    fading, half = math.exp(-(table.discount_per_s + hazard_per_s) * dt_s), np.float32(0.5 * dt_s)
+    hazard, leave, change = np.float32(hazard_per_s), np.float32(prices.leave), np.float32(prices.change)
+    sin_p, cos_p, last_k = math.sin(turn_rad), math.cos(turn_rad), f.place.shape[1] - 1
+    wind_x = air.wind_x_m_s * cos_p - air.wind_y_m_s * sin_p
+    wind_y = air.wind_x_m_s * sin_p + air.wind_y_m_s * cos_p
+    chord_m, limit = 2.0 * radius_m * math.sin(0.5 * _TURN * turn_step_rad), _PAD - 1.01
+    blind, unseen = np.empty((HEADINGS if terms.blind > 0.0 else 0, SIZE, SIZE), np.float32), np.empty((SIZE, SIZE))
+    for h in range(len(blind)):  # where the gimbal cannot look
+        nose = nose_rad(h * 2.0 * math.pi / HEADINGS, Air(air.airspeed_m_s, wind_x, wind_y))
+        blind_rates((np.arange(SIZE, dtype=np.float64) - CELLS) * cell_m, nose, terms, unseen)
+        blind[h] = unseen
+    for layer in range(layers - 1, -1, -1):
+        time_s = layer * dt_s
+        k = min(int(time_s / f.step_s + 0.5), last_k)
+        _fill_rates(f, k, time_s, turn_rad, cell_m, scene.doubt, terms, rate)
+        course = _course_index(f, k, turn_rad)
+        for h in range(HEADINGS):
+            inner = paid[h].reshape(n, n)[_INNER, _INNER]
+            inner[:] = rate + hazard * after_turn[course, h]
+            if len(blind) > 0:
+                inner += blind[h]
+        if layer == layers - 1:
+            table_rad = f.course[_ROUTE, k, 2] - turn_rad
+            resample(table.values, table.cell_m, f.classes, f.share, k, cell_m, table_rad, table_values)
+            for mode in range(_MODES):
+                for h in range(HEADINGS):
+                    values[mode, h].reshape(n, n)[_INNER, _INNER] = table_values[h]
+        else:
+            k, m = min(int(time_s / f.step_s), last_k), min(int((time_s + dt_s) / f.step_s), last_k)
+            now, from_s = f.place[_ROUTE, k], time_s - k * f.step_s
+            then, to_s = f.place[_ROUTE, m], time_s + dt_s - m * f.step_s
+            gone_x = then[0] + then[2] * to_s - now[0] - now[2] * from_s
+            gone_y = then[1] + then[3] * to_s - now[1] - now[3] * from_s
+            gone_x, gone_y = gone_x * cos_p - gone_y * sin_p, gone_x * sin_p + gone_y * cos_p
+            for mode in range(_MODES):
+                turn = (1 - mode) * _TURN
+                for h in range(HEADINGS):
+                    middle_rad = (h + 0.5 * turn) * turn_step_rad
+                    flown_x, flown_y = chord_m * math.sin(middle_rad), chord_m * math.cos(middle_rad)
+                    if turn == 0:
+                        flown_x = (air.airspeed_m_s * math.sin(middle_rad) + wind_x) * dt_s
+                        flown_y = (air.airspeed_m_s * math.cos(middle_rad) + wind_y) * dt_s
+                    x = min(max((flown_x - gone_x) / cell_m, -limit), limit)
+                    y = min(max((flown_y - gone_y) / cell_m, -limit), limit)
+                    i, j = math.floor(x), math.floor(y)
+                    a, b = x - i, y - j
+                    low_a, low_b = np.float32(fading * (1.0 - a) * (1.0 - b)), np.float32(fading * (1.0 - a) * b)
+                    high_a, high_b = np.float32(fading * a * (1.0 - b)), np.float32(fading * a * b)
+                    low = best[mode, (h + turn) % HEADINGS, first + i * n + j :]
+                    high, own, found_here = low[n:], paid[h, first:last], values[mode, h, first:last]
+                    for q in range(len(own)):
+                        before = half * own[q] + low_a * low[q] + low_b * low[q + 1]
+                        found_here[q] = before + high_a * high[q] + high_b * high[q + 1]
+        for h in range(HEADINGS):
+            circle, straight, other, own = values[0, h], values[1, h], values[2, h], paid[h]
+            on_circle, ahead, back = best[0, h], best[1, h], best[2, h]
+            for q in range(first, last):
+                away, before = min(straight[q], other[q]), half * own[q]
+                changed = min(away, circle[q]) + change
+                here[q] = min(circle[q], away + leave)
+                on_circle[q] = here[q] + before
+                ahead[q] = min(straight[q], circle[q], changed) + before
+                back[q] = min(other[q], circle[q], changed) + before
+            found[layer, h] = here.reshape(n, n)[_INNER, _INNER]
+            for mode in range(_MODES):
+                _extend_edges(best[mode, h].reshape(n, n))
+        lowest = found[layer, 0].copy()
+        for h in range(1, HEADINGS):
+            np.minimum(lowest, found[layer, h], lowest)
+        minima[layer] = lowest.min()
 
 
 @compiled
@@ -401,7 +573,7 @@ def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Ques
         s.state[0].wind_rad = wind_rad
     classes, turn_share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     for k in range(f.place.shape[1]):
-        course = course_index(f, _ROUTE, k, turn_rad)
+        course = _course_index(f, k, turn_rad)
         if s.state[0].known[course] > 0:
             continue
         s.state[0].known[course] = 1
@@ -415,7 +587,7 @@ def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Ques
         for c in range(4):
             classes[0, 0, c], turn_share[0, 0, c] = which[c], shares[c]
         found = s.after_turn[len(table.values) + course]
-        resample(table.after_turn, table.cell_m, classes, turn_share, 0, 0, s.cell_m, table_rad, found)
+        resample(table.after_turn, table.cell_m, classes, turn_share, 0, s.cell_m, table_rad, found)
 
 
 @compiled
@@ -441,9 +613,7 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, Switchi
     since_s = scene.departure_s - state.computed_s
     if not 0.0 <= since_s <= _RENEW_S or state.mirror != scene.mirror or state.part != part:
         _fill_after_turn(f, turn_rad, scene, question)
-        terms = question.context.terms
-        fill_layers(f, _ROUTE, turn_rad, scene, terms, table, prices.leave, prices.change, s)
-        least_of(s.values[count:], s.least[count:])
+        _fill_layers(f, turn_rad, scene, question, prices)
         state.computed_s, state.mirror, state.part, since_s = scene.departure_s, scene.mirror, part, 0.0
     sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
     for k in range(f.place.shape[1]):
@@ -452,7 +622,7 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, Switchi
         f.classes[_ROUTE, k, 0], f.classes[_ROUTE, k, 1] = count + layer, count + layer + 1
         f.share[_ROUTE, k, 0], f.share[_ROUTE, k, 1] = 1.0 - past, past
         f.share[_ROUTE, k, 2:] = 0.0
-        f.classes[_ROUTE, k, 2] = count + course_index(f, _ROUTE, k, turn_rad)
+        f.classes[_ROUTE, k, 2] = count + _course_index(f, k, turn_rad)
         f.turn_share[_ROUTE, k, :] = 0.0
         f.turn_share[_ROUTE, k, 2] = 1.0
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
@@ -467,11 +637,13 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, Switchi
 
 @compiled
 def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float, FloatArray]:
-    """Return what staying costs, what a move must gain beyond its price, and what each move costs (choices,).
+    """Return what staying costs, what a move must gain beyond its price, and what each move costs (moves,).
 
     Processes the target's estimate, as :func:`foresee` does.
     """
     futures, table, prices, depth = foresee(scene, question)
     answered_by = Question(question.context, table, prices, depth)
-    min_gain, costs = commitment(scene, futures, answered_by), np.empty(choices(question))
+    # Figures of eight are for a gimbal that cannot pan all around.
+    costs = np.empty(MOVES + EIGHTS if question.context.terms.blind > 0.0 else MOVES)
+    min_gain = commitment(scene, futures, answered_by)
     return look_two_moves_ahead(scene, futures, answered_by, sight, min_gain, costs), min_gain, costs

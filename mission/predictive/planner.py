@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,41 +32,33 @@ from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
 from sidelong.mission.geometry.line_kernel import LinePoint, craft_of, sharpness_per_m2, turn_radius_m
 from sidelong.mission.geometry.progress import end_circle, line_of
 from sidelong.mission.predictive import decision_kernel as kernel
-from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.cost_kernel import Table
 from sidelong.mission.predictive.decision_kernel import (
-    LookaheadDepth,
-    PlannerContext,
-    Question,
-    SwitchingCosts,
-    weigh,
-)
-from sidelong.mission.predictive.foresight_kernel import (
     CELLS,
     HEADINGS,
     HORIZON_S,
     LAYERS,
     SIZE,
+    LookaheadDepth,
+    PlannerContext,
+    Question,
     RouteValues,
+    SwitchingCosts,
     layer_s,
     resample,
+    weigh,
 )
-from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
+from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache, new_second_moves
+from sidelong.mission.predictive.rollout_kernel import Table
 from sidelong.mission.predictive.scene_kernel import FlownPlan, Scene, Turns, Watcher, scene_of
-from sidelong.mission.predictive.second_kernel import new_second_moves
-from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
-from sidelong.mission.route.progress import way_of
+from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable, WatchCost, compute
 from sidelong.mission.route.progress_kernel import Progress, RouteArrays, fresh_progress
-from sidelong.mission.route.route import Route
-from sidelong.mission.viewpoint.course_hold import estimates_of
-from sidelong.mission.viewpoint.descriptions import describe_new_circle
-from sidelong.mission.viewpoint.side_policy import SidePolicy
+from sidelong.mission.route.route import Route, way_of
+from sidelong.mission.viewpoint.watch_course import SidePolicy, describe_new_circle, estimates_of
 
 _OFF_SIDE_MIN_S = 2.0  # shorter visits to the other side are not worth a word
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outlook:
+class Outlook(NamedTuple):
     """Places to the right of the watch course, ranges, and times since departure along a line: arrays (k,)."""
 
     x_m: FloatArray
@@ -74,12 +67,8 @@ class Outlook:
 
 
 def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s: float) -> str | None:
-    """Return the first breach of the requirement on the line of ``seen``; None when there is none.
-
-    Args:
-        lead_s: Time from now to the outlook's start, s.
-    """
-    x_m, range_m, time_s = seen.x_m, seen.range_m, seen.time_s
+    """Return the first breach of the requirement on the line of ``seen``, which begins in lead_s; None if none."""
+    x_m, range_m, time_s = seen
     out = np.flatnonzero((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m))
     off = np.flatnonzero(x_m > 0.0) if requirement.sector is None else np.empty(0, np.intp)
     if off.size and float(time_s[off[-1]] - time_s[off[0]]) < _OFF_SIDE_MIN_S:
@@ -106,18 +95,14 @@ def describe_range(seen: Outlook) -> str:
 _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 
 
-def no_route_values() -> RouteValues:
-    """Return what a planner without a route looks ahead with."""
-    way = RouteArrays(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
-    return RouteValues(way, fresh_progress(0), _NOTHING, _NOTHING, 1.0, np.zeros(1), new_record(LAYERS))
+def route_values(route: Route | None, own: Table, c: TableConfiguration, progress: Progress) -> RouteValues:
+    """Return room for the layers along a route, if there is one, and the table's classes on their grid.
 
-
-def route_values(route: Route, own: Table, c: TableConfiguration, progress: Progress) -> RouteValues:
-    """Return room for the layers along a route, and the table's classes on their grid.
-
-    Args:
-        progress: State of the progress filter, which tables for several winds share.
+    progress: state of the progress filter, which tables for several winds share.
     """
+    if route is None:
+        way = RouteArrays(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
+        return RouteValues(way, progress, _NOTHING, _NOTHING, 1.0, np.zeros(1), new_record(LAYERS))
     classes = len(own.values)
     layers = math.ceil(HORIZON_S / layer_s(c.airspeed_m_s, c.radius_m)) + 1
     cell_m = c.half_width_m / CELLS
@@ -126,8 +111,8 @@ def route_values(route: Route, own: Table, c: TableConfiguration, progress: Prog
     share = np.array([[[1.0, 0.0, 0.0, 0.0]]])
     for one in range(classes):
         mixed = np.array([[[one, 0, 0, 0]]])
-        resample(own.values, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, values[one])
-        resample(own.after_turn, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, after_turn[one])
+        resample(own.values, own.cell_m, mixed, share, 0, cell_m, 0.0, values[one])
+        resample(own.after_turn, own.cell_m, mixed, share, 0, cell_m, 0.0, after_turn[one])
     least = values.min(axis=(1, 2, 3)).astype(np.float64)
     state = new_record(LAYERS)
     state[0].computed_s = -np.inf
@@ -194,21 +179,14 @@ def table_configuration(
     fine = sector is None and (wind_speed_m_s == 0.0 or pan_rad < math.pi)
     half_width_rad = math.pi / 2 if sector is None else sector.half_width_rad
     craft, fastest_m_s = craft_of(aircraft, settings.turn_share), aircraft.airspeed_m_s + wind_speed_m_s
+    band_m, target_m_s = (requirement.range_min_m, requirement.range_max_m), requirement.target_speed_max_m_s
     return TableConfiguration(
         aircraft.airspeed_m_s,
         aircraft.radius_m,
         turn_radius_m(aircraft.radius_m, fastest_m_s, craft),
         sharpness_per_m2(fastest_m_s, craft),
-        max(requirement.target_speed_max_m_s, _MIN_TARGET_SPEED_M_S),
-        WatchCost.inside(
-            requirement.range_min_m,
-            requirement.range_max_m,
-            half_width_rad,
-            wind_speed_m_s,
-            requirement.target_speed_max_m_s,
-            pan_rad,
-            aircraft.radius_m,
-        ),
+        max(target_m_s, _MIN_TARGET_SPEED_M_S),
+        WatchCost.inside(*band_m, half_width_rad, wind_speed_m_s, target_m_s, pan_rad, aircraft.radius_m),
         follows_course=sector is None,
         # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds. Figures of
         # eight need them.
@@ -249,7 +227,7 @@ class PredictivePlanner:
         self._line_cache, self._second_moves = new_line_cache(), new_second_moves()
         self._route, self._progress = route, fresh_progress(0 if route is None else route.east_m.size)
         self.questions = [self._question(one) for one in self.tables]
-        if self.settings.beam > 0:  # else the first decisions would wait for it
+        if settings.beam > 0:  # else the first decisions would wait for it
             kernel.lay_out(self.questions[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
 
     def _question(self, table: ValueTable) -> Question:
@@ -257,26 +235,17 @@ class PredictivePlanner:
         own, price = self.settings, table.configuration.leave_cost
         least_of_class = table.values.min(axis=(1, 2, 3)).astype(np.float64)
         change = price if own.change_cost is None else own.change_cost
-        watcher = Watcher(
-            craft_of(self.aircraft, own.turn_share),
-            self._policy.wish,
-            self.requirement.target_speed_max_m_s,
-            self._policy.memory,
-        )
+        craft, fastest_m_s = craft_of(self.aircraft, own.turn_share), self.requirement.target_speed_max_m_s
+        watcher = Watcher(craft, self._policy.wish, fastest_m_s, self._policy.memory)
         terms = table.configuration.cost.terms
         turns = Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s, terms.blind > 0.0)
-        route = self._route_values(table.arrays, table.configuration)
+        route = route_values(self._route, table.arrays, table.configuration, self._progress)
         return Question(
             PlannerContext(watcher, terms, table.motions, turns, self._line_cache, self._second_moves, route),
             table.arrays,
             SwitchingCosts(price, change, own.commit_cost, own.commit_s, own.threat_s),
             LookaheadDepth(own.beam, own.horizon_s, least_of_class, float(table.after_turn.min()), False),
         )
-
-    def _route_values(self, table: Table, configuration: TableConfiguration) -> RouteValues:
-        if self._route is None:
-            return no_route_values()
-        return route_values(self._route, table, configuration, self._progress)
 
     @property
     def plans_pan_limits(self) -> bool:
@@ -288,23 +257,21 @@ class PredictivePlanner:
 
         Nothing to do for a sector, whose table knows no wind.
         """
-        prepared = any(one.context.motions.wind_speed_m_s == wind_speed_m_s for one in self.questions)
+        prepared = any(one.configuration.wind_speed_m_s == wind_speed_m_s for one in self.tables)
         if self._table_at is not None and self.requirement.sector is None and not prepared:
             self.tables.append(self._table_at(wind_speed_m_s))
             self.questions.append(self._question(self.tables[-1]))
 
     def follow(self, route: Route | None, progress: Progress) -> None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
+        """See :class:`sidelong.mission.route.route.RoutePlanner`."""
         self._route, self._progress = route, progress
         for k, (question, table) in enumerate(zip(self.questions, self.tables, strict=True)):
-            values = self._route_values(table.arrays, table.configuration)
+            values = route_values(route, table.arrays, table.configuration, progress)
             self.questions[k] = question._replace(context=question.context._replace(route=values))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
         """Return a planner with the value table for still air, which takes a second or so to compute."""
-        from sidelong.mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
-
         return cls(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
 
     def decide(
@@ -340,7 +307,7 @@ class PredictivePlanner:
         elif broken is not None:
             reason = f"staying: {broken}"
         elif bar <= costs[move] < stay_cost:
-            age, gain_s = f"the plan is {scene.age_s:.0f} s old", stay_cost - costs[move]
+            age, gain_s = f"the plan is {scene.present.age_s:.0f} s old", stay_cost - costs[move]
             reason = f"staying: {age}, and another would gain {gain_s:.0f} s on the side at most"
         elif breach is not None:
             reason = f"staying until a better moment: {breach}"
@@ -379,18 +346,12 @@ def cheapest_allowed(
     """Return the cheapest move that costs less than the bar and passes the check, and its plan.
 
     Where there is none, the move is the cheapest of all, without a plan; last why the cheapest below the bar failed.
-
-    Args:
-        check: Returns a plan as it can be flown, or why it is rejected.
     """
     order, broken = np.argsort(costs, kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
         path = Path(*move_line(scene, question.context.watcher.craft, move))
-        checked = check(
-            Plan(
-                end_circle(path, scene.radius_m), path, scene.departure_s, precise=question.context.terms.blind > 0.0
-            )
-        )
+        precise = question.context.terms.blind > 0.0
+        checked = check(Plan(end_circle(path, scene.radius_m), path, scene.departure_s, precise=precise))
         if isinstance(checked, Plan):
             return move, checked, broken
         broken = broken or checked

@@ -1,8 +1,7 @@
 """Roll out candidate lines, which share their beginnings, against predicted futures of the target.
 
 Lines are sampled every step_m and at their ends, in the frame of the departure: its origin is where the target is
-then, x is to the right of the watch course, y along it. A future holds where the target is from then on, which course
-to watch from, and which course and velocity the table is to be asked for: all may change on the way.
+then, x is to the right of the watch course, y along it.
 
 What lines share is computed once: all moves that hold one curvature follow one trunk until their last ramps begin.
 In still air a set of lines depends on the curvature at its start only, of which a flight has few: sets are cached.
@@ -18,26 +17,156 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import (
+    Air,
     Trapezoid,
-    crab_rad,
-    ground_speed_m_s,
     moved_m,
+    nose_rad,
+    speed_m_s,
     trapezoid,
     turned_rad,
     with_last_ramp,
 )
-from sidelong.mission.predictive.cost_kernel import CostTerms, IntArray, Table, blind_rate, cost_rate, table_value
+
+Float32 = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
 
 # The target turns at random, so what it does at a certain moment of the roll-out matters only in the mean: every
 # third sample is enough.
 TURN_STRIDE = 3
 STEP_S = 1.0
 _ENDLESS_M = 1e9
+# The border of where the gimbal can look is blurred over this difference of cosines: 10 degrees at 120 degrees. From
+# the limit on, the further cost rises over the other difference: up to 143 degrees.
+_BLIND_BLUR, _LOST_BLUR = 0.15, 0.3
+
+
+class CostTerms(NamedTuple):
+    """The numbers of :class:`sidelong.mission.predictive.value_table.WatchCost`."""
+
+    near_m: float
+    far_m: float
+    cos_half_width: float
+    outside: float
+    outside_per_m: float
+    wall_width_m: float
+    wall: float
+    cos_pan_limit: float
+    blind: float
+    lost: float
+
+
+class Table(NamedTuple):
+    """A value table: arrays (classes, headings, n, n)."""
+
+    values: Float32
+    after_turn: Float32
+    cell_m: float
+    discount_per_s: float
+    mean_leg_s: float
+
+
+@compiled
+def fading_per_s(table: Table) -> float:
+    """Return the rate at which what is to be paid later fades: it is discounted, and the target may turn before."""
+    return table.discount_per_s + 1.0 / table.mean_leg_s
+
+
+@inlined
+def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTerms) -> float:
+    """See :meth:`sidelong.mission.predictive.value_table.WatchCost.rate`."""
+    range_m = math.sqrt(x_m * x_m + y_m * y_m)
+    off = 0.5 + 0.5 * (x_m + c.cos_half_width * range_m) / blur_m
+    off = 0.0 if off < 0.0 else off
+    off = 1.0 if off > 1.0 else off
+    quarter_m = 0.25 * (c.far_m - c.near_m)
+    widened_m = widened_m if widened_m < quarter_m else quarter_m
+    above_m, below_m = range_m - (c.near_m + widened_m), (c.far_m - widened_m) - range_m
+    inside_m = above_m if above_m < below_m else below_m
+    near_wall = 1.0 - inside_m / c.wall_width_m
+    near_wall = 0.0 if near_wall < 0.0 else near_wall
+    near_wall = 1.0 if near_wall > 1.0 else near_wall
+    beyond = c.outside - c.wall - c.outside_per_m * inside_m
+    return off + c.wall * near_wall * near_wall + (beyond if inside_m < 0.0 else 0.0)
+
+
+@inlined
+def blind_rate(x_m: float, y_m: float, nose_rad: float, c: CostTerms) -> float:
+    """Return the cost per second where the nose points so that the gimbal cannot look at the target."""
+    range_m = math.sqrt(x_m * x_m + y_m * y_m)
+    ahead_m = -(x_m * math.sin(nose_rad) + y_m * math.cos(nose_rad))
+    beyond = (c.cos_pan_limit * range_m - ahead_m) / (range_m + 1.0)
+    share, far = 0.5 + beyond / _BLIND_BLUR, beyond / _LOST_BLUR
+    share = 0.0 if share < 0.0 else share
+    far = 0.0 if far < 0.0 else far
+    return c.blind * (1.0 if share > 1.0 else share) + c.lost * (1.0 if far > 1.0 else far)
+
+
+@compiled
+def blind_rates(axis_m: FloatArray, nose_rad: float, c: CostTerms, found: FloatArray) -> None:
+    """Fill in the rate (n, n) at all places of a square with sides axis_m (n,)."""
+    for i in range(len(axis_m)):
+        for j in range(len(axis_m)):
+            found[i, j] = blind_rate(axis_m[i], axis_m[j], nose_rad, c)
+
+
+@compiled
+def cost_rates(
+    x_m: FloatArray, y_m: FloatArray, widened_m: FloatArray, blur_m: FloatArray, c: CostTerms, found: FloatArray
+) -> None:
+    """Fill in the rate at places (n,)."""
+    for i in range(len(x_m)):
+        found[i] = cost_rate(x_m[i], y_m[i], widened_m[i], blur_m[i], c)
+
+
+@inlined
+def table_value(
+    values: Float32,
+    cell_m: float,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
+    classes: IntArray,
+    share: FloatArray,
+    one: int,
+    k: int,
+) -> float:
+    """Return what the classes[one, k] (4,) say together at a place; beyond the grid as on its edge."""
+    _, headings, n, _ = values.shape
+    x = min(max(x_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
+    y = min(max(y_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
+    heading = heading_rad * (headings / math.tau)
+    heading -= headings * math.floor(heading / headings)
+    i, j, near = int(x), int(y), int(heading)
+    across, along, turn = x - i, y - j, heading - near
+    near = near if near < headings else near - headings
+    far = near + 1 if near + 1 < headings else 0
+    total = 0.0
+    for c in range(4):
+        weight = share[one, k, c]
+        if weight > 0.0:
+            v = classes[one, k, c]
+            low = values[v, near, i, j] + along * (values[v, near, i, j + 1] - values[v, near, i, j])
+            high = values[v, near, i + 1, j] + along * (values[v, near, i + 1, j + 1] - values[v, near, i + 1, j])
+            here = low + across * (high - low)
+            low = values[v, far, i, j] + along * (values[v, far, i, j + 1] - values[v, far, i, j])
+            high = values[v, far, i + 1, j] + along * (values[v, far, i + 1, j + 1] - values[v, far, i + 1, j])
+            total += weight * (here + turn * (low + across * (high - low) - here))
+    return float(total)
+
+
+@compiled
+def least(costs: FloatArray) -> float:
+    """Return the smallest of costs (n,), infinity of none. numba's own ``min`` has scipy loaded at each start."""
+    smallest = np.inf
+    for cost in costs:
+        smallest = min(smallest, cost)
+    return smallest
 
 
 class Uncertainty(NamedTuple):
@@ -51,10 +180,9 @@ class Uncertainty(NamedTuple):
 class Scenarios(NamedTuple):
     """What the target may do: f futures, sampled k times every step_s from the departure on, k >= 1.
 
-    weight (f,) sums to 1. place (f, k, 4): x, y, and the velocity that carries on from there to the next sample (from
-    the last one indefinitely). facing (f, k, 3): sine and cosine of the watch course in the frame of the departure,
-    and one standard deviation of it.
-    course (f, k, 3): sine, cosine and angle of the course that the table's frame follows. classes (f, k, 4): the
+    weight (f,) sums to 1. place (f, k, 4): x, y, and the velocity until the next sample (from the last one on).
+    facing (f, k, 3): sine and cosine of the watch course in the frame of the departure, and one standard deviation of
+    it. course (f, k, 3): sine, cosine and angle of the course that the table's frame follows. classes (f, k, 4): the
     table's classes for the velocities there; share, turn_share (f, k, 4): what each counts in V, and after a turn.
     """
 
@@ -66,26 +194,6 @@ class Scenarios(NamedTuple):
     classes: IntArray
     share: FloatArray
     turn_share: FloatArray
-
-
-class Air(NamedTuple):
-    """Airspeed, and the wind in the frame of the lines."""
-
-    airspeed_m_s: float
-    wind_x_m_s: float
-    wind_y_m_s: float
-
-
-@compiled
-def speed_m_s(course_rad: float, air: Air) -> float:
-    """Return the speed over the ground on a course."""
-    return ground_speed_m_s(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-
-
-@compiled
-def nose_rad(course_rad: float, air: Air) -> float:
-    """Return where the nose points on a course over the ground."""
-    return course_rad - crab_rad(course_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
 
 
 class Pose(NamedTuple):
@@ -115,20 +223,11 @@ class Lines(NamedTuple):
     end_m: FloatArray
 
 
-# -- lines -----------------------------------------------------------------------------------------------------------
-
-
 class Shapes(NamedTuple):
-    """Lines that ramp from one curvature to holds, hold them, and ramp on to a circle.
+    """Lines that ramp from one curvature to one of holds_per_m (holds,), hold it, and ramp on to a circle.
 
-    Attributes:
-        start_per_m: curvature at the start.
-        holds_per_m: curvatures that are held, (holds,).
-        hold: which of them each line holds, (lines,).
-        lengths_m: for how far it holds it, (lines,).
-        final_per_m: curvature of the circle.
-        ramp_per_m2: sharpness of the first ramp.
-        last_ramps_per_m2: sharpness of each last ramp, (lines,).
+    hold, lengths_m, last_ramps_per_m2 (lines,): which curvature each line holds, for how far, and the sharpness of
+    its last ramp; ramp_per_m2 is that of the first.
     """
 
     start_per_m: float
@@ -141,13 +240,9 @@ class Shapes(NamedTuple):
 
 
 class Sampling(NamedTuple):
-    """How lines are sampled.
+    """How lines are sampled: STEP_S of flight at the airspeed apart, beyond_m along their circles, from a heading.
 
-    Attributes:
-        beyond_m: how far each line follows its circle.
-        heading_rad: heading at the start, which matters in wind.
-        air: airspeed and wind; samples are STEP_S of flight at the airspeed apart.
-        rate_per_s: rate of the discount in ``Lines.weight``.
+    rate_per_s: of the discount in ``Lines.weight``.
     """
 
     beyond_m: float
@@ -157,17 +252,22 @@ class Sampling(NamedTuple):
 
 
 @compiled
+def _shape(s: Shapes, i: int) -> Trapezoid:
+    shape = trapezoid(s.start_per_m, s.holds_per_m[s.hold[i]], s.lengths_m[i], s.final_per_m, s.ramp_per_m2)
+    return with_last_ramp(shape, s.last_ramps_per_m2[i])
+
+
+@compiled
 def spread(shapes: Shapes, sampling: Sampling) -> Lines:
     """Return the lines of some shapes."""
-    start_per_m, holds_per_m, hold, lengths_m, final_per_m, ramp, last_ramps = shapes
+    hold, holds_per_m = shapes.hold, shapes.holds_per_m
     step_m, beyond_m = sampling.air.airspeed_m_s * STEP_S, sampling.beyond_m
     lines, trunks = len(hold), len(holds_per_m)
     on_trunk, end_m = np.empty(lines, np.int64), np.empty(lines)
     trunk_size = np.ones(trunks, np.int64)
     trunk_first, own_first = np.zeros(trunks + 1, np.int64), np.zeros(lines + 1, np.int64)
     for i in range(lines):
-        shape = trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, ramp)
-        shape = with_last_ramp(shape, last_ramps[i])
+        shape = _shape(shapes, i)
         on_trunk[i] = int(shape.last_start_m / step_m) + 1
         end_m[i] = shape.end_m
         trunk_size[hold[i]] = max(trunk_size[hold[i]], on_trunk[i])
@@ -183,7 +283,7 @@ def spread(shapes: Shapes, sampling: Sampling) -> Lines:
     time, weight = np.empty(samples), np.empty(samples)
     for h in range(trunks):
         s = trunk_first[h]
-        shape = trapezoid(start_per_m, holds_per_m[h], _ENDLESS_M, final_per_m, ramp)
+        shape = trapezoid(shapes.start_per_m, holds_per_m[h], _ENDLESS_M, shapes.final_per_m, shapes.ramp_per_m2)
         x[s] = y[s] = turned[s] = time[s] = 0.0
         weight[s] = 1.0
         for k in range(1, trunk_size[h]):
@@ -193,8 +293,7 @@ def spread(shapes: Shapes, sampling: Sampling) -> Lines:
                 shape, here, step_m * (k - 1), step_m * k, sampling
             )
     for i in range(lines):
-        shape = trapezoid(start_per_m, holds_per_m[hold[i]], lengths_m[i], final_per_m, ramp)
-        shape = with_last_ramp(shape, last_ramps[i])
+        shape = _shape(shapes, i)
         before, from_m = trunk_first[hold[i]] + on_trunk[i] - 1, step_m * (on_trunk[i] - 1)
         last = own_first[i + 1] - 1
         for s in range(own_first[i], last + 1):
@@ -226,25 +325,9 @@ def single_line(
     x_m: FloatArray, y_m: FloatArray, heading_rad: FloatArray, time_s: FloatArray, rate_per_s: float
 ) -> Lines:
     """Return one line (k,) that is known by its places, k >= 2, in the frame of the origin."""
-    n = len(x_m)
-    weight = np.empty(n)
-    for s in range(n):
-        weight[s] = math.exp(-rate_per_s * time_s[s])
-    return Lines(
-        x_m,
-        y_m,
-        heading_rad,
-        time_s,
-        weight,
-        np.array([0, 1]),
-        np.array([1, n]),
-        np.zeros(1, np.int64),
-        np.ones(1, np.int64),
-        np.full(1, np.inf),
-    )
-
-
-# -- costs -----------------------------------------------------------------------------------------------------------
+    samples = x_m, y_m, heading_rad, time_s, np.exp(-rate_per_s * time_s)
+    firsts = np.array([0, 1]), np.array([1, len(x_m)])
+    return Lines(*samples, *firsts, np.zeros(1, np.int64), np.ones(1, np.int64), np.full(1, np.inf))
 
 
 @inlined
@@ -254,65 +337,45 @@ def from_target(
     """Return which sample of a future holds at a time, and a place (x, y) relative to the target then."""
     k = min(int(time_s / step_s), place.shape[1] - 1)
     since_s = time_s - k * step_s
-    return (
-        k,
-        x_m - (place[one, k, 0] + place[one, k, 2] * since_s),
-        y_m - (place[one, k, 1] + place[one, k, 3] * since_s),
-    )
+    at_x, at_y = place[one, k, 0] + place[one, k, 2] * since_s, place[one, k, 1] + place[one, k, 3] * since_s
+    return k, x_m - at_x, y_m - at_y
 
 
 @compiled
 def _relate(
-    x_m: FloatArray,
-    y_m: FloatArray,
-    time_s: FloatArray,
-    one: int,
-    step_s: float,
-    place: FloatArray,
-    turn: FloatArray,
-    across: FloatArray,
-    along: FloatArray,
-) -> None:
-    """Fill in places relative to the target of one future, in a frame that turns: turn (f, k, 2...) as Scenarios."""
+    x_m: FloatArray, y_m: FloatArray, time_s: FloatArray, f: Scenarios, one: int, turn: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return places (across, along) relative to the target of one future; turn (f, k, 2...): of the frame."""
+    across, along, place, step_s = np.empty(len(x_m)), np.empty(len(x_m)), f.place, f.step_s
     for i in range(len(x_m)):
         k, off_x, off_y = from_target(place, step_s, one, x_m[i], y_m[i], time_s[i])
         sin_t, cos_t = turn[one, k, 0], turn[one, k, 1]
         across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
+    return across, along
 
 
 @compiled
 def _rates(
-    across: FloatArray,
-    along: FloatArray,
-    time_s: FloatArray,
-    weight: FloatArray,
-    sigmas_rad: FloatArray,
-    step_s: float,
-    d: Uncertainty,
-    c: CostTerms,
-    found: FloatArray,
-) -> None:
-    """Fill in the discounted rate of the running cost at places of the watch frame, whose course has sigmas (k,)."""
-    last = len(sigmas_rad) - 1
+    across: FloatArray, along: FloatArray, lines: Lines, f: Scenarios, one: int, d: Uncertainty, c: CostTerms
+) -> FloatArray:
+    """Return the discounted rate of the running cost at the samples of lines, which are placed in the watch frame."""
+    time_s, weight, step_s, sigmas_rad = lines.time_s, lines.weight, f.step_s, f.facing[one, :, 2]
+    last, found = len(sigmas_rad) - 1, np.empty(len(across))
     place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
     for i in range(len(across)):
         sigma2 = place2 + velocity2 * time_s[i] * time_s[i]
         aside_m = sigmas_rad[min(int(time_s[i] / step_s), last)] * along[i]
         blur_m = 1.0 + math.sqrt(sigma2 + aside_m * aside_m)
         found[i] = cost_rate(across[i], along[i], math.sqrt(sigma2), blur_m, c) * weight[i]
+    return found
 
 
 @compiled
 def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     """Return the places x, y (samples,) of lines from a start."""
-    n, own_x, own_y = len(lines.x_m), lines.x_m, lines.y_m
     sin_h, cos_h = math.sin(start.heading_rad), math.cos(start.heading_rad)
-    x, y = np.empty(n), np.empty(n)
-    for s in range(n):
-        x[s] = start.x_m + own_x[s] * cos_h + own_y[s] * sin_h
-    for s in range(n):
-        y[s] = start.y_m - own_x[s] * sin_h + own_y[s] * cos_h
-    return x, y
+    x = start.x_m + lines.x_m * cos_h + lines.y_m * sin_h
+    return x, start.y_m - lines.x_m * sin_h + lines.y_m * cos_h
 
 
 @compiled
@@ -375,18 +438,17 @@ def lines_costs(
     values, after_turn, cell_m, hazard_per_s = table.values, table.after_turn, table.cell_m, 1.0 / table.mean_leg_s
     n, last_k, heading_rad, step_s = len(time_s), f.place.shape[1] - 1, start.heading_rad, f.step_s
     x, y = placed(lines, start)
-    across, along, rates, turn_rates = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    samples, ends = turn_samples(lines), np.empty(len(lines.trunk))
+    samples, turn_rates, ends = turn_samples(lines), np.empty(n), np.empty(len(lines.trunk))
     costs[: len(ends)] = 0.0
     for one in range(len(f.weight)):
-        _relate(x, y, time_s, one, step_s, f.place, f.facing, across, along)
-        _rates(across, along, time_s, weight, f.facing[one, :, 2], step_s, d, c, rates)
+        across, along = _relate(x, y, time_s, f, one, f.facing)
+        rates = _rates(across, along, lines, f, one, d, c)
         if c.blind > 0.0:
             place = f.place
             for s in range(n):
                 _, off_x, off_y = from_target(place, step_s, one, x[s], y[s], time_s[s])
                 rates[s] += weight[s] * blind_rate(off_x, off_y, nose_rad(heading_rad + turned[s], air), c)
-        _relate(x, y, time_s, one, step_s, f.place, course, across, along)
+        across, along = _relate(x, y, time_s, f, one, course)
         for s in samples:
             k = min(int(time_s[s] / step_s), last_k)
             heading = heading_rad + turned[s] - course[one, k, 2]
@@ -413,8 +475,6 @@ def times_s(heading_rad: FloatArray, arc_m: FloatArray, air: Air) -> FloatArray:
             time[s] = time[s - 1] + (arc_m[s] - arc_m[s - 1]) * 0.5 * (slow + slower)
     return time
 
-
-# -- what the ground hides -------------------------------------------------------------------------------------------
 
 _LAP_SAMPLES = 16
 
@@ -444,25 +504,6 @@ def hidden_rate(s: Sight, v: WatchFrame, x_m: float, y_m: float, time_s: float) 
 
 
 @compiled
-def _lap_cost(
-    s: Sight, v: WatchFrame, at: Pose, time_s: float, radius_m: float, lap_s: float, rate_per_s: float
-) -> float:
-    """Return the cost of the clockwise circle from a position on it, for a lap."""
-    x_m, y_m, heading_rad = at
-    centre_x_m, centre_y_m = x_m + radius_m * math.cos(heading_rad), y_m - radius_m * math.sin(heading_rad)
-    step_s = lap_s / _LAP_SAMPLES
-    total = 0.0
-    for k in range(_LAP_SAMPLES):
-        since_s = (k + 0.5) * step_s
-        turned_rad = heading_rad + math.tau * since_s / lap_s
-        on_x_m = centre_x_m - radius_m * math.cos(turned_rad)
-        on_y_m = centre_y_m + radius_m * math.sin(turned_rad)
-        discount = math.exp(-rate_per_s * since_s)
-        total += hidden_rate(s, v, on_x_m, on_y_m, time_s + since_s) * discount * step_s
-    return total
-
-
-@compiled
 def add_sight(
     lines: Lines,
     start: Pose,
@@ -473,15 +514,22 @@ def add_sight(
     rate_per_s: float,
     costs: FloatArray,
 ) -> None:
-    """Add to the cost (lines,) of each line from a start what is hidden along it and on the circle after it."""
+    """Add to the cost (lines,) of each line from a start what is hidden along it and on the circle, for a lap."""
     if s.needed_m.shape[0] == 0:
         return
     x, y = placed(lines, start)
-    rates, ends = np.empty(len(x)), np.empty(len(lines.trunk))
+    rates, ends, step_s = np.empty(len(x)), np.zeros(len(lines.trunk)), lap_s / _LAP_SAMPLES
     for k in range(len(x)):
         rates[k] = hidden_rate(s, v, x[k], y[k], lines.time_s[k]) * lines.weight[k]
     for i in range(len(ends)):
         last = lines.own_first[i + 1] - 1
-        at = Pose(x[last], y[last], start.heading_rad + lines.turned_rad[last])
-        ends[i] = lines.weight[last] * _lap_cost(s, v, at, lines.time_s[last], radius_m, lap_s, rate_per_s)
+        heading_rad = start.heading_rad + lines.turned_rad[last]
+        middle_x, middle_y = x[last] + radius_m * math.cos(heading_rad), y[last] - radius_m * math.sin(heading_rad)
+        for k in range(_LAP_SAMPLES):
+            since_s = (k + 0.5) * step_s
+            on_rad = heading_rad + math.tau * since_s / lap_s
+            on_x, on_y = middle_x - radius_m * math.cos(on_rad), middle_y + radius_m * math.sin(on_rad)
+            rate = hidden_rate(s, v, on_x, on_y, lines.time_s[last] + since_s)
+            ends[i] += rate * math.exp(-rate_per_s * since_s) * step_s
+        ends[i] *= lines.weight[last]
     add_up(lines, rates, np.zeros(len(x)), ends, 1.0, costs)

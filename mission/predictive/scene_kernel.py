@@ -16,6 +16,7 @@ from sidelong.mission.core.requirement import GRAVITY_M_S2
 from sidelong.mission.geometry.line_kernel import (
     OFF_TRACK_M,
     OFF_TRACK_RAD,
+    Air,
     Circling,
     Craft,
     LinePoint,
@@ -25,7 +26,7 @@ from sidelong.mission.geometry.line_kernel import (
     remainder,
     turn_radius_m,
 )
-from sidelong.mission.predictive.rollout_kernel import STEP_S, Air, Scenarios, Uncertainty
+from sidelong.mission.predictive.rollout_kernel import STEP_S, Scenarios, Uncertainty
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     MIN_WAY_M,
     Estimates,
@@ -43,14 +44,30 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
 _AIRSPEED_S, _AIRSPEED_GAP_S, _AIRSPEED_STEP, _AIRSPEED_OFF = 60.0, 2.0, 0.02, 0.16
 
 
+class FlownPlan(NamedTuple):
+    """The present plan, which departed age_s ago: its transition (5, n), and its circle."""
+
+    line: FloatArray
+    circle: Circling
+    age_s: float
+
+
+class Watcher(NamedTuple):
+    """The aircraft that watches, from where, and the target's greatest speed; memory (1,): of ``MEMORY``, changes."""
+
+    craft: Craft
+    rule: SideRule
+    target_speed_max_m_s: float
+    memory: Any
+
+
 class Scene(NamedTuple):
     """What one decision looks at: where the present plan will have led by the departure, and the target from there.
 
     The frame has its origin at the target and its y axis along the watch course; mirror is -1 where left and right
-    are swapped. velocity and air are in the frame; start, target, line (5, n), circle and the aircraft's place are in
-    the plane. line and circle are those of the present plan, which departed age_s ago; arc_m counts along it as
-    :mod:`sidelong.mission.geometry.progress` does. A new plan departs in latency_s. radius_m is that of the circles
-    which moves end in, turn_radius_m that of the tightest turn on the way.
+    are swapped. velocity and air are in the frame; start, target, present and aircraft are in the plane. arc_m counts
+    along the present plan as :mod:`sidelong.mission.geometry.progress` does. A new plan departs in latency_s.
+    radius_m is that of the circles which moves end in, turn_radius_m that of the tightest turn on the way.
     """
 
     departure_s: float
@@ -67,12 +84,9 @@ class Scene(NamedTuple):
     radius_m: float
     turn_radius_m: float
     target: TargetState
-    line: FloatArray
-    circle: Circling
-    aircraft_east_m: float
-    aircraft_north_m: float
+    present: FlownPlan
+    aircraft: LinePoint
     latency_s: float
-    age_s: float
 
 
 @compiled
@@ -92,36 +106,6 @@ def flown_airspeed_m_s(
     return flown_m_s if flown_m_s > wind_m_s else craft.airspeed_m_s
 
 
-class FlownPlan(NamedTuple):
-    """The present plan.
-
-    Attributes:
-        line: its transition, (5, n).
-        circle: its circle.
-        age_s: time since it departed.
-    """
-
-    line: FloatArray
-    circle: Circling
-    age_s: float
-
-
-class Watcher(NamedTuple):
-    """The aircraft that watches, and how.
-
-    Attributes:
-        craft: the aircraft.
-        rule: from where to watch.
-        target_speed_max_m_s: greatest speed of the target.
-        memory: one record of ``MEMORY``, which changes, (1,).
-    """
-
-    craft: Craft
-    rule: SideRule
-    target_speed_max_m_s: float
-    memory: Any
-
-
 @compiled
 def scene_of(
     time_s: float,
@@ -133,14 +117,8 @@ def scene_of(
     latency_s: float,
     watcher: Watcher,
 ) -> Scene:
-    """Return what is to be decided about.
-
-    Args:
-        wind_m_s: wind (east, north).
-        latency_s: time until another plan can depart.
-        watcher: the aircraft and how it watches; its memory is updated.
-    """
-    line, circle, age_s = present
+    """Return what is to be decided about in a wind (east, north); updates the watcher's memory."""
+    line, circle, _ = present
     craft, rule, target_speed_max_m_s, memories = watcher
     memory = memories[0]
     wind_east_m_s, wind_north_m_s = wind_m_s
@@ -158,9 +136,8 @@ def scene_of(
     flown_m = speed_m_s * latency_s
     if off_m > OFF_TRACK_M or abs(remainder(aircraft.course_rad - start.course_rad)) > OFF_TRACK_RAD:
         tight_per_m = min(max(aircraft.curvature_per_m, -1.0 / turn_m), 1.0 / turn_m)
-        start = arc_point(
-            LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, tight_per_m), 0.0, flown_m
-        )
+        here = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, tight_per_m)
+        start = arc_point(here, 0.0, flown_m)
     else:
         arc_m += flown_m
         start = point_at(line, circle, arc_m, aircraft.east_m, aircraft.north_m)
@@ -194,12 +171,9 @@ def scene_of(
         radius_m,
         turn_m,
         target,
-        line,
-        circle,
-        aircraft.east_m,
-        aircraft.north_m,
+        present,
+        aircraft,
         latency_s,
-        age_s,
     )
 
 
@@ -219,7 +193,7 @@ _SPEED_RINGS = 3  # of the table's classes: standing, half and full speed
 
 
 class Motions(NamedTuple):
-    """How the table's classes are arranged: see :meth:`mission.predictive.value_table.TableConfiguration.classes`."""
+    """How the table's classes are arranged: see ``value_table.TableConfiguration.classes``."""
 
     follows_course: bool
     wind_speed_m_s: float
@@ -318,26 +292,13 @@ def _turning(scene: Scene, speed_m_s: float, rate_rad_s: float, faded_s: FloatAr
 
 @compiled
 def watched(
-    scene: Scene,
-    motions: Motions,
-    watcher: Watcher,
-    moving: bool,
-    weight: FloatArray,
-    place: FloatArray,
+    scene: Scene, motions: Motions, watcher: Watcher, moving: bool, weight: FloatArray, place: FloatArray
 ) -> Scenarios:
     """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
     horizon_s, fixed = watcher.rule.course_horizon_s, not math.isnan(watcher.rule.fixed_course_rad)
     f, k = place.shape[:2]
-    found = Scenarios(
-        weight,
-        STEP_S,
-        place,
-        np.empty((f, k, 3)),
-        np.empty((f, k, 3)),
-        np.empty((f, k, 4), np.int64),
-        np.empty((f, k, 4)),
-        np.empty((f, k, 4)),
-    )
+    facing, course, classes = np.empty((f, k, 3)), np.empty((f, k, 3)), np.empty((f, k, 4), np.int64)
+    found = Scenarios(weight, STEP_S, place, facing, course, classes, np.empty((f, k, 4)), np.empty((f, k, 4)))
     past = np.empty((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
     _watch(scene, motions, watcher, moving, past, found)
     return found
@@ -345,12 +306,7 @@ def watched(
 
 @compiled
 def _watch(
-    scene: Scene,
-    motions: Motions,
-    watcher: Watcher,
-    moving: bool,
-    past: FloatArray,
-    found: Scenarios,
+    scene: Scene, motions: Motions, watcher: Watcher, moving: bool, past: FloatArray, found: Scenarios
 ) -> None:
     """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
     horizon_s, place, facing, course = watcher.rule.course_horizon_s, found.place, found.facing, found.course

@@ -1,4 +1,4 @@
-"""The inner loops of :mod:`sidelong.mission.predictive.value_iteration`.
+"""The inner loops of :mod:`sidelong.mission.predictive.value_table`.
 
 Loops over the last axis go over plain rows of single precision, at most three arrays at a time: so they become
 vector instructions.
@@ -14,11 +14,10 @@ import numpy.typing as npt
 
 from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.geometry.line_kernel import crab_rad, ground_speed_m_s
+from sidelong.mission.geometry.line_kernel import Air, nose_rad, speed_m_s
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 NODES = 4  # of each move: three where a turn of the target counts, and its end
 
@@ -34,15 +33,11 @@ def _at(values: FloatArray, share: float) -> float:
 class MoveSamples(NamedTuple):
     """Moves as flown from heading 0, at evenly spaced arcs; every other sample is the middle of a step.
 
-    Attributes:
-        first: move m is samples[:, first[m]:first[m + 1]], (moves + 1,).
-        price: cost of each move, (moves,).
-        samples: arc, east, north and course turned, m and rad, (4, k).
-        nodes: where turns of the target count, and the end, as shares of a move's length, (NODES,).
-        node_weights: weights of the former, (NODES - 1,).
+    Move m is samples[:, first[m]:first[m + 1]], rows arc, east, north and course turned; price (moves,): its cost.
+    nodes (NODES,): where turns of the target count, and the end, as shares of its length; node_weights: of the turns.
     """
 
-    first: Int64
+    first: npt.NDArray[np.int64]
     price: FloatArray
     samples: FloatArray
     nodes: FloatArray
@@ -50,15 +45,9 @@ class MoveSamples(NamedTuple):
 
 
 class FlightConditions(NamedTuple):
-    """What the moves are flown in.
+    """What the moves are flown in: velocity of the target and wind in each class, m/s, (classes, 2) each.
 
-    Attributes:
-        targets: velocity of the target in each class, m/s, (classes, 2).
-        winds: wind in each class, m/s, (classes, 2).
-        airspeed_m_s: airspeed.
-        heading_step_rad: angle between two headings of the table.
-        rate_per_s: rate of the discount.
-        mean_leg_s: mean time between two turns of the target.
+    rate_per_s: of the discount. mean_leg_s: mean time between two turns of the target.
     """
 
     targets: FloatArray
@@ -72,12 +61,8 @@ class FlightConditions(NamedTuple):
 class CostGrid(NamedTuple):
     """The running cost about the target.
 
-    Attributes:
-        rates: cost at each offset within a cell, where the nose points in evenly spaced directions; one direction if
-            they do not matter, (directions, per_cell, per_cell, k, k).
-        cell_m: cell of the table.
-        per_cell: offsets within a cell.
-        pad: cells beyond the edge of the table.
+    rates (directions, per_cell, per_cell, k, k): at each offset within a cell of the table, where the nose points in
+    even directions; one direction if they do not matter. pad: cells beyond the edge of the table.
     """
 
     rates: Float32
@@ -89,12 +74,9 @@ class CostGrid(NamedTuple):
 class Transitions(NamedTuple):
     """Where each move leads from each class and heading, at each node, and what it costs.
 
-    Attributes:
-        to_x: cells to the right, (classes, headings, moves, NODES).
-        to_y: cells ahead, the same shape.
-        to_heading: steps of heading, (headings, moves, NODES).
-        weight: what the value there counts, (classes, headings, moves, NODES).
-        own: discounted running cost with the price, (classes, headings, moves, n, n).
+    to_x, to_y (classes, headings, moves, NODES): cells to the right and ahead; weight, of the same shape: what the
+    value there counts. to_heading (headings, moves, NODES): steps. own (classes, headings, moves, n, n): discounted
+    running cost with the price.
     """
 
     to_x: FloatArray
@@ -128,10 +110,9 @@ def lay_out(flown: MoveSamples, s: FlightConditions, cost: CostGrid, found: Tran
                 to_heading[h, m, node] = h + _at(turned[begin : begin + size], nodes[node]) / heading_step_rad
             for v in range(classes):
                 time_s[0] = 0.0
+                air = Air(airspeed_m_s, winds[v, 0], winds[v, 1])
                 for k in range(size):
-                    slowness_s_m[k] = 1.0 / ground_speed_m_s(
-                        h * heading_step_rad + turned[begin + k], airspeed_m_s, winds[v, 0], winds[v, 1]
-                    )
+                    slowness_s_m[k] = 1.0 / speed_m_s(h * heading_step_rad + turned[begin + k], air)
                     if k > 0:
                         step_m = arc[begin + k] - arc[begin + k - 1]
                         time_s[k] = time_s[k - 1] + step_m * 0.5 * (slowness_s_m[k] + slowness_s_m[k - 1])
@@ -153,9 +134,8 @@ def lay_out(flown: MoveSamples, s: FlightConditions, cost: CostGrid, found: Tran
                     i, j = fine_i // per_cell, fine_j // per_cell
                     nose = 0
                     if len(grids) > 1:
-                        course_rad = h * heading_step_rad + turned[begin + k]
-                        nose_rad = course_rad - crab_rad(course_rad, airspeed_m_s, winds[v, 0], winds[v, 1])
-                        nose = round(nose_rad * (len(grids) / math.tau)) % len(grids)
+                        to_rad = nose_rad(h * heading_step_rad + turned[begin + k], air)
+                        nose = round(to_rad * (len(grids) / math.tau)) % len(grids)
                     grid = grids[nose, fine_i - per_cell * i, fine_j - per_cell * j]
                     for row in range(n):
                         _add(total[row], grid[i + row, j : j + n], share)
@@ -182,20 +162,11 @@ def _padded(wide: Float32, plane: Float32, pad: int) -> None:
     n = len(plane)
     for i in range(len(wide)):
         row = plane[min(max(i - pad, 0), n - 1)]
-        wide[i, :pad] = row[0]
-        for j in range(n):
-            wide[i, pad + j] = row[j]
-        wide[i, pad + n :] = row[n - 1]
+        wide[i, :pad], wide[i, pad : pad + n], wide[i, pad + n :] = row[0], row, row[n - 1]
 
 
 @compiled
-def improve(
-    values: Float32,
-    after: Float32,
-    transitions: Transitions,
-    pad: int,
-    policy: Int32,
-) -> None:
+def improve(values: Float32, after: Float32, transitions: Transitions, pad: int, policy: Int32) -> None:
     """Take the best move everywhere: update ``values`` in place and fill in the moves' indices, as ``values``.
 
     A move displaces all places alike, so its backup is a shifted copy of the table.
@@ -252,7 +223,7 @@ def _take_less(best: Float32, best_move: Int32, total: Float32, move: np.int32) 
 
 @compiled
 def follow(policy: Int32, transitions: Transitions, led_to: Int32, parts: Float32, cost: Float32) -> None:
-    """Fill in where the policy leads from each place: what :func:`evaluate` needs, arrays of one row a place.
+    """Fill in where the policy leads from each place, arrays of one row a place.
 
     led_to (places, 5): the flat indices, within the class, of three nodes and of the end's first corner on the plane
     of either heading. parts (places, 7): weights of the nodes; of the end; its shares of turn, across and along.

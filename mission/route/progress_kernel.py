@@ -81,11 +81,9 @@ PROGRESS = record_type(
 
 
 class Progress(NamedTuple):
-    """The filter's state, which changes.
+    """The filter's state, which changes: one record of ``PROGRESS``, (1,), and the probability of each point.
 
-    Attributes:
-        state: one record of ``PROGRESS``, (1,).
-        chances: probability of each point, (2, n); the second row in reverse order, for the backward direction.
+    chances (2, n): the second row is in reverse order, for the backward direction.
     """
 
     state: Any
@@ -143,11 +141,8 @@ def point_along(way: RouteArrays, along_m: float) -> tuple[float, float]:
     else:
         i = min(max(int(place), 0), n - 2)
         j = i + 1
-    past = place - i
-    return (
-        way.points[i, 0] + past * (way.points[j, 0] - way.points[i, 0]),
-        way.points[i, 1] + past * (way.points[j, 1] - way.points[i, 1]),
-    )
+    past, p = place - i, way.points
+    return p[i, 0] + past * (p[j, 0] - p[i, 0]), p[i, 1] + past * (p[j, 1] - p[i, 1])
 
 
 @inlined
@@ -241,9 +236,7 @@ def update_progress(way: RouteArrays, target: TargetState, progress: Progress) -
             moved[1, n - 1 - i] += turning * (forward - backward)
     off, leaves = state.off_chance, _share(1.0 / _LEAVES_AFTER_S, shown_s)
     joins, jumps = 0.5 if first else _share(_JOINS_PER_S, dt_s), _share(_JUMPS_PER_S, dt_s)
-    for d in range(2):
-        for i in range(n):
-            moved[d, i] *= 1.0 - leaves - jumps
+    moved *= 1.0 - leaves - jumps
     _weigh(way, target, joins * off + jumps * (1.0 - off), shown_s, state, moved)
     off = off * (1.0 - joins) + (1.0 - off) * leaves
     total = off
@@ -251,9 +244,7 @@ def update_progress(way: RouteArrays, target: TargetState, progress: Progress) -
         for i in range(n):
             total += moved[d, i]
     state.off_chance = max(off / total, _MIN_CHANCE)
-    for d in range(2):
-        for i in range(n):
-            chance[d, i] = moved[d, i] / total
+    chance[:] = moved / total
     if state.off_chance < 1.0 - _ON_ABOVE:
         state.on_route = True
     elif state.off_chance > 1.0 - _OFF_BELOW:
@@ -327,11 +318,8 @@ def _register(
 @compiled
 def _summarise(way: RouteArrays, target: TargetState, dt_s: float, state: Record, chance: FloatArray) -> None:
     """Fill in the most probable part of the route, the speed along it, and the usual speed."""
-    n, best_d, best_i = len(way.points), 0, 0
-    for d in range(2):
-        for i in range(n):
-            if chance[d, i] > chance[best_d, best_i]:
-                best_d, best_i = d, i
+    n = len(way.points)
+    best_d, best_i = divmod(np.argmax(chance), n)
     reach, part, off_mean = int(_PART_M / way.spacing_m) + 1, 0.0, 0.0
     for k in range(-reach, reach + 1):
         at = best_i + k

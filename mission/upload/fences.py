@@ -37,12 +37,9 @@ class Fences:
         ceiling_m: float | None = None,
         margin_m: float = 20.0,
     ) -> None:
-        inside = [_polygon(outline, f"keep_in polygon {number}") for number, outline in enumerate(keep_in, 1)]
-        self._keep_in = union_all(inside) if inside else None
-        self._keep_out = [
-            (f"keep_out polygon {number}", _polygon(outline, f"keep_out polygon {number}"))
-            for number, outline in enumerate(keep_out, 1)
-        ]
+        inside = _polygons(keep_in, "keep_in polygon")
+        self._keep_in = union_all(list(inside.values())) if inside else None
+        self._keep_out = _polygons(keep_out, "keep_out polygon")
         self._floor_m, self._ceiling_m, self._margin_m = floor_m, ceiling_m, margin_m
 
     def has_room(self, radius_m: float) -> bool:
@@ -53,13 +50,10 @@ class Fences:
         return not union_all(without_holes).buffer(-radius_m - self._margin_m).is_empty
 
     def rejection(self, plan: Plan, height_m: float) -> str | None:
-        """Return in words which part of a plan breaks which fence; None if no fence is broken.
+        """Return in words which part of a plan at a height above home breaks which fence; None if none is broken.
 
         The whole transition and the whole circle are checked; of a plan without a transition the circle alone, as the
         autopilot's path to it is unknown. A transition that begins outside may only lead back.
-
-        Args:
-            height_m: Height above home of a plan without heights, m.
         """
         if self._floor_m is not None and height_m < self._floor_m:
             return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"
@@ -81,7 +75,7 @@ class Fences:
         if self._keep_in is not None:
             sign = np.where(contains(self._keep_in, places), 1.0, -1.0)
             found = sign * distance(places, self._keep_in.boundary)
-        for _, polygon in self._keep_out:
+        for polygon in self._keep_out.values():
             sign = np.where(contains(polygon, places), -1.0, 1.0)
             found = np.minimum(found, sign * distance(places, polygon.boundary))
         return found
@@ -99,11 +93,7 @@ class Fences:
         return bool(allowed[back:].all() and inside_m[:back].min() >= inside_m[0] - turns_m)
 
     def check(self, height_m: float) -> Callable[[Plan], str | None]:
-        """Return :meth:`rejection` as a function of the plan alone.
-
-        Args:
-            height_m: Height above home of plans without heights, m.
-        """
+        """Return :meth:`rejection` as a function of the plan alone; height_m: of plans without heights."""
 
         def rejection(plan: Plan) -> str | None:
             return self.rejection(plan, plan.circle_height_m(height_m))
@@ -117,7 +107,7 @@ class Fences:
             near_m = line.distance(self._keep_in.boundary)
             if near_m < self._margin_m:
                 return f"{part} comes within {near_m:.0f} m of the keep_in border, less than {self._margin_m:.0f} m"
-        for name, polygon in self._keep_out:
+        for name, polygon in self._keep_out.items():
             near_m = line.distance(polygon)
             if near_m == 0.0:
                 return f"{part} crosses {name}"
@@ -129,21 +119,18 @@ class Fences:
 def intersection(
     keep_in: Sequence[Outline], inclusion: Sequence[Outline], every: bool
 ) -> tuple[list[Outline], list[Outline]]:
-    """Return the area inside both the union of ``keep_in`` and other inclusion fences, as outlines and their holes.
+    """Return the area inside both the union of ``keep_in``, if any, and other fences, as outlines and their holes.
 
     Args:
-        keep_in: Polygons of which one has to be stayed in; none: anywhere.
-        inclusion: The other fences, at least one.
-        every: Whether all of those have to be stayed in, or one of them.
+        every: Whether all of the other fences, at least one, have to be stayed in, or one of them.
 
     Raises:
         FenceError: One is no polygon, or they have no area in common.
     """
-    others = [_polygon(outline, f"inclusion fence {number}") for number, outline in enumerate(inclusion, 1)]
+    others = list(_polygons(inclusion, "inclusion fence").values())
     area = intersection_all(others) if every else union_all(others)
     if keep_in:
-        own = [_polygon(outline, f"keep_in polygon {number}") for number, outline in enumerate(keep_in, 1)]
-        area = area.intersection(union_all(own))
+        area = area.intersection(union_all(list(_polygons(keep_in, "keep_in polygon").values())))
     parts = [part for part in get_parts(area) if part.geom_type == "Polygon" and part.area >= _AREA_MIN_M2]
     if not parts:
         raise FenceError("the inclusion fences and keep_in have no area in common")
@@ -156,12 +143,14 @@ def _ring(circle: Circle) -> Any:
     return disc.exterior
 
 
-def _polygon(outline: Outline, name: str) -> Any:
-    if len(outline) < 3:
-        raise FenceError(f"{name} has {len(outline)} corners; it needs at least three")
-    polygon = Polygon(outline)
-    if polygon.convex_hull.area < _AREA_MIN_M2:
-        raise FenceError(f"{name} has no area")
-    if not polygon.is_valid:
-        raise FenceError(f"{name} has sides that cross")
-    return polygon
+def _polygons(outlines: Sequence[Outline], kind: str) -> dict[str, Any]:
+    found = {}
+    for name, outline in ((f"{kind} {number}", outline) for number, outline in enumerate(outlines, 1)):
+        if len(outline) < 3:
+            raise FenceError(f"{name} has {len(outline)} corners; it needs at least three")
+        polygon = found[name] = Polygon(outline)
+        if polygon.convex_hull.area < _AREA_MIN_M2:
+            raise FenceError(f"{name} has no area")
+        if not polygon.is_valid:
+            raise FenceError(f"{name} has sides that cross")
+    return found

@@ -64,8 +64,7 @@ def lay_out(
 ) -> tuple[Point, ...]:
     """Return the fewest waypoints (east, north) found that lead along a transition to a circle within a tolerance.
 
-    Args:
-        wanted_m: Deviation to be kept where waypoints can be found for it, m.
+    wanted_m: deviation to be kept where waypoints can be found for it.
 
     Raises:
         UnflyableError: The flown path would leave the transition by more than ``tolerance_m``.
@@ -100,16 +99,10 @@ def first_to_fly(
 ) -> int:
     """Return which waypoint an aircraft flies to first, so that it does not turn back to one next to it.
 
-    It may depart next to the start of the transition, and pass the first waypoint too far off to reach it.
-
-    Args:
-        waypoints: The waypoints (east, north) of the transition, m.
-        tolerance_m: Greatest deviation from the transition, m, from its start.
-
-    Returns:
-        The index of the first waypoint that the model flies to within the tolerance and the distance from the start,
-        else of the one with the least deviation. len(waypoints): the circle. The model has to do so with a smaller
-        acceptance radius too: the aircraft may pass a waypoint farther off than predicted.
+    It may depart next to the start of the transition, and pass the first waypoint too far off to reach it. The first
+    one is taken that the model flies to within the tolerance and the distance from the start, else the one with the
+    least deviation; len(waypoints): the circle. The model has to do so with a smaller acceptance radius too: the
+    aircraft may pass a waypoint farther off than predicted.
     """
     start = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m)
     stricter = replace(tracking, switch_s=_REACHED_SHARE * tracking.switch_s)
@@ -130,8 +123,8 @@ class _Problem:
     def __init__(
         self, transition: Path, circle: Circle, tracking: LineTracking, start: LinePoint | None = None
     ) -> None:
-        first = (transition.east_m[0], transition.north_m[0], transition.course_rad[0], transition.curvature_per_m[0])
-        self._start = start or LinePoint(*(float(value) for value in first))
+        rows = transition.east_m, transition.north_m, transition.course_rad, transition.curvature_per_m
+        self._start = start or LinePoint(*(float(row[0]) for row in rows))
         self._circle, self._tracking, self._length_m = circle, tracking, transition.length_m
         self._line = _continued(transition, circle, _SETTLING_M + tracking.switch_m)
         self._times_s = path_times_s(self._line, tracking.airspeed_m_s, tracking.wind)
@@ -144,11 +137,9 @@ class _Problem:
         # The last waypoint is where the switch to the circle comes at the transition's end.
         first_m, last_m = tracking.first_m, self._length_m + tracking.switch_m
         between = (line.arc_m >= first_m) & (line.arc_m <= max(last_m, first_m + 2.0 * _GRID_M))
-        places_m = (
-            line.east_m + offset_m * np.cos(line.course_rad),
-            line.north_m - offset_m * np.sin(line.course_rad),
-        )
-        return LineString(np.column_stack(places_m)[between])
+        east_m = line.east_m + offset_m * np.cos(line.course_rad)
+        north_m = line.north_m - offset_m * np.sin(line.course_rad)
+        return LineString(np.column_stack((east_m, north_m))[between])
 
     def deviations_m(self, waypoints: FloatArray) -> tuple[FloatArray, float]:
         """Return how far right of the line the model flies, on a grid along it, and the greatest of all."""
@@ -185,9 +176,8 @@ def _shifted(problem: _Problem, waypoints: FloatArray, tolerance_m: float) -> tu
             effects[:, index] = (problem.deviations_m(probed)[0] - right_m) / _PROBE_M
         weights = 0.1 + np.abs(right_m) / np.max(np.abs(right_m))
         normal_matrix = (effects.T * weights) @ effects + _STIFFNESS * np.eye(len(waypoints))
-        shifts_m = np.clip(
-            -np.linalg.solve(normal_matrix, effects.T @ (weights * right_m)), -_SHIFT_MAX_M, _SHIFT_MAX_M
-        )
+        shifts_m = -np.linalg.solve(normal_matrix, effects.T @ (weights * right_m))
+        shifts_m = np.clip(shifts_m, -_SHIFT_MAX_M, _SHIFT_MAX_M)
         for share in (1.0, 0.5, 0.25):
             tried = waypoints + share * shifts_m[:, None] * normals
             tried_right_m, tried_worst_m = problem.deviations_m(tried)
@@ -232,7 +222,6 @@ def _offsets_m(line: Path, tracking: LineTracking) -> FloatArray:
 
 
 def _continued(transition: Path, circle: Circle, length_m: float) -> Path:
-    """Return the transition and ``length_m`` of the circle after it."""
     on_m = np.linspace(0.0, length_m, math.ceil(length_m / 2.0) + 1)[1:]
     course_rad = transition.course_rad[-1] + circle.curvature_per_m * on_m
     places_m = np.array([circle.position_at_course(float(course)) for course in course_rad])
@@ -253,11 +242,7 @@ _PRECISE_M = 4.0  # deviation of a precise plan; chords of gentle curves turn th
 
 
 def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> MissionItem:
-    """Return an unlimited loiter; param3 is the radius, negative counter-clockwise.
-
-    Args:
-        height_m: Height above home, m.
-    """
+    """Return an unlimited loiter at a height above home; param3 is the radius, negative counter-clockwise."""
     signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
     x, y = e7(plane.latitude_longitude_deg(circle.east_m, circle.north_m))
     return MissionItem(NAV_LOITER_UNLIM, FRAME_GLOBAL_RELATIVE_ALT, 0.0, 0.0, signed_m, 0.0, x, y, height_m)
@@ -268,11 +253,8 @@ def plan_items(
 ) -> tuple[MissionItem, ...]:
     """Return the mission items of a plan: the waypoints of its transition, as few as possible, and its circle.
 
-    param2 of a waypoint is its acceptance radius.
-
-    Args:
-        height_m: Height above home of a plan without heights, m.
-        tracking: How the autopilot flies along waypoints; None: ArduPlane's defaults at 15 m/s.
+    param2 of a waypoint is its acceptance radius. height_m: above home, of a plan without heights. tracking: how the
+    autopilot flies along waypoints; None: ArduPlane's defaults at 15 m/s.
 
     Raises:
         UnflyableError: The flown path would leave the transition by more than ``tolerance_m``.
@@ -338,11 +320,7 @@ class MissionLayout:
         return self.items[self.first : self.end]
 
     def since(self, index: int) -> MissionLayout:
-        """Return the same mission with the items before an index flown: their places are free for a new path.
-
-        Args:
-            index: Number of the first item still needed.
-        """
+        """Return the same mission with the items before an index flown: their places are free for a new path."""
         return replace(self, first=index) if index in self else self
 
     def with_line(self, line: Sequence[MissionItem]) -> MissionLayout:
@@ -374,12 +352,8 @@ def plan_file(
 ) -> str:
     """Return the text of a QGroundControl .plan file, version 1, with home at the plane's origin.
 
-    Args:
-        items: Mission items without a home item: the file has a field of its own for it, and whatever loads it for
-            ArduPilot puts home at 0.
-        home_altitude_m: Altitude of home above mean sea level, m.
-        keep_in: Outlines of inclusion fences, (east, north) m.
-        keep_out: Outlines of exclusion fences, (east, north) m.
+    items have no home item: the file has a field of its own for it, and whatever loads it for ArduPilot puts home at
+    0. home_altitude_m: above mean sea level. keep_in, keep_out: outlines (east, north) of fences.
     """
     document = {
         "fileType": "Plan",
@@ -416,11 +390,7 @@ def _simple_item(number: int, item: MissionItem) -> dict[str, Any]:
         "command": item.command,
         "frame": item.frame,
         "autoContinue": bool(item.autocontinue),
-        "params": [
-            *(None if math.isnan(param) else param for param in params),
-            *item.latitude_longitude_deg,
-            item.z,
-        ],
+        "params": [*(None if math.isnan(param) else param for param in params), *item.latitude_longitude_deg, item.z],
         "Altitude": item.z,
         "AltitudeMode": _ALTITUDE_MODE_ABSOLUTE if item.frame == FRAME_GLOBAL else _ALTITUDE_MODE_RELATIVE,
         "AMSLAltAboveTerrain": None,

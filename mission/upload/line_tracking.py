@@ -28,7 +28,7 @@ import numpy as np
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.line_kernel import LinePoint
+from sidelong.mission.geometry.line_kernel import Air, LinePoint
 from sidelong.mission.geometry.progress import circling_of
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload import line_tracking_kernel as kernel
@@ -72,25 +72,9 @@ class LineTracking:
     def fly(
         self, start: LinePoint, waypoints: Sequence[Point] | FloatArray, circle: Circle, duration_s: float
     ) -> FloatArray:
-        """Return rows (n, 3) of time s, east m and north m: what the autopilot flies through waypoints to a circle.
-
-        Args:
-            waypoints: Waypoints (east, north), m, (k, 2).
-        """
+        """Return rows (n, 3) of time s, east m and north m: what the autopilot flies by way of waypoints."""
+        law = self.gain_per_m(1.0), self.look_ahead_m(1.0), self.switch_m, self.first_is_line, self.roll_lag_s
+        air = Air(self.airspeed_m_s, self.wind.east_m_s, self.wind.north_m_s)
+        guidance = kernel.Guidance(*law, self.bank_max_rad, self.roll_rate_max_rad_s, air)
         places = np.asarray(waypoints, float).reshape(-1, 2)
-        return kernel.flown(start, places, circling_of(circle), self._guidance, duration_s)
-
-    @property
-    def _guidance(self) -> kernel.Guidance:
-        return kernel.Guidance(
-            self.gain_per_m(1.0),
-            self.look_ahead_m(1.0),
-            self.switch_m,
-            self.first_is_line,
-            self.roll_lag_s,
-            self.bank_max_rad,
-            self.roll_rate_max_rad_s,
-            self.airspeed_m_s,
-            self.wind.east_m_s,
-            self.wind.north_m_s,
-        )
+        return kernel.flown(start, places, circling_of(circle), guidance, duration_s)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import GRAVITY_M_S2
-from sidelong.mission.geometry.line_kernel import Circling, LinePoint, remainder
+from sidelong.mission.geometry.line_kernel import Air, Circling, LinePoint, remainder
 
 IntArray = npt.NDArray[np.int64]
 Place = tuple[float, float]  # east, north
@@ -21,7 +21,7 @@ _LINE_INTERCEPT = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
 
 
 class Guidance(NamedTuple):
-    """The guidance law: gain_per_s / v is g, look_ahead_s * v is l, at a ground speed v; the aircraft, and the wind.
+    """The guidance law: gain_per_s / v is g, look_ahead_s * v is l, at a ground speed v; the aircraft, and its air.
 
     A leg ends switch_m before its waypoint. first_is_line: whether the first leg is a line.
     """
@@ -33,9 +33,7 @@ class Guidance(NamedTuple):
     roll_lag_s: float
     bank_max_rad: float
     roll_rate_max_rad_s: float
-    airspeed_m_s: float
-    wind_east_m_s: float
-    wind_north_m_s: float
+    air: Air
 
 
 @compiled
@@ -86,11 +84,11 @@ def to_circle_per_m(at_m: Place, course_rad: float, speed_m_s: float, circle: Ci
 
 
 @compiled
-def _ground_speed_m_s(course_rad: float, law: Guidance) -> float:
+def _ground_speed_m_s(course_rad: float, air: Air) -> float:
     sine, cosine = math.sin(course_rad), math.cos(course_rad)
-    along_m_s = law.wind_east_m_s * sine + law.wind_north_m_s * cosine
-    across_m_s = law.wind_east_m_s * cosine - law.wind_north_m_s * sine
-    air_m_s2 = law.airspeed_m_s * law.airspeed_m_s - across_m_s * across_m_s
+    along_m_s = air.wind_x_m_s * sine + air.wind_y_m_s * cosine
+    across_m_s = air.wind_x_m_s * cosine - air.wind_y_m_s * sine
+    air_m_s2 = air.airspeed_m_s * air.airspeed_m_s - across_m_s * across_m_s
     return max(along_m_s + math.sqrt(max(air_m_s2, 0.0)), 1.0)
 
 
@@ -104,7 +102,7 @@ def flown(start: LinePoint, waypoints: FloatArray, circle: Circling, law: Guidan
     for step in range(len(rows)):
         at_m = (east_m, north_m)
         rows[step, 0], rows[step, 1], rows[step, 2] = step * _STEP_S, east_m, north_m
-        speed_m_s = _ground_speed_m_s(course_rad, law)
+        speed_m_s = _ground_speed_m_s(course_rad, law.air)
         while leg < len(waypoints) and is_done(at_m, begin_m, (waypoints[leg, 0], waypoints[leg, 1]), law.switch_m):
             begin_m, leg = (waypoints[leg, 0], waypoints[leg, 1]), leg + 1
         if leg == len(waypoints):

@@ -13,16 +13,9 @@ _COMPARED_PARAM = 0.6  # ArduPlane keeps whole metres of radius
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One mission item exactly as MISSION_ITEM_INT carries it.
+    """One mission item exactly as MISSION_ITEM_INT carries it: MAV_CMD, MAV_FRAME, parameters, NaN if unused.
 
-    Attributes:
-        command: MAV_CMD.
-        frame: MAV_FRAME.
-        param1: Parameters of the command; NaN: unused.
-        x: Latitude, 1e-7 degrees.
-        y: Longitude, 1e-7 degrees.
-        z: Altitude in ``frame``, m.
-        autocontinue: Whether the next item follows.
+    x, y: latitude and longitude, 1e-7 degrees. z: altitude in ``frame``, m. autocontinue: the next item follows.
     """
 
     command: int

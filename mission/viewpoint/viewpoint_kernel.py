@@ -89,11 +89,7 @@ class WatchCourse(NamedTuple):
 
 
 def fresh_memory(side: float) -> Any:
-    """Return an array of one record of ``MEMORY`` before the first estimate of the target.
-
-    Args:
-        side: Side to watch from: 1 left, -1 right.
-    """
+    """Return an array of one record of ``MEMORY`` before the first estimate; side: 1 left, -1 right."""
     memories = new_record(MEMORY)
     memory = memories[0]
     memory.standing, memory.side, memory.airspeed_share = True, side, 1.0
@@ -153,9 +149,8 @@ def _follow_jump(target: TargetState, memory: Record, gap_max_s: float) -> None:
     north_m = target.north_m - memory.last_north_m - half_s * (target.velocity_north_m_s + before_north_m_s)
     turned_m_s = math.hypot(target.velocity_east_m_s - before_east_m_s, target.velocity_north_m_s - before_north_m_s)
     if step_s > gap_max_s or math.hypot(east_m, north_m) > _JUMP_M + abs(half_s) * turned_m_s:
-        for i in range(memory.places):
-            memory.place[i, 1] += east_m
-            memory.place[i, 2] += north_m
+        memory.place[: memory.places, 1] += east_m
+        memory.place[: memory.places, 2] += north_m
 
 
 @compiled
@@ -173,8 +168,7 @@ def remember_place(target: TargetState, memory: Record, gap_max_s: float) -> Non
     if memory.places > 0 and target.time_s < place[memory.places - 1, 0] + _PLACE_EVERY_S:
         return
     if memory.places == _PLACES_MAX:
-        for i in range(_PLACES_MAX - 1):
-            place[i, 0], place[i, 1], place[i, 2] = place[i + 1, 0], place[i + 1, 1], place[i + 1, 2]
+        place[:-1] = place[1:]
         memory.places -= 1
     k = memory.places
     place[k, 0], place[k, 1], place[k, 2] = target.time_s, target.east_m, target.north_m
@@ -189,11 +183,9 @@ def place_at(memory: Record, time_s: float) -> tuple[float, float]:
         k -= 1
     if k + 1 >= memory.places or place[k, 0] > time_s:
         return place[k, 1], place[k, 2]
-    past = (time_s - place[k, 0]) / (place[k + 1, 0] - place[k, 0])
-    return (
-        place[k, 1] + past * (place[k + 1, 1] - place[k, 1]),
-        place[k, 2] + past * (place[k + 1, 2] - place[k, 2]),
-    )
+    here, then = place[k], place[k + 1]
+    past = (time_s - here[0]) / (then[0] - here[0])
+    return here[1] + past * (then[1] - here[1]), here[2] + past * (then[2] - here[2])
 
 
 @compiled
@@ -209,12 +201,6 @@ def position_sigma_m(target: TargetState) -> float:
 
 
 @compiled
-def least_way_m(target: TargetState, memory: Record) -> float:
-    """Return the least way that has a course."""
-    return max(MIN_WAY_M, _WAY_SIGMAS * position_sigma_m(target)) if memory.standing else MIN_WAY_M
-
-
-@compiled
 def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s: float) -> tuple[float, float]:
     """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before.
 
@@ -225,7 +211,8 @@ def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s:
     east_m, north_m = place_at(memory, target.time_s - horizon_s)
     east_m, north_m = target.east_m - east_m, target.north_m - north_m
     way_m = math.hypot(east_m, north_m)
-    if way_m > least_way_m(estimates.seen, memory):
+    wanders_m = _WAY_SIGMAS * position_sigma_m(estimates.seen) if memory.standing else 0.0
+    if way_m > max(MIN_WAY_M, wanders_m):
         memory.made_good_rad = math.atan2(east_m, north_m)
     return float(memory.made_good_rad), made_good_sigma_rad(position_sigma_m(target), way_m)
 
@@ -247,7 +234,7 @@ def courses_made_good(
     gap_max_s: float,
     memories: Record,
 ) -> FloatArray:
-    """See :func:`sidelong.mission.viewpoint.course_hold.courses_made_good_rad`; memories: a fresh one in an array."""
+    """See :func:`sidelong.mission.viewpoint.watch_course.courses_made_good_rad`; memories: (1,)."""
     exact, courses_rad, memory = np.zeros((4, 4)), np.empty(time_s.size), memories[0]
     for i in range(time_s.size):
         east_m_s, north_m_s = velocity_m_s[i, 0], velocity_m_s[i, 1]
@@ -258,7 +245,7 @@ def courses_made_good(
 
 @compiled
 def viewpoint(east_m: float, north_m: float, estimates: Estimates, wish: SideRule, memory: Record) -> WatchCourse:
-    """See :meth:`sidelong.mission.viewpoint.side_policy.SidePolicy.viewpoint`."""
+    """See :meth:`sidelong.mission.viewpoint.watch_course.SidePolicy.viewpoint`."""
     if not math.isnan(wish.fixed_course_rad):
         return WatchCourse(wish.fixed_course_rad, memory.side, 0.0)
     target = estimates.now

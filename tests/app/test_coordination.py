@@ -12,7 +12,6 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.core.requirement import Requirement, Side
-from sidelong.mission.fleet.clocks import VehicleTime
 from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -25,6 +24,7 @@ from sidelong.mission.fleet.events import (
     VehicleReported,
 )
 from sidelong.mission.fleet.reports import FleetReporter
+from sidelong.mission.fleet.vehicle import VehicleTime
 from tests.messages import message
 
 UTC_S = 1.8e9

@@ -31,8 +31,7 @@ from sidelong.app.sharing.outputs import (
 )
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.route.progress import RouteProgress
-from sidelong.mission.route.route import route_of
+from sidelong.mission.route.route import RouteProgress, route_of
 
 takproto = pytest.importorskip("takproto", reason="takproto is not installed (the dev extra has it)")
 

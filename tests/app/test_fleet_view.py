@@ -20,8 +20,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Alarm, VehicleStatus
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
-from sidelong.mission.route.progress import RouteProgress
-from sidelong.mission.route.route import route_of
+from sidelong.mission.route.route import RouteProgress, route_of
 
 PLANE = LocalPlane(47.4, 8.5)
 NAMES = ("plane", "wing")

@@ -28,8 +28,7 @@ from sidelong.app.report.page import report_page
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.requirement import Side
-from sidelong.mission.route.progress import RouteProgress
-from sidelong.mission.route.route import route_of
+from sidelong.mission.route.route import RouteProgress, route_of
 from tests.command_line import sidelong
 from tests.logs import dataflash_pieces
 from tests.messages import message

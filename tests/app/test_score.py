@@ -13,7 +13,7 @@ import pytest
 from sidelong.app.analysis.score import Moment, judge_moments, score
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.requirement import Requirement, Side
-from sidelong.mission.viewpoint.course_hold import TargetCourse
+from sidelong.mission.viewpoint.watch_course import TargetCourse
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 LEFT = ((0.0, REQUIREMENT),)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from sidelong.app.planners.value_cache import _store, value_table
-from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.value_table import TableConfiguration
+from sidelong.mission.predictive.value_table import TableConfiguration, WatchCost
 
 # Coarse and hardly improved, so that it takes about a second.
 SMALL = TableConfiguration(

@@ -17,8 +17,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Phase
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement, Sector, Side
-from sidelong.mission.route.progress import RouteProgress
-from sidelong.mission.route.route import route_of
+from sidelong.mission.route.route import RouteProgress, route_of
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 

@@ -26,7 +26,7 @@ from sidelong.mission.core.events import AlarmReported
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.viewpoint.course_hold import TargetCourse
+from sidelong.mission.viewpoint.watch_course import TargetCourse
 from tests.bench.size import size
 from tests.faulty_payload import FaultyPayload, PayloadFaults
 

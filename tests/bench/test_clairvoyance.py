@@ -35,11 +35,12 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlanCheck
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive import planner as planner_module
-from sidelong.mission.predictive.decision_kernel import Question, choices, commitment, look_two_moves_ahead
+from sidelong.mission.predictive.decision_kernel import Question, commitment, look_two_moves_ahead
+from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Scenarios
 from sidelong.mission.predictive.scene_kernel import PREDICTED_S, Scene, Turns, classes_about
-from sidelong.mission.viewpoint.course_hold import courses_made_good_rad
+from sidelong.mission.viewpoint.watch_course import courses_made_good_rad
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
@@ -77,7 +78,7 @@ class Clairvoyant(PredictivePlanner):
     def _weigh(self, scene: Scene, question: Question, sight: Sight) -> tuple[float, float, np.ndarray]:
         """Weigh the moves by what the target does, in place of what it may do."""
         futures = self._futures(scene, question)
-        min_gain_s, costs = commitment(scene, futures, question), np.empty(choices(question))
+        min_gain_s, costs = commitment(scene, futures, question), np.empty(MOVES)
         return look_two_moves_ahead(scene, futures, question, sight, min_gain_s, costs), min_gain_s, costs
 
     def _futures(self, scene: Scene, question: Question) -> Scenarios:

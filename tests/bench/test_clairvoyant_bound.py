@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.estimators.compiled import compiled
-from sidelong.mission.viewpoint.course_hold import courses_made_good_rad
+from sidelong.mission.viewpoint.watch_course import courses_made_good_rad
 
 FloatArray = npt.NDArray[np.float64]
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"

@@ -15,7 +15,7 @@ from sidelong.app.study.settings import (
 )
 from sidelong.app.study.study import table_of
 from sidelong.mission.predictive.planner import table_configuration
-from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.predictive.value_table import compute
 from tests.bench.size import size
 from tests.studies import run_study
 

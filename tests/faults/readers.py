@@ -49,8 +49,7 @@ from sidelong.mission.core.events import (
 )
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.value_table import TableConfiguration
+from sidelong.mission.predictive.value_table import TableConfiguration, WatchCost
 from sidelong.sitl.world.track import read_track
 from sidelong.sitl.world.track_file import TrackError
 from tests.faults.damage import Damage, damaged, resealed

@@ -5,7 +5,7 @@ import pytest
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.predictive.planner import table_configuration
-from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.predictive.value_table import compute
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.geometry.separation import MIN_SEPARATION_M, circles_apart_m
-from sidelong.mission.route.progress import progress_of
+from sidelong.mission.route.route import progress_of
 
 RADIUS_M, SPEED_M_S = 50.0, 15.0
 AIRCRAFT = Aircraft(SPEED_M_S, RADIUS_M)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.value_table import WatchCost
 
 COST = WatchCost.inside(100.0, 500.0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.mission.viewpoint.course_hold import CourseHold, TargetCourse, known
 from sidelong.mission.viewpoint.viewpoint_kernel import course_sigma_rad
+from sidelong.mission.viewpoint.watch_course import CourseHold, TargetCourse, known
 
 
 def estimate(time_s, speed_m_s, course_rad, sigma_m_s=0.1):

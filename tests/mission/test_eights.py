@@ -22,16 +22,24 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet.team_planner import IN_TEAM
-from sidelong.mission.geometry.line_kernel import ARC, COURSE, CURVATURE, EAST, NORTH, LinePoint, laid_out, trapezoid
+from sidelong.mission.geometry.line_kernel import (
+    ARC,
+    COURSE,
+    CURVATURE,
+    EAST,
+    NORTH,
+    Air,
+    LinePoint,
+    laid_out,
+    trapezoid,
+)
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.wind import ground_speed_m_s
-from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.cost_kernel import blind_rate
 from sidelong.mission.predictive.decision_kernel import Question, commitment, foresee
 from sidelong.mission.predictive.moves_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, price_s, scene_at, table_configuration
-from sidelong.mission.predictive.rollout_kernel import Air, Sampling
-from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.predictive.rollout_kernel import Sampling, blind_rate
+from sidelong.mission.predictive.value_table import WatchCost, compute
 
 RADIUS_M, RAMP, AIRSPEED_M_S = 50.0, 0.0008, 10.0
 LIMITED = Aircraft(AIRSPEED_M_S, RADIUS_M, pan_limit_rad=math.radians(120.0))

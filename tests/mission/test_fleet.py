@@ -16,7 +16,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet import team_kernel as kernel
-from sidelong.mission.fleet.judges import WatchedCourse
+from sidelong.mission.fleet.coordinator import WatchedCourse
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
 from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner, team_of
 from sidelong.mission.geometry.separation import flown_places

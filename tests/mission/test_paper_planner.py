@@ -14,7 +14,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.paper.scope import largest_psi_c_rad
-from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.viewpoint.watch_course import watching_from
 from tests.plan_track import PlanTrack
 
 Motion = Callable[[float], tuple[float, float, float, float]]  # east, north and their rates at a time

@@ -14,8 +14,8 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
-from sidelong.mission.route.progress import way_of
 from sidelong.mission.route.progress_kernel import update_progress
+from sidelong.mission.route.route import way_of
 from sidelong.mission.viewpoint.viewpoint_kernel import TargetState
 
 AIRCRAFT = Aircraft(22.0, 80.0, math.radians(60.0), math.radians(30.0))

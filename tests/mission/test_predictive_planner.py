@@ -20,7 +20,7 @@ from sidelong.mission.predictive.planner import (
     PredictiveSettings,
     table_configuration,
 )
-from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.viewpoint.watch_course import watching_from
 
 CALM = Wind()
 LATENCY_S = 0.5

@@ -8,7 +8,7 @@ import pytest
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft
-from sidelong.mission.geometry.retreat import HOLD_S, Reach, retreats
+from sidelong.mission.geometry.approach import HOLD_S, Reach, retreats
 
 AIRFRAME = Aircraft(15.0, 50.0)
 KEEP_M = 100.0

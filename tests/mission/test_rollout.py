@@ -9,17 +9,22 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
-from sidelong.mission.geometry.line_kernel import Craft, LinePoint, circle_after, craft_of, line_at, sharpness_per_m2
+from sidelong.mission.geometry.line_kernel import (
+    Air,
+    Craft,
+    LinePoint,
+    circle_after,
+    craft_of,
+    line_at,
+    sharpness_per_m2,
+)
 from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.predictive import decision_kernel as kernel
-from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache
-from sidelong.mission.predictive.planner import no_route_values, table_configuration
-from sidelong.mission.predictive.rollout_kernel import Air, Pose, Scenarios, lines_costs, single_line, times_s
-from sidelong.mission.predictive.scene_kernel import FlownPlan, Turns, Watcher, first_of, in_frame, scene_of, winding
-from sidelong.mission.predictive.second_kernel import (
+from sidelong.mission.predictive.moves_kernel import (
     LEVELS,
     MOVE_BRANCHES,
+    MOVES,
     SECOND_LENGTHS,
     SECONDS,
     STAY_BRANCHES,
@@ -28,16 +33,20 @@ from sidelong.mission.predictive.second_kernel import (
     deep_cost,
     lay,
     lay_out_second_moves,
+    move_line,
     moving_ahead,
+    new_line_cache,
     new_second_moves,
     scenario_rows,
-    speeds_over_ground,
     staying_ahead,
     stretch,
     workspace_for,
 )
+from sidelong.mission.predictive.planner import route_values, table_configuration
+from sidelong.mission.predictive.rollout_kernel import Pose, Scenarios, lines_costs, single_line, times_s
+from sidelong.mission.predictive.scene_kernel import FlownPlan, Turns, Watcher, first_of, in_frame, scene_of, winding
 from sidelong.mission.predictive.value_table import completed
-from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     Estimates,
     SideRule,
@@ -45,6 +54,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import (
     fresh_memory,
     remember_place,
 )
+from sidelong.mission.viewpoint.watch_course import watching_from
 from tests.mission import plain_rollout
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
@@ -111,7 +121,7 @@ class Look:
                         STRAIGHT,
                         kept or new_line_cache(),
                         new_second_moves(),
-                        no_route_values(),
+                        route_values(None, self.table.arrays, c, fresh_progress(0)),
                     ),
                 ),
                 *(self.table.arrays, kernel.SwitchingCosts(0.5, 1.0), SHALLOW),
@@ -350,7 +360,8 @@ def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, pape
     lay_out_second_moves(seconds, 60.0, 40.0, sharpness_per_m2(12.0, craft_of(paper_aircraft)), 10.0)
     calm, windy = np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
     start, flown = Pose(5.0, -7.0, math.pi / 2), np.empty((64, SECONDS))
-    stretch(seconds, 4, start.heading_rad, speeds_over_ground(Air(10.0, 2.0, 0.0)), 12, flown)
+    speeds = ground_speeds_m_s(np.linspace(0.0, math.tau, 49), 10.0, Wind(2.0, 0.0)) / 10.0
+    stretch(seconds, 4, start.heading_rad, speeds, 12, flown)
     for way, places in ((flown[:0], calm), (flown, windy)):
         fan = PlacedMoves(start, 1.0, 0.0, 4, way, places, np.zeros(SECONDS, np.bool_), np.full(SECONDS, 12))
         for j in range(SECONDS):

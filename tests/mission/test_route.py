@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.mission.route.progress import RouteProgress, describe, progress_of, way_of
 from sidelong.mission.route.progress_kernel import forecast, fresh_progress, update_progress
-from sidelong.mission.route.route import Direction, Route, route_of
+from sidelong.mission.route.route import Direction, Route, RouteProgress, describe, progress_of, route_of, way_of
 from sidelong.mission.viewpoint.viewpoint_kernel import TargetState
 
 _COVARIANCE = np.diag([4.0, 4.0, 0.09, 0.09])

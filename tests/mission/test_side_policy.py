@@ -6,7 +6,7 @@ import pytest
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.requirement import Requirement, Sector, Side
-from sidelong.mission.viewpoint.side_policy import SidePolicy, watching_from
+from sidelong.mission.viewpoint.watch_course import SidePolicy, watching_from
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
 

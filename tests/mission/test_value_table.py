@@ -5,10 +5,15 @@ import numpy as np
 import pytest
 
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.predictive.cost import WatchCost
-from sidelong.mission.predictive.cost_kernel import table_value
+from sidelong.mission.predictive.rollout_kernel import table_value
 from sidelong.mission.predictive.scene_kernel import classes_about
-from sidelong.mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
+from sidelong.mission.predictive.value_table import (
+    TableConfiguration,
+    TargetHabits,
+    WatchCost,
+    completed,
+    expected_after_turn,
+)
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
 SMALL = TableConfiguration(10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=8)

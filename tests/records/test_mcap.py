@@ -24,8 +24,7 @@ from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.path import Path as Line
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.route.progress import RouteFollower, RouteProgress
-from sidelong.mission.route.route import route_of
+from sidelong.mission.route.route import RouteFollower, RouteProgress, route_of
 
 mcap_reader = pytest.importorskip("mcap.reader")
 

@@ -14,8 +14,8 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Pose, WatchFrame, add_sight, hidden_rate, single_line
-from sidelong.mission.predictive.value_iteration import compute
-from sidelong.mission.terrain.sight import SightField
+from sidelong.mission.predictive.value_table import compute
+from sidelong.mission.terrain.heights import SightField
 
 HEIGHT_M = 100.0
 

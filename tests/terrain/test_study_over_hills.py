@@ -20,7 +20,7 @@ from sidelong.app.study.settings import (
 )
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.predictive.planner import table_configuration
-from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.predictive.value_table import compute
 
 SETTINGS = StudySettings((PREDICTIVE,), runs=2, duration_s=60.0)
 
