@@ -35,9 +35,11 @@ class Change:
     @property
     def nearest_rounded(self) -> float:
         """``nearest`` to four digits, rounded to the side that works."""
-        step = 10.0 ** (math.floor(math.log10(self.nearest)) - 3)
-        away = math.ceil if self.nearest > self.value else math.floor
-        return float(f"{away(self.nearest / step) * step:.4g}")
+        up, step = self.nearest > self.value, 10.0 ** (math.floor(math.log10(self.nearest)) - 3)
+        rounded = float(f"{(math.ceil if up else math.floor)(self.nearest / step) * step:.4g}")
+        if rounded < self.nearest if up else rounded > self.nearest:  # by what four digits leave out
+            rounded = float(f"{rounded + (step if up else -step):.4g}")
+        return rounded
 
 
 def in_words(changes: Iterable[Change]) -> str:
