@@ -44,8 +44,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.mission_controller import MissionController
 from sidelong.mission.geometry.line_kernel import Trapezoid, laid_out, trapezoid
-from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.wind import ground_speeds_m_s
+from sidelong.mission.geometry.progress import ground_speeds_m_s, nearest_arc_m, point_at
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import RoutePlanner, route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline, intersection

@@ -10,7 +10,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.wind import STILL_AIR, ground_speed_m_s, path_times_s
+from sidelong.mission.geometry.progress import STILL_AIR, ground_speed_m_s, path_times_s
 from sidelong.mission.paper.planner import LapClock
 
 

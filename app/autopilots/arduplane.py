@@ -21,7 +21,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
 from sidelong.mission.exchange.reports import PositionTargetReported, VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
-from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.geometry.progress import STILL_AIR
 from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.mission_item import MissionItem, e7
 

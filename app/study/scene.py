@@ -18,7 +18,7 @@ from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Side
-from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.geometry.progress import ground_speed_m_s
 from sidelong.mission.route.route import Route
 
 START_RANGE_M = 300.0

@@ -15,7 +15,7 @@ from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Aircraft, Wind
 from sidelong.mission.exchange.reports import VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
-from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.geometry.progress import STILL_AIR
 from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.mission_item import MissionItem, e7
 

@@ -34,8 +34,7 @@ from sidelong.mission.exchange.reports import (
     PositionTargetReported,
     VehicleReport,
 )
-from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
-from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.geometry.progress import STILL_AIR, nearest_arc_m, off_track, point_at
 from sidelong.mission.upload.items import (
     NAV_LOITER_UNLIM,
     NAV_WAYPOINT,

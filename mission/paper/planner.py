@@ -27,7 +27,7 @@ from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import turn_straight_turn
-from sidelong.mission.geometry.wind import WindError, flight_times_s, path_times_s
+from sidelong.mission.geometry.progress import WindError, flight_times_s, path_times_s
 from sidelong.mission.paper.transition import abcd, departure_course_rad, min_move_m, stretched_lap
 from sidelong.mission.viewpoint.watch_course import CourseHold, SidePolicy, Viewpoint, describe_move
 

@@ -33,7 +33,7 @@ import numpy.typing as npt
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.line_kernel import ARC, LinePoint, circle_after, displaced_m, line_at, trapezoid
-from sidelong.mission.geometry.wind import ground_speeds_m_s
+from sidelong.mission.geometry.progress import ground_speeds_m_s
 from sidelong.mission.predictive import value_kernel as kernel
 from sidelong.mission.predictive.moves_kernel import EIGHTS, MOVES, STAY_LENGTHS, eight_line, move_from
 from sidelong.mission.predictive.rollout_kernel import CostTerms, Table, blind_rates, cost_rates

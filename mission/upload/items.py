@@ -37,7 +37,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.geometry.line_kernel import LinePoint
-from sidelong.mission.geometry.wind import path_times_s
+from sidelong.mission.geometry.progress import path_times_s
 from sidelong.mission.upload.fences import Outline
 from sidelong.mission.upload.line_tracking import LineTracking, Point
 from sidelong.mission.upload.line_tracking_kernel import nearest_on

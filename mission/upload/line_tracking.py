@@ -29,8 +29,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.line_kernel import Air, LinePoint
-from sidelong.mission.geometry.progress import circling_of
-from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.geometry.progress import STILL_AIR, circling_of
 from sidelong.mission.upload import line_tracking_kernel as kernel
 
 Point = tuple[float, float]

@@ -29,7 +29,7 @@ from sidelong.mission.core.events import Announce, ControlAcquired, DecisionReco
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.geometry.progress import ground_speed_m_s
 from tests.faults.flight_faults import Fault
 from tests.faulty_loop import NO_FAULTS, FaultyLoop, Link, MessagingVehicle
 from tests.faulty_payload import FaultyPayload, PayloadFaults

@@ -33,8 +33,7 @@ from sidelong.mission.geometry.line_kernel import (
     laid_out,
     trapezoid,
 )
-from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.geometry.progress import ground_speed_m_s, nearest_arc_m, point_at
 from sidelong.mission.predictive.decision_kernel import Question, commitment, foresee
 from sidelong.mission.predictive.moves_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, price_s, scene_at, table_configuration

@@ -11,7 +11,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
-from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.geometry.progress import STILL_AIR
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.paper.scope import largest_psi_c_rad
 from sidelong.mission.viewpoint.watch_course import watching_from

@@ -12,8 +12,7 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side, Wind
 from sidelong.mission.fleet.team_planner import IN_TEAM
 from sidelong.mission.geometry.line_kernel import craft_of, sharpness_per_m2
-from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s
+from sidelong.mission.geometry.progress import ground_speed_m_s, ground_speeds_m_s, nearest_arc_m, point_at
 from sidelong.mission.predictive.planner import (
     USUAL,
     PredictivePlanner,

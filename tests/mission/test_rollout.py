@@ -18,8 +18,7 @@ from sidelong.mission.geometry.line_kernel import (
     line_at,
     sharpness_per_m2,
 )
-from sidelong.mission.geometry.progress import line_of
-from sidelong.mission.geometry.wind import ground_speeds_m_s
+from sidelong.mission.geometry.progress import ground_speeds_m_s, line_of
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.moves_kernel import (
     LEVELS,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.geometry.wind import (
+from sidelong.mission.geometry.progress import (
     STILL_AIR,
     WindError,
     ground_speed_m_s,
