@@ -74,12 +74,10 @@ def _changed(aircraft: Aircraft, requirement: Requirement, field: str, value: fl
 class Scope:
     """The distances and times of one requirement.
 
-    x_tr_m            length of AB along the move.
-    shortest_move_m   d_min; negative when the circle would have to move before the target has.
-    longest_move_m    d_max, one lap of the target more.
-    shortest_time_s   t_y,min, the least time between two moves; inf for a standing target.
-    straight_left_m   what the shortest move leaves beyond both bends; negative when they do not fit.
-    min_threshold     the least C for which they always fit.
+    x_tr_m: length of AB along the move. shortest_move_m: d_min, negative when the circle would have to move before
+    the target has; longest_move_m: d_max, one lap of the target more. shortest_time_s: t_y,min between two moves, inf
+    for a standing target. straight_left_m: what the shortest move leaves beyond both bends, negative when they do not
+    fit; min_threshold: the least C for which they always fit.
     """
 
     x_tr_m: float
@@ -99,7 +97,7 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
     lap_travel_m = requirement.target_speed_max_m_s * aircraft.lap_s
     ahead_m = aircraft.radius_m * math.sin(psi_c_rad)  # A lags the centre by this much
     cross_track_m = stand_off_m(aircraft, requirement) + aircraft.radius_m * math.cos(psi_c_rad)
-    limit_m = requirement.threshold * requirement.range_max_m
+    limit_m, target_m_s = requirement.threshold * requirement.range_max_m, requirement.target_speed_max_m_s
     min_m = min_move_m(aircraft.radius_m, psi_c_rad)
 
     shortest_m = math.sqrt(max(limit_m**2 - cross_track_m**2, 0.0)) - ahead_m - lap_travel_m
@@ -107,9 +105,7 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
         x_tr_m=transition_length_m(aircraft.radius_m, psi_c_rad),
         shortest_move_m=shortest_m,
         longest_move_m=shortest_m + lap_travel_m,
-        shortest_time_s=(
-            shortest_m / requirement.target_speed_max_m_s if requirement.target_speed_max_m_s > 0.0 else math.inf
-        ),
+        shortest_time_s=shortest_m / target_m_s if target_m_s > 0.0 else math.inf,
         straight_left_m=shortest_m - min_m,
         min_threshold=math.hypot(min_m + ahead_m + lap_travel_m, cross_track_m) / requirement.range_max_m,
     )
