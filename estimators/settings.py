@@ -31,57 +31,42 @@ class TrackerSettings:
     """Sigmas are one standard deviation. A calibration sigma of 0 switches its estimation off."""
 
     filter: Literal["imm", "ekf"] = "imm"
-    target_kind: TargetKind = "unknown"
-    """What moves: how much its motions are let wander."""
+    target_kind: TargetKind = "unknown"  # what moves: how much its motions are let wander
 
-    range_sigma_m: float = 0.8
-    """Slant range error, used if the sensor reports no sigma."""
-    yaw_sigma_rad: float = math.radians(0.35)
+    range_sigma_m: float = 0.8  # slant range error, used if the sensor reports no sigma
+    yaw_sigma_rad: float = math.radians(0.35)  # of the line of sight
     pitch_sigma_rad: float = math.radians(0.35)
-    """Line of sight."""
-    attitude_sigma_rad: float = math.radians(0.3)
-    """Aircraft attitude: adds to the line of sight where the gimbal is measured against the aircraft."""
-    position_sigma_m: float = 0.3
-    """Aircraft position, each axis: what changes between sightings, not the common offset."""
+    attitude_sigma_rad: float = math.radians(0.3)  # adds where the gimbal is measured against the aircraft
+    position_sigma_m: float = 0.3  # each axis: what changes between sightings, not the common offset
 
+    # How much earlier than their stamps line of sight and range were measured, as far as it is known.
     gimbal_latency_s: float = 0.0
     range_latency_s: float = 0.0
-    """How much earlier than their stamps line of sight and range were measured, as far as it is known."""
-    latency_sigma_s: float = 0.7
-    """How well both are known; a further delay of each is estimated within it."""
+    latency_sigma_s: float = 0.7  # how well both are known; a further delay of each is estimated within it
     range_source: SourceChoice | None = None
     gimbal_source: SourceChoice | None = None
+    # What the gimbal's angles are relative to, where its frame flags are wrong; None: as flagged.
     gimbal_frame: Literal["earth", "vehicle", "body"] | None = None
-    """What the gimbal's angles are relative to, where its frame flags are wrong; None: as flagged."""
-    fix_source: SourceChoice | None = None
-    """None selects automatically; a camera's fixes are then used only while no laser is received."""
-    lever_arm_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """From the aircraft's position to the gimbal: forward, right, down."""
+    fix_source: SourceChoice | None = None  # None: a camera's fixes are used only while no laser is received
+    lever_arm_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # to the gimbal: forward, right, down
+    # How the gimbal's base is turned against the airframe; of no effect on an earth-frame gimbal.
     mount_roll_pitch_yaw_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """How the gimbal's base is turned against the airframe; of no effect on an earth-frame gimbal."""
 
-    quality_min: float = 0.5
-    """Ranges of a lower signal quality (0..1) are rejected."""
-    gate_nis: float = 20.0
-    """Sightings of a larger normalised innovation squared are rejected: 0.02 % of the good ones."""
-    soft_nis: float = 11.3
-    """Between this and the gate a sighting weighs less the farther it lies: 1 % of the good ones."""
-    reacquire_after: int = 6
-    """Number of consecutive rejected detections, consistent with one another, that restart the track."""
+    quality_min: float = 0.5  # ranges of a lower signal quality (0..1) are rejected
+    gate_nis: float = 20.0  # a larger normalised innovation squared is rejected: 0.02 % of the good sightings
+    soft_nis: float = 11.3  # from here to the gate a sighting weighs less the farther it lies: 1 % of the good ones
+    reacquire_after: int = 6  # consecutive rejected detections, consistent with one another, restart the track
     coasting_after_s: float = 1.0
     lost_after_s: float = 60.0
-    lost_sigma_m: float = 100.0
-    """A track is lost after this time without a detection, or at this position sigma."""
+    lost_sigma_m: float = 100.0  # a track is lost after this time without a detection, or at this position sigma
 
+    # Prior of the constant errors of gimbal and laser.
     yaw_bias_sigma_rad: float = math.radians(1.0)
     pitch_bias_sigma_rad: float = math.radians(0.5)
     range_bias_sigma_m: float = 0.3
-    """Prior of the constant errors of gimbal and laser."""
 
-    target_speed_sigma_m_s: float = 5.0
-    """Each axis, before the first sightings."""
-    acceleration_density_m2_s3: float = 0.03
-    """White acceleration of a target in the filters of a single motion."""
+    target_speed_sigma_m_s: float = 5.0  # each axis, before the first sightings
+    acceleration_density_m2_s3: float = 0.03  # white acceleration of a target in the filters of a single motion
 
     @property
     def latencies_s(self) -> tuple[float, float]:

@@ -16,13 +16,10 @@ from collections import deque
 from dataclasses import dataclass
 
 LATE_S, AHEAD_S = 5.0, 2.0
-SILENCE_MAX_S = 60.0
-"""A line this little ahead may well be the same clock after a silence."""
-BOOTING_S = 60.0
-"""A sequence that begins nearer to zero than this means that the autopilot rebooted."""
+SILENCE_MAX_S = 60.0  # a line this little ahead may well be the same clock after a silence
+BOOTING_S = 60.0  # a sequence that begins nearer to zero than this means that the autopilot rebooted
 
-PROOF_S = 20.0
-"""Confirmation time of any other sequence."""
+PROOF_S = 20.0  # confirmation time of any other sequence
 
 _QUICK_S, _REBOOT_S = 0.5, 2.0
 _STAMPS_MIN = 5

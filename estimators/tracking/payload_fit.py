@@ -95,8 +95,7 @@ _MOVES_AGAIN = 3
 _CLOSED_M, _PASSED_RAD = 40.0, 0.25
 _FLYING_M_S = 5.0
 # 2. frames, units, large yaw errors
-SAMPLES_S = 12.0
-"""How far back the verdict on frames and units looks, at two samples a second."""
+SAMPLES_S = 12.0  # how far back the verdict on frames and units looks, at two samples a second
 _SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
 _SAMPLES, _SAMPLES_MIN, _SPAN_MIN_S = 24, 12, 6.0
 _LASER_SILENT_S = 10.0  # after that, lines of sight are judged without ranges
@@ -104,8 +103,7 @@ _FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
 _CORRECTED_AFTER = 5  # readings in a row
 _WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE, _OWN_SHARE = 8.0, 0.5, 0.7, 0.3
 _JUMP_M, _DRIVES_M_S, _STEPS_MIN, _APPARENT_M_S = 40.0, 15.0, 3, 30.0
-OFTEN, SUSPECT_S = 3, 15.0
-"""How many of the last jumps are remembered; how long the payload is suspect after one."""
+OFTEN, SUSPECT_S = 3, 15.0  # how many of the last jumps are remembered; how long the payload is suspect after one
 _CHANGED_S, _MARGIN_S = 30.0, 1.0
 _LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
 _CONTINUED_M, _DRIVEN_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
@@ -145,8 +143,7 @@ _FACTOR_STARTS = 1.4, 0.7  # from 1, a lesser minimum may hold
 # On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Most payloads have the
 # configured delays. Others replace them only where those are evidently wrong, and are corrected further once sure.
 # The shape of hills may look like a small delay.
-SURE_S = 0.045
-"""Standard deviation of a delay that is known."""
+SURE_S = 0.045  # standard deviation of a delay that is known
 _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
 # 4. drifts
 _DRIFT_S, _DRIFT_SPAN_MIN_S, _GROWS_S = 100.0, 40.0, 50.0  # a drift may have begun within the window

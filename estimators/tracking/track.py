@@ -29,11 +29,9 @@ _KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out 
 # Longer predictions go by steps, so that the motion models can mix on the way; the longest take this many steps.
 _STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
-RESTARTED = "restarted where the rejected sightings agree"
-"""Reason of a sighting with which the track has moved elsewhere."""
+RESTARTED = "restarted where the rejected sightings agree"  # reason of one with which the track has moved
 
-FilterStart = Callable[..., "TargetImm"]
-"""Makes a filter from (settings, first sighting, biases, ground or None)."""
+FilterStart = Callable[..., "TargetImm"]  # makes a filter from (settings, first sighting, biases, ground or None)
 
 
 def _filter_start(name: str) -> FilterStart:

@@ -134,8 +134,7 @@ _SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by th
 _UNSEEN_S = 10.0  # lasers miss for up to 8 s all the time
 _SIDE_MARGIN_RAD = math.radians(3.0)  # the course of the target is hardly known better
 _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
-LOW_BATTERY = 1.2
-"""The battery is low when the flight time left is below this many times the time to fly home."""
+LOW_BATTERY = 1.2  # the battery is low when the flight time left is below this many times the time to fly home
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,7 @@ from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, off
 from sidelong.mission.route.progress_kernel import fresh_progress, reset
 from sidelong.mission.route.route import Route, RoutePlanner, RouteProgress, describe, progress_of, route_from
 
-WINDS_MAX = 5
-"""A flight prepares for at most this number of wind speeds: a table takes seconds."""
+WINDS_MAX = 5  # a flight prepares for at most this number of wind speeds: a table takes seconds
 # Fleet advice expires after this time.
 _ADVICE_S = 5.0
 # Minimum duration of an approach, while its circle is still within the target's range.

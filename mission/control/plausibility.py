@@ -46,8 +46,7 @@ _RECKONING_DRIFT_M_S, _DRIFTING_MAX_S = 3.0, 10.0  # of dead reckoning
 _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
-SILENT_S = 3.0
-"""Gap between two readings above which the next one counts as received after a telemetry gap."""
+SILENT_S = 3.0  # gap between two readings above which the next one counts as received after a telemetry gap
 _CIRCLING_RAD, _OFF_CIRCLE_M = math.radians(12.0), 60.0
 _ODD_S = 1.0  # an accepted reading may prove to be an outlier within this time after the one before it
 _FLYING_M_S = 5.0

@@ -79,16 +79,11 @@ class ProtocolQuirks:
 class AutopilotDialect(Protocol):
     """One kind of autopilot, as far as the exchange knows it."""
 
-    name: str
-    """What people call it, and a journal."""
-    quirks: ProtocolQuirks
-    """How it treats the mission protocol."""
-    mission_mode: str
-    """The flight mode, by name, in which it flies a mission."""
-    circle_mode: str
-    """The flight mode, by name, in which it flies a circle given by one command."""
-    min_items: int
-    """How long its mission is kept at least, see ``MissionLayout``."""
+    name: str  # what people call it, and a journal
+    quirks: ProtocolQuirks  # how it treats the mission protocol
+    mission_mode: str  # the flight mode, by name, in which it flies a mission
+    circle_mode: str  # the flight mode, by name, in which it flies a circle given by one command
+    min_items: int  # how long its mission is kept at least, see ``MissionLayout``
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
         """Return the items at the beginning of every mission."""

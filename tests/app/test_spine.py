@@ -54,7 +54,7 @@ FORMS = (
 )
 """In the order of the path. With the frame at both of its ends they are 13."""
 
-MOST = {Flavour.ARDUPLANE: (19, 54), Flavour.PX4: (19, 54)}
+MOST = {Flavour.ARDUPLANE: (19, 53), Flavour.PX4: (19, 53)}
 """Files and functions."""
 
 Function = tuple[str, str]
