@@ -12,10 +12,7 @@ if TYPE_CHECKING:
 else:
 
     def value_type(*, frozen: bool, **options: Any) -> Any:
-        """Make a dataclass that is frozen for type checkers alone.
-
-        Of values that come with each reading: one with seven fields is made in 0.1 us in place of 0.5 us.
-        """
+        """Make a dataclass that is frozen for type checkers alone: it is made in 0.1 us in place of 0.5 us."""
         return dataclasses.dataclass(unsafe_hash=frozen and options.get("eq", True), **options)
 
 

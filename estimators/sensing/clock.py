@@ -96,10 +96,7 @@ class VehicleClock:
         return min(max(AHEAD_S, 3.0 * statistics.median(self._ticks_s)), LATE_S)
 
     def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> bool:
-        """Process a stamp, time since boot; return whether it begins another sequence that is followed from now on.
-
-        confirmed_after_s: how long another sequence has to last before it is followed; None: depends on its distance.
-        """
+        """Process a stamp, time since boot; return whether another sequence, now confirmed, takes over."""
         own, other = self._own, self._other
         if self.goes_on(stamp_s) or own is None:
             return False

@@ -117,10 +117,7 @@ class Sighting:
 
 @value_type(frozen=True, slots=True)
 class Fix:
-    """The target's place as a camera's own tracker gives it: no calibration applies. It measures (east, north, -).
-
-    The third number measures nothing, so that both kinds of sighting have three.
-    """
+    """The target's place as a camera's own tracker gives it, without calibration. Its third number measures nothing."""
 
     time_s: float
     east_m: float

@@ -89,11 +89,7 @@ _CIRCLE_95 = 5.99  # chi-square with two degrees of freedom
 
 
 class JointTrack:
-    """Joint track of one target. All detections share one time base.
-
-    ``settings`` describe each payload; those of the first apply to the track: gates, losses, kind of target. Raises
-    ValueError if there are none.
-    """
+    """Joint track of one target. All detections share one time base; the first settings apply to the track."""
 
     def __init__(self, settings: Mapping[str, TrackerSettings]) -> None:
         if not settings:
@@ -126,10 +122,7 @@ class JointTrack:
         return Track(self._settings[0], start)
 
     def add(self, name: str, sighting: AnySighting, clock_sigma_s: float = 0.0) -> SightingOutcome:
-        """Update the track with a sighting of an aircraft's payload.
-
-        clock_sigma_s: standard deviation of its time; that of the payload's first sighting counts.
-        """
+        """Update the track with a sighting of an aircraft's payload; the first one's clock sigma counts."""
         payload = self._names.index(name)
         self._own[payload].add(sighting)
         self._latest[payload] = sighting if sighting.payload == payload else replace(sighting, payload=payload)
@@ -237,10 +230,7 @@ class JointTrack:
             self._begin(used)
 
     def _unexplained_m2(self, used: Sequence[TargetEstimate], joint: TargetEstimate | None) -> float:
-        """Return the greatest squared distance of a payload's track from the joint one, beyond its 95 % circle, m^2.
-
-        An error that begins in flight may be too small for a contradiction, and no track's covariance knows of it.
-        """
+        """Return by how far, squared, a track is beyond the joint one's 95 % circle: a new error is in none."""
         if joint is None or len(used) < 2:
             return 0.0
         return max(0.0, *(apart_m(own, joint) ** 2 - _CIRCLE_95 * spread_m2(own) / 2.0 for own in used))

@@ -219,10 +219,7 @@ class _Repeats:
         self.found = False
 
     def note(self, values: tuple[float, ...], time_s: float, travelled: tuple[float, ...]) -> bool:
-        """Take a value; return whether the finding has changed.
-
-        travelled: motions of the aircraft since the flight began; one that has changed by 1 changes the value.
-        """
+        """Take a value; return whether the finding has changed. A travelled motion of 1 has to change the value."""
         before, same = self.found, self._same
         for then, now in zip(self._anchor, values, strict=False):
             if abs(now - then) > same:
@@ -551,10 +548,7 @@ class PayloadFit:
             self._before = last[0], last[1:], (last[1:] - first[1:]) / max(last[0] - first[0], 1.0)
 
     def _verdict_of_motion(self, established: Verdict) -> Verdict | None:
-        """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
-
-        What was established before holds until what is reported fits clearly better.
-        """
+        """Return what is wrong, ``SOUND`` or as established until that fits better; None while it is not known."""
         samples = self._samples
         if established.frame == self._flagged:  # the flags are corrected; until then a wrong target moved
             established, self._before = SOUND, None
@@ -1102,12 +1096,7 @@ def _gain_of_freeing(found: Fit, sigmas: FloatArray, rate: int) -> float:
 def _sectors(
     readings: Readings, bearing_rad: FloatArray, off_m: FloatArray
 ) -> Iterator[tuple[str, npt.NDArray[np.bool_], float]]:
-    """Yield at which bearings alone the ranges may be off: from what, which ranges (n,), the middle of these rad.
-
-    Args:
-        bearing_rad: Of each range, without jumps by a turn.
-        off_m: What the path explains of each range, less what was measured.
-    """
+    """Yield at which bearings alone the ranges may be off: from what, which ranges (n,), the middle of these rad."""
     time_s, slant_m, _ = readings.ranges.T
     own_s, _, _, east_m_s, north_m_s = readings.positions.T
     course_rad = np.interp(time_s, own_s, np.unwrap(np.arctan2(east_m_s, north_m_s)))

@@ -436,11 +436,7 @@ class Tracker:
         return self._pairing.parent_from_mount
 
     def _points_at_track(self, reading: GimbalReading) -> bool:
-        """Return whether a line of sight points at the tracked target.
-
-        Without a track to compare with, one that contradicted it before has to have turned since: a device that looks
-        elsewhere does not follow a target.
-        """
+        """Return whether a line of sight points at the track, or without one has turned since it contradicted it."""
         expected = self._expected(reading.time_s)
         attitude = self._poses.attitudes.newest()
         if expected is None or (attitude is None and reading.frame != "earth"):
@@ -506,10 +502,9 @@ class Tracker:
         return (Fix(time_s, reading.east_m, reading.north_m, reading.sigma_m),)
 
     def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:
-        """Assume that the target stands on a ground. Call it before the first sighting.
+        """Assume, before the first sighting, that the target stands on a ground.
 
-        angles_alone: whether the line of sight alone counts while the laser is silent; False where the gimbal follows
-        the estimate, which would confirm itself.
+        Lines of sight alone do not count where the gimbal follows the estimate, which would confirm itself.
         """
         self._track.stand_on(ground)
         if angles_alone:

@@ -1,7 +1,4 @@
-"""Alarms for the operator, a pure function of the states in the order of time; and how long the battery lasts.
-
-Source: docs/health.md#alarms.
-"""
+"""Alarms for the operator, and how long the battery lasts. Source: docs/health.md#alarms."""
 
 from __future__ import annotations
 

@@ -46,12 +46,7 @@ _EFFICIENCY_MIN, _EFFICIENCY_MAX, _EFFICIENCY_OVER_S = 0.6, 1.0, 10.0
 
 
 class _Approach:
-    """Whether an error is within a tolerance or decreases.
-
-    Args:
-        step: By how much it has to decrease within ``within_s`` while it is larger.
-        leaving_s: How long an error that was within the tolerance may be larger.
-    """
+    """Whether an error is within a tolerance, or decreases by a step in time; it may be larger for ``leaving_s``."""
 
     def __init__(self, tolerance: float, step: float, within_s: float, leaving_s: float) -> None:
         self.tolerance, self._step, self._within_s, self._leaving_s = tolerance, step, within_s, leaving_s

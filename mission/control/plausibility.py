@@ -94,10 +94,7 @@ class PositionCheck:
             self._elsewhere_since_s += seconds
 
     def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
-        """Return whether the aircraft has moved no farther than ``passed_s`` allows, whatever its time stamps say.
-
-        jumped: whether rejected readings are jumps. They may continue or return; neither is flown motion.
-        """
+        """Return whether the aircraft has moved no farther than ``passed_s`` allows, or than rejected jumps had."""
         places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
         return any(earlier is not None and _stayed(earlier, place, passed_s) for earlier in places)
 
@@ -106,9 +103,7 @@ class PositionCheck:
     ) -> PositionReading | None:
         """Return the reading, or dead reckoning in its place; None for a late reading that is not plausible.
 
-        Args:
-            possible: Whether the reading is within the absolute limits.
-            sound: Whether GPS and EKF report no fault.
+        ``possible``: it is within the absolute limits; ``sound``: GPS and EKF report no fault.
         """
         last = self.accepted
         if last is None:
@@ -168,10 +163,7 @@ class PositionCheck:
 
 
 class VelocityCheck:
-    """Compares the way between reported positions with the reported velocities, over ``_COMPARED_S`` at a time.
-
-    The estimation interpolates with these velocities.
-    """
+    """Compares the way between reported positions with the velocities, with which the estimation interpolates."""
 
     def __init__(self) -> None:
         self.fault = ""  # how they contradict each other; '' while they agree

@@ -1,7 +1,4 @@
-"""What an operator sees of a mission: one record, which alarms, displays, reports and summaries read.
-
-Source: docs/watch-endings.md; docs/health.md#inputs.
-"""
+"""What an operator sees, in one record. Source: docs/watch-endings.md; docs/health.md#inputs."""
 
 from __future__ import annotations
 

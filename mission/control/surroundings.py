@@ -107,9 +107,7 @@ class Surroundings:
     ) -> Plan | str:
         """Check a plan against fences and ground alone; see :meth:`cleared`.
 
-        Args:
-            flown_m: Present height above home; None if it does not matter, as for the first circle.
-            heights: Rules for the heights instead of the present ones.
+        A present height does not matter for the first circle; ``heights`` are rules instead of the present ones.
         """
         heights = heights or self.heights
         levelled = plan if heights is None else heights.levelled(plan, flown_m, target_m)

@@ -1,7 +1,4 @@
-"""What autopilots do differently, as data and one Protocol, and the settings of the exchange.
-
-Source: docs/explanation/exchange.md.
-"""
+"""What autopilots do differently, and the settings of the exchange. Source: docs/explanation/exchange.md."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What leaves the exchange in one step: messages to the autopilot, and what the control step is to know.
-
-Source: MAVLink mission protocol, <https://mavlink.io/en/services/mission.html>.
-"""
+"""What leaves the exchange in one step. Source: <https://mavlink.io/en/services/mission.html>."""
 
 from __future__ import annotations
 

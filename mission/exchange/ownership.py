@@ -191,12 +191,7 @@ class MissionOwnership:
     def current(
         self, report: MissionCurrentReported, present: MissionLayout | None, left: MissionLayout | None
     ) -> None:
-        """Take a MISSION_CURRENT.
-
-        Args:
-            present: The line that is flown. An item before one that was flown already is another station's choice.
-            left: The line before, while late reports of it may come.
-        """
+        """Take a MISSION_CURRENT; an item before one of the present line that was flown is another's choice."""
         lines = (present, left)
         self._identified = self._identified or bool(report.total or report.mission_id)
         if not self._begun:

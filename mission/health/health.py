@@ -75,12 +75,7 @@ class SightingsCheck:
         jumps_s: Sequence[float] = (),
         pitch_error_rad: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        """Process the outcomes of sightings.
-
-        Args:
-            jumps_s: When the apparent target jumped, the last times.
-            pitch_error_rad: Returns the gimbal's pitch error, if it is beyond what the settings expect; else 0.
-        """
+        """Process the outcomes of sightings, the last jumps of the target, and an unexpected pitch error."""
         second = math.floor(time_s)
         is_new = not self._rejected or self._rejected[-1][0] != second
         if is_new:
@@ -268,10 +263,7 @@ class Health:
         gimbals: SourceSelector,
         faults: Mapping[Input, str] = MappingProxyType({}),
     ) -> tuple[HealthChanged, ...]:
-        """Judge all inputs and return what has changed since the last call.
-
-        faults: why the vehicle's own inputs are not trusted; '' while one is.
-        """
+        """Judge all inputs, with reasons why the vehicle's own are not trusted; return what has changed."""
         self._evaluate_s = now_s + _EVALUATE_EVERY_S
         if not self._connected:
             return ()
