@@ -117,7 +117,7 @@ class Sighting:
 
 @value_type(frozen=True, slots=True)
 class Fix:
-    """The target's place as a camera's own tracker gives it, without calibration. Its third number measures nothing."""
+    """The target's place as a camera's own tracker gives it, uncalibrated. Its third number measures nothing."""
 
     time_s: float
     east_m: float
