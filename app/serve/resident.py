@@ -20,7 +20,7 @@ import re
 import socket
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
@@ -102,11 +102,6 @@ class ServiceDisplay:
 Decorate = Callable[[ServiceDisplay], contextlib.AbstractAsyncContextManager[FlightDisplay]]
 
 
-@contextlib.asynccontextmanager
-async def undecorated(display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
-    yield display
-
-
 class State(StrEnum):
     WAITING = "waiting"  # for a vehicle, its payload or what the checks miss
     READY = "ready"
@@ -127,9 +122,6 @@ class Status:
     disk_mb: float = 0.0  # what all run folders take, MB
     records: str = ""  # why records of the present or last watch are incomplete, '' if they are not
 
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self)
-
     def __str__(self) -> str:
         return f"{self.state}: {self.reason}" if self.reason else str(self.state)
 
@@ -149,7 +141,7 @@ class Resident:
         config: Config,
         out: Path,
         log: Callable[[str], None],
-        decorate: Decorate = undecorated,
+        decorate: Decorate = contextlib.nullcontext,
         changed: Callable[[], object] = lambda: None,
     ) -> None:
         self.checks: tuple[Check, ...] = ()  # before the last watch
@@ -204,7 +196,7 @@ class Resident:
 
     def _answer(self, request: str) -> dict[str, Any]:
         accepted, text = (True, "") if request == "status" else self.request(request, _WHO["socket"])  # type: ignore[arg-type]
-        return {"accepted": accepted, "text": text or str(self.status), "status": self.status.as_json()}
+        return {"accepted": accepted, "text": text or str(self.status), "status": asdict(self.status)}
 
     def request(self, request: Request, who: str) -> tuple[bool, str]:
         """Take a request; return whether it is accepted, and what comes of it in words."""
