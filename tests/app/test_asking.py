@@ -99,7 +99,7 @@ def asked(flavour, loss, ask):
 @pytest.mark.parametrize("flavour", list(Flavour))
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, loss, monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._VALUE_S", 0.01)
     monkeypatch.setattr("sidelong.app.link.stored._IDLE_S", 0.2)
     names = NAMES[flavour]
     values, simulation, link = asked(flavour, loss, lambda vehicle: read_parameters(vehicle, [*names, "NO_SUCH"]))
@@ -109,7 +109,7 @@ def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, 
 
 
 def test_parameters_of_a_vehicle_that_pauses_are_not_reported_as_absent(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._VALUE_S", 0.01)
     monkeypatch.setattr("sidelong.app.link.stored._IDLE_S", 0.05)
     names = NAMES[Flavour.ARDUPLANE]
 
@@ -123,7 +123,7 @@ def test_parameters_of_a_vehicle_that_pauses_are_not_reported_as_absent(monkeypa
 
 
 def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._VALUE_S", 0.01)
 
     async def ask(vehicle):
         vehicle.link._simulation.vehicle.parameters.set("NAV_DLL_ACT", -1)

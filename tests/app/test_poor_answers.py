@@ -73,7 +73,9 @@ def test_a_refused_tcp_connection_is_reported_without_waiting():
 
 
 def test_a_fleet_s_study_takes_no_planner():
-    assert "leave out --planner" in refused("study", "--fleet", 2, "--planner", "predictive")
+    answer = refused("study", "--fleet", 2, "--planner", "predictive")
+    assert "--planner: --fleet compares those of fleets" in answer
+    assert "leave it out" in answer
 
 
 def test_a_missing_map_is_named_before_the_page_is_asked_for(tmp_path):

@@ -28,7 +28,7 @@ OF = {Flavour(one.key): one for one in AUTOPILOTS}
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.stored._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.stored._VALUE_S", 0.01)
     monkeypatch.setattr("sidelong.app.link.stored._IDLE_S", 0.05)
 
 
