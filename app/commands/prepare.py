@@ -27,9 +27,6 @@ def prepare(config: ConfigArgument = None, set_: SetOption = None) -> None:
     from sidelong.app.planners.value_cache import DIRECTORY  # noqa: PLC0415
     from sidelong.estimators.compiled import FOLDER  # noqa: PLC0415
 
-    def announce(text: str) -> None:
-        say(text)
-
-    prepared(settings, table_progress(announce), announce)
+    prepared(settings, table_progress(say), say)
     took_s = time.monotonic() - begun_s
-    announce(f"prepared in {took_s:.0f} s; machine code in {FOLDER}, value tables in {DIRECTORY}")
+    say(f"prepared in {took_s:.0f} s; machine code in {FOLDER}, value tables in {DIRECTORY}")
