@@ -230,7 +230,7 @@ class JointTrack:
             self._begin(used)
 
     def _unexplained_m2(self, used: Sequence[TargetEstimate], joint: TargetEstimate | None) -> float:
-        """Return by how far, squared, a track is beyond the joint one's 95 % circle: a new error is in none."""
+        """Return the greatest squared distance of a track from the joint one beyond its 95 % circle."""
         if joint is None or len(used) < 2:
             return 0.0
         return max(0.0, *(apart_m(own, joint) ** 2 - _CIRCLE_95 * spread_m2(own) / 2.0 for own in used))

@@ -94,7 +94,7 @@ class PositionCheck:
             self._elsewhere_since_s += seconds
 
     def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
-        """Return whether the aircraft has moved no farther than ``passed_s`` allows, or than rejected jumps had."""
+        """Return whether ``passed_s`` allows the way from the last place, or from one that was jumped to."""
         places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
         return any(earlier is not None and _stayed(earlier, place, passed_s) for earlier in places)
 
