@@ -72,22 +72,9 @@ class FleetReporter:
             found.append(PlansReported(self._name, *plans))
         if controller.time_s >= self._next_s:
             self._next_s = controller.time_s + _EVERY_S
-            report = self._report(controller)
-            found += [] if report is None else [report]
+            now, height_m = controller.snapshot(), controller.flown_height_m
+            if now.aircraft is not None and height_m is not None:
+                flown = now.time_s, now.aircraft, height_m, now.phase is Phase.WATCHING and now.connected
+                detail = "" if now.phase is Phase.WATCHING else f"the mission is {now.phase}"
+                found.append(VehicleReported(self._name, *flown, now.latency_s, now.wind, detail))
         return tuple(found)
-
-    def _report(self, controller: StandoffController) -> VehicleReported | None:
-        now = controller.snapshot()
-        height_m = controller.flown_height_m
-        if now.aircraft is None or height_m is None:
-            return None
-        return VehicleReported(
-            self._name,
-            now.time_s,
-            now.aircraft,
-            height_m,
-            now.phase is Phase.WATCHING and now.connected,
-            now.latency_s,
-            now.wind,
-            "" if now.phase is Phase.WATCHING else f"the mission is {now.phase}",
-        )

@@ -278,7 +278,8 @@ class PaperPlanner:
         if not stays_on_side and not self._on_side(regular.circle, regular.target_m):
             return f"the circle is no longer on the target's {side}"
         lap_later_m = situation.target_after(regular.wait_s + situation.clock.lap_s)
-        nearest_m = min(_distance_m(circle, at_m) for at_m in (regular.target_m, lap_later_m)) - circle.radius_m
+        centre_m = circle.east_m, circle.north_m
+        nearest_m = min(math.dist(centre_m, at_m) for at_m in (regular.target_m, lap_later_m)) - circle.radius_m
         if nearest_m < (1.0 - _DIP) * self._requirement.range_min_m:
             return f"the circle comes within {max(nearest_m, 0.0):.0f} m of the target"
         if ends_badly and not placed:
@@ -351,7 +352,3 @@ class PaperPlanner:
             flight_s = float(path_times_s(present.transition, self._aircraft.airspeed_m_s, wind)[-1])
             self._arrival = (present, present.departure_s + flight_s)
         return self._arrival[1]
-
-
-def _distance_m(circle: Circle, target_m: Vector) -> float:
-    return math.hypot(circle.east_m - target_m[0], circle.north_m - target_m[1])

@@ -35,7 +35,7 @@ from shapely import LineString
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
-from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
+from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.geometry.line_kernel import LinePoint
 from sidelong.mission.geometry.progress import path_times_s
 from sidelong.mission.upload.fences import Outline
@@ -263,30 +263,14 @@ def plan_items(
     if plan.transition is None:
         return (circle,)
     tracking, wanted_m = tracking or LineTracking(), _PRECISE_M if plan.precise else tolerance_m
-    waypoints = (
-        MissionItem(
-            NAV_WAYPOINT,
-            FRAME_GLOBAL_RELATIVE_ALT,
-            0.0,
-            float(round(tracking.switch_m)),
-            0.0,
-            0.0,
-            *e7(plane.latitude_longitude_deg(east_m, north_m)),
-            _height_nearby_m(plan.transition, plan.heights, east_m, north_m, height_m),
-        )
-        for east_m, north_m in lay_out(plan.transition, plan.circle, tracking, tolerance_m, wanted_m)
-    )
-    return (*waypoints, circle)
-
-
-def _height_nearby_m(
-    line: Path, heights: HeightProfile | None, east_m: float, north_m: float, height_m: float
-) -> float:
-    """Return the height where a line passes a waypoint."""
-    if heights is None:
-        return height_m
-    nearest = int(np.argmin(np.hypot(line.east_m - east_m, line.north_m - north_m)))
-    return heights.at_m(float(line.arc_m[nearest]))
+    line, items, params = plan.transition, [], (0.0, float(round(tracking.switch_m)), 0.0, 0.0)
+    for east_m, north_m in lay_out(line, plan.circle, tracking, tolerance_m, wanted_m):
+        if plan.heights is not None:
+            nearest = int(np.argmin(np.hypot(line.east_m - east_m, line.north_m - north_m)))
+            height_m = plan.heights.at_m(float(line.arc_m[nearest]))
+        place = e7(plane.latitude_longitude_deg(east_m, north_m))
+        items.append(MissionItem(NAV_WAYPOINT, FRAME_GLOBAL_RELATIVE_ALT, *params, *place, height_m))
+    return (*items, circle)
 
 
 @dataclass(frozen=True, slots=True)
