@@ -131,7 +131,7 @@ _RANGE_BIAS_SIGMA_M = 3.0  # holds the error of the target's height, too
 _STARTS_S = (0.0, 0.0), (2.0, 2.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0)  # from the last fit, a lesser minimum may hold
 # Large errors are tried where the fit without them is strained. They have to be far better (evidence: difference of
 # -ln likelihood), and larger than those that a target's own motion looks like.
-_STRAINED, _TURNS_M, _EVIDENCE = 1.5, 0.15, 50.0
+_STRAINED, _TURNS_M, _LOOSE_M, _EVIDENCE = 1.5, 0.15, 0.2, 50.0
 _CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
 _CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1  # the same as evidence of its own, where the ends lie on wrong hills
 _DELAYS_MAX_S = 0.95 * MAX_DELAY_S  # a delay at the end of its range fits nothing
@@ -895,6 +895,11 @@ class PayloadFit:
         is_better = evidence > -_EVIDENCE if before is not None else evidence > _EVIDENCE and is_calmer
         if self.on_hills:  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
             is_better |= best.scale_m < _CALM_ON_HILLS_M and best.scale_m < _CALMER_ON_HILLS * sound.scale_m
+        if is_large and is_possible and is_better and before is None and not self.on_hills:
+            # A path that is stiff at first may miss a calm one; a path that bends much circles with the aircraft.
+            loose = self._solve(readings, self._sigmas, np.zeros(SHARED), _LOOSE_M)
+            if loose.scale_m < _CALM_M and loose.cost - best.cost <= _EVIDENCE:
+                is_better, sound = False, min(sound, loose, key=_cost)
         if is_large and is_possible and is_better:
             self._erring, self._factor = best, factor
             return best
