@@ -180,8 +180,7 @@ class ArduPlaneNavigator:
         return "Passed" if self._behind_goal() else None, lateral_m_s2
 
     def fly_line(self) -> float:
-        if self._tuned_at != self._parameters.changes:
-            self._tune()
+        self._tune()
         craft, goal = self._craft, self.goal
         start_m = self._origin.ground_m if self._on_track else (craft.east_m, craft.north_m)
         return self.guidance.towards_line(craft, start_m, goal.ground_m, NAVIGATION_PERIOD_S)
@@ -193,8 +192,7 @@ class ArduPlaneNavigator:
         approaches = by_line and self._on_track and loiter.reached_s is None
         if approaches and goal.distance_m(craft) > _LINE_RADII * radius_m:
             return self.fly_line()
-        if self._tuned_at != self._parameters.changes:
-            self._tune()
+        self._tune()
         lateral_m_s2 = guidance.towards_circle(craft, goal.ground_m, radius_m, loiter.clockwise)
         if loiter.reached_s is None and (guidance.on_circle or self._behind_goal()):
             loiter.reached_s = now_s
@@ -207,6 +205,8 @@ class ArduPlaneNavigator:
         return lateral_m_s2
 
     def _tune(self) -> None:
+        if self._tuned_at == self._parameters.changes:
+            return
         self._tuned_at = self._parameters.changes
         self.guidance.period_s = self._parameters.within("NAVL1_PERIOD", 1.0, 60.0)
         self.guidance.damping = self._parameters.within("NAVL1_DAMPING", 0.1, 2.0)
@@ -321,14 +321,12 @@ class ArduPlaneMission(Store):
         return next((item for item in self._items[self.index + 1 :] if item.command in NAVIGATION), None)
 
     def _start_from(self, index: int) -> None:
-        while index < len(self._items):
-            item = self._items[index]
+        for number, item in enumerate(self._items[index:], index):
             if item.command in NAVIGATION:
-                self.index, self.item = index, item
-                self._on_start(index, item)
+                self.index, self.item = number, item
+            self._on_start(number, item)
+            if item.command in NAVIGATION:
                 return
-            self._on_start(index, item)
-            index += 1
         self.state, self.item = MissionState.COMPLETE, None
 
 
@@ -602,15 +600,7 @@ class ArduPlaneMode(IntEnum):
     GUIDED = 15
 
 
-SELF_FLYING = (
-    ArduPlaneMode.AUTO,
-    ArduPlaneMode.RTL,
-    ArduPlaneMode.LOITER,
-    ArduPlaneMode.TAKEOFF,
-    ArduPlaneMode.GUIDED,
-)
-
-
+SELF_FLYING = set(ArduPlaneMode) - {ArduPlaneMode.MANUAL, ArduPlaneMode.FBWA, ArduPlaneMode.CRUISE}
 # The stock simulator's airframe turns less than its bank would in a coordinated turn. With L1, which has no
 # integral on circles, that is why it flies 116 m for 100, 69 for 50 and 167 for 150 at 22 m/s.
 BUILD = AirframeParameters(turn_efficiency=0.78)
