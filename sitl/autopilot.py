@@ -129,12 +129,10 @@ class Telemetry:
     def gps_raw_int(self) -> Any:
         craft, altitude_mm = self._craft, round(self.altitude_m(self._craft.height_m) * 1000.0)
         place = *self.place_e7(craft.east_m, craft.north_m), altitude_mm
-        speed_cm_s = round(craft.ground_speed_m_s * 100.0)
         course_cdeg = round(math.degrees(craft.course_rad) * 100.0) % 36000
-        moves = *self.gps_dilution, speed_cm_s, course_cdeg, 10
-        return mavlink.MAVLink_gps_raw_int_message(
-            self._vehicle.boot_us, self.gps_fix, *place, *moves, altitude_mm, *self.gps_accuracy_mm
-        )
+        motion, satellites = (round(craft.ground_speed_m_s * 100.0), course_cdeg), 10
+        fix = self.gps_fix, *place, *self.gps_dilution, *motion, satellites
+        return mavlink.MAVLink_gps_raw_int_message(self._vehicle.boot_us, *fix, altitude_mm, *self.gps_accuracy_mm)
 
     def home_position(self) -> Any:
         vehicle, zeros = self._vehicle, (0.0,) * 3

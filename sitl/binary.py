@@ -33,15 +33,14 @@ _HEADING_DEG = 353
 _ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
 _PX4_SIGNED_PAYLOAD_UDP = 14640
 _OUTPUT, _LAST_WORDS = "output.log", 400
-# The stock batteries are half empty after a minute (PX4), or empty after a quarter of an hour. ArduPlane's simulated
-# aeroplane draws about this current at its stock airspeed.
+# ArduPlane's simulated aeroplane draws about this current at its stock airspeed.
 _ARDUPLANE_A = 10.0
 # PX4's start script runs the first file of this name in PATH, and has an empty one of its own.
 _PX4_PARAMETERS_FILE = "px4-rc.params"
 # Before 1.16 the stock simulated aeroplane does not fly: its surfaces and its motor are on outputs that the simulator
 # does not read, and aileron and elevator have the wrong sign. With its stock 6 N it then lifts off only now and then.
 _PX4_AEROPLANE_AS_IN_1_16 = {
-    **{f"PWM_MAIN_FUNC{number}": f for number, f in enumerate(("201", "202", "203", "101", "0", "0"), 1)},
+    **{f"PWM_MAIN_FUNC{output}": what for output, what in enumerate(("201", "202", "203", "101", "0", "0"), 1)},
     **{"CA_SV_CS0_TRQ_R": "1", "CA_SV_CS1_TRQ_P": "-1", "CA_ROTOR0_PX": "0.3"},
     **{"EKF2_GPS_DELAY": "0", "SIH_T_MAX": "8"},
 }

@@ -221,7 +221,7 @@ def _fly(
         return
     simulations = [Simulation(one) for one in each]
     _write_truth(stack, simulations, each)
-    words = [f"ready system {o.system_id} component 1 {o.flavour} -> {', '.join(o.stations)}" for o in each]
+    words = [f"ready system {own.system_id} component 1 {own.flavour} -> {', '.join(own.stations)}" for own in each]
     serve(
         list(zip(simulations, addresses, strict=True)),
         speed=wanted.speed,

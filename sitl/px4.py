@@ -425,8 +425,8 @@ class Px4Telemetry(Telemetry):
 
     def wind_cov(self) -> Any:
         wind, altitude_m = self._craft.wind, self.altitude_m(self._craft.height_m)
-        moves = wind.north_m_s, wind.east_m_s, 0.0, 1.0, 0.0
-        return mavlink.MAVLink_wind_cov_message(self._vehicle.boot_us, *moves, altitude_m, 0.0, 0.0)
+        mean_and_variance = wind.north_m_s, wind.east_m_s, 0.0, 1.0, 0.0
+        return mavlink.MAVLink_wind_cov_message(self._vehicle.boot_us, *mean_and_variance, altitude_m, 0.0, 0.0)
 
     def estimator_status(self) -> Any:
         flags = 831 if self._vehicle.ready else 167  # position known absolutely, or only attitude
