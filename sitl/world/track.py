@@ -80,9 +80,8 @@ class TrackMotion:
         return _interpolate(time_s, self._track.time_s, self._arc_m)
 
     def _position_m(self, arc_m: float) -> tuple[float, float]:
-        east_m, north_m = (
-            _interpolate(arc_m, self._arc_m, axis_m) for axis_m in (self._track.east_m, self._track.north_m)
-        )
+        axes_m = self._track.east_m, self._track.north_m
+        east_m, north_m = (_interpolate(arc_m, self._arc_m, axis_m) for axis_m in axes_m)
         return east_m, north_m
 
 
