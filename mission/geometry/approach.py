@@ -40,18 +40,26 @@ def approach(aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft
     target is taken to move on at its present velocity until the aircraft arrives.
     """
     arrival_s = 0.0
-    plan = _plan_to(aircraft, target, airframe, requirement, arrival_s)
-    for _ in range(2):  # where the target will be depends on how long the way is
-        assert plan.transition is not None
-        arrival_s = plan.transition.length_m / airframe.airspeed_m_s
+    for _ in range(3):  # where the target will be depends on how long the way is
         plan = _plan_to(aircraft, target, airframe, requirement, arrival_s)
+        arrival_s = plan.transition_m / airframe.airspeed_m_s
     return plan
 
 
 def _plan_to(
     aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft, requirement: Requirement, arrival_s: float
 ) -> Plan:
-    circle = _circle_next_to(aircraft, target, airframe, requirement, arrival_s)
+    east_m = target.east_m + target.velocity_east_m_s * arrival_s
+    north_m = target.north_m + target.velocity_north_m_s * arrival_s
+    if target.speed_m_s >= _MIN_SPEED_FOR_COURSE_M_S:
+        side_rad = target.course_rad + requirement.side.normal_turn_rad
+    else:
+        side_rad = math.atan2(aircraft.east_m - east_m, aircraft.north_m - north_m)
+    middle_m = 0.5 * (requirement.range_min_m + requirement.range_max_m)
+    stand_off_m = max(middle_m, requirement.range_min_m + airframe.radius_m)
+    (circle,) = _circles_about(
+        (east_m, north_m), [stand_off_m], [side_rad], airframe.radius_m, requirement.side.clockwise
+    )
 
     def rank(path: Path) -> tuple[float, float]:
         nearest_m = least_range_m(path, target, airframe.airspeed_m_s)
@@ -66,23 +74,13 @@ def _plan_to(
     return Plan(circle, path, aircraft.time_s)
 
 
-def _circle_next_to(
-    aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft, requirement: Requirement, arrival_s: float
-) -> Circle:
-    target_east_m = target.east_m + target.velocity_east_m_s * arrival_s
-    target_north_m = target.north_m + target.velocity_north_m_s * arrival_s
-    if target.speed_m_s >= _MIN_SPEED_FOR_COURSE_M_S:
-        side_rad = target.course_rad + requirement.side.normal_turn_rad
-    else:
-        side_rad = math.atan2(aircraft.east_m - target_east_m, aircraft.north_m - target_north_m)
-    middle_m = 0.5 * (requirement.range_min_m + requirement.range_max_m)
-    stand_off_m = max(middle_m, requirement.range_min_m + airframe.radius_m)
-    return Circle(
-        target_east_m + stand_off_m * math.sin(side_rad),
-        target_north_m + stand_off_m * math.cos(side_rad),
-        airframe.radius_m,
-        requirement.side.clockwise,
-    )
+def _circles_about(
+    middle_m: tuple[float, float], rings_m: list[float], bearings_rad: list[float], radius_m: float, clockwise: bool
+) -> list[Circle]:
+    """Return circles with their centres on rings about a place (east, north)."""
+    places = [(ring_m, bearing_rad) for ring_m in rings_m for bearing_rad in bearings_rad]
+    east_m, north_m = middle_m
+    return [Circle(east_m + r * math.sin(b), north_m + r * math.cos(b), radius_m, clockwise) for r, b in places]
 
 
 def least_range_m(path: Path, target: TargetEstimate, airspeed_m_s: float) -> float:
@@ -229,12 +227,10 @@ def retreats(
     farthest_m = keep_m + reach.radius_m + radius_m + reach.speed_m_s * HOLD_S
     # The disk grows on the way, which leads at most half round it.
     farthest_m /= max(1.0 - math.pi * reach.speed_m_s / airspeed_m_s, 0.5)
-    plans: list[Plan] = []
-    for ring_m in (share * farthest_m for share in _RINGS):
-        for bearing_rad in np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False).tolist():
-            east_m = reach.east_m + ring_m * math.sin(bearing_rad)
-            north_m = reach.north_m + ring_m * math.cos(bearing_rad)
-            plans += paths_to(Circle(east_m, north_m, radius_m, clockwise), start, airframe)
+    bearings_rad = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False).tolist()
+    rings_m, middle_m = [share * farthest_m for share in _RINGS], (reach.east_m, reach.north_m)
+    circles = _circles_about(middle_m, rings_m, bearings_rad, radius_m, clockwise)
+    plans = [plan for circle in circles for plan in paths_to(circle, start, airframe)]
 
     def rank(plan: Plan) -> tuple[float, float, float]:
         clear_m = min(one.clearance_m(plan, airspeed_m_s) for one in (reach, *others))
@@ -286,15 +282,6 @@ def escapes(
         return off_side, math.hypot(circle.east_m - present.east_m, circle.north_m - present.north_m)
 
     bearings_rad = np.arange(_ESCAPE_BEARINGS) * 2.0 * math.pi / _ESCAPE_BEARINGS
-    circles = [
-        Circle(
-            middle_m[0] + ring_m * math.sin(bearing_rad),
-            middle_m[1] + ring_m * math.cos(bearing_rad),
-            radius_m,
-            clockwise,
-        )
-        for ring_m in rings_m.tolist()
-        for bearing_rad in bearings_rad.tolist()
-    ]
+    circles = _circles_about(middle_m, rings_m.tolist(), bearings_rad.tolist(), radius_m, clockwise)
     for circle in sorted(circles, key=rank):
         yield from paths_to(circle, start, airframe)
