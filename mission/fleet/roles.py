@@ -77,29 +77,23 @@ class RoleAssignment:
         if not candidates:
             self.holder = None
             return {}
-        costs = {name: one.costs for name, one in candidates.items()}
-        self._hand_over(time_s, costs, candidates, course_known=course_known)
-        others = sorted((name for name in costs if name != self.holder), key=lambda name: -costs[name].regret_s)
-        opposite = len(costs) // 2
+        regret_s = {name: one.costs.regret_s for name, one in candidates.items()}
+        self._hand_over(time_s, regret_s, candidates, course_known)
+        others = sorted((name for name in regret_s if name != self.holder), key=lambda name: -regret_s[name])
+        opposite = len(candidates) // 2
         roles = {name: Role.OPPOSITE if k < opposite else Role.WANTED for k, name in enumerate(others)}
         if self.holder is not None:
             roles[self.holder] = Role.WANTED
         return roles
 
     def _hand_over(
-        self,
-        time_s: float,
-        costs: Mapping[str, RoleCosts],
-        candidates: Mapping[str, Candidate],
-        *,
-        course_known: bool,
+        self, time_s: float, regret_s: dict[str, float], candidates: Mapping[str, Candidate], course_known: bool
     ) -> None:
-        best = min(costs, key=lambda name: (costs[name].regret_s, name))
+        best = min(regret_s, key=lambda name: (regret_s[name], name))
         held = candidates.get(self.holder) if self.holder is not None else None
         if held is None or not math.isfinite(held.costs.regret_s):
             self._hand_to(best, time_s)
             return
-        held_s = held.costs.regret_s
         since_s = time_s - self._handed_s
         if since_s >= self.settling_s:
             under_way = (name for name in self._waited_for if name in candidates and candidates[name].under_way)
@@ -107,7 +101,7 @@ class RoleAssignment:
         self._better_since_s = {
             name: self._better_since_s.get(name, time_s)
             for name, one in candidates.items()
-            if costs[name].regret_s < held_s - self.gain_s
+            if regret_s[name] < held.costs.regret_s - self.gain_s
             and course_known
             and (one.on_station or not held.on_station)
         }

@@ -100,7 +100,8 @@ class Separation:
             if other.clear_m != (0.0, 0.0):
                 continue
             neighbour = self._plans.get(name) if other.ours else None
-            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_planned(neighbour))})
+            theirs = () if neighbour is None else (neighbour.present, neighbour.coming)
+            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*theirs)})
             if vertical_m >= self.min_m:
                 continue
             flat_m = math.sqrt(self.min_m**2 - vertical_m**2)
@@ -252,10 +253,6 @@ def airspeed_of(state: AircraftState, wind: Wind) -> float:
     east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
     north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
     return math.hypot(east_m_s, north_m_s)
-
-
-def _planned(neighbour: NeighbourPlanned | None) -> tuple[Plan | None, ...]:
-    return () if neighbour is None else (neighbour.present, neighbour.coming)
 
 
 def _heights_of(*plans: Plan | None) -> set[float]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from shapely import LineString, Point, Polygon, contains, distance, get_parts, intersection_all, points, union_all
 
-from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
 
 Outline = Sequence[tuple[float, float]]
@@ -66,7 +65,9 @@ class Fences:
             broken = self._broken_by("the transition", line)
             if broken is not None and not self._leads_back(plan):
                 return broken
-        return self._broken_by("the new circle", _ring(plan.circle))
+        circle = plan.circle
+        disc = Point(circle.east_m, circle.north_m).buffer(circle.radius_m, quad_segs=_QUARTER_CIRCLE_SEGMENTS)
+        return self._broken_by("the new circle", disc.exterior)
 
     def inside_m(self, east_m: Any, north_m: Any) -> Any:
         """Return how far positions are inside the fences, m; negative: outside. Scalars or arrays of one shape."""
@@ -136,11 +137,6 @@ def intersection(
         raise FenceError("the inclusion fences and keep_in have no area in common")
     outlines, holes = [part.exterior for part in parts], [hole for part in parts for hole in part.interiors]
     return [list(ring.coords)[:-1] for ring in outlines], [list(ring.coords)[:-1] for ring in holes]
-
-
-def _ring(circle: Circle) -> Any:
-    disc = Point(circle.east_m, circle.north_m).buffer(circle.radius_m, quad_segs=_QUARTER_CIRCLE_SEGMENTS)
-    return disc.exterior
 
 
 def _polygons(outlines: Sequence[Outline], kind: str) -> dict[str, Any]:
