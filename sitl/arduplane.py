@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
+from sidelong.sitl.autopilot import NAN, AutopilotTelemetry, SimulatedAutopilot
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Station
@@ -469,7 +469,7 @@ DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
 DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
 
-class ArduPlaneTelemetry(Telemetry):
+class ArduPlaneTelemetry(AutopilotTelemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
     gps_dilution = (121, 200)
     gps_accuracy_mm = (300, 300, 0)

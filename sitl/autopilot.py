@@ -30,7 +30,7 @@ from sidelong.sitl.world.turbulence import turbulence
 NAN = math.nan
 
 
-class Telemetry:
+class AutopilotTelemetry:
     """Builds messages by the method of their name, in lower case: one, several, or None if there is no data."""
 
     gps_fix: ClassVar[int]
@@ -230,7 +230,7 @@ class SimulatedAutopilot(ABC):
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._on_reboot,
         }
 
-    def attach(self, mission: Store, telemetry: Telemetry) -> None:
+    def attach(self, mission: Store, telemetry: AutopilotTelemetry) -> None:
         """Take what the flavour has made; fence and rally points are stored as a whole."""
         self._builder_of = telemetry.builder
         fence, rally = Store(mission.with_checksum), Store(mission.with_checksum)

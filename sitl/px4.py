@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.autopilot import NAN, SimulatedAutopilot, Telemetry
+from sidelong.sitl.autopilot import NAN, AutopilotTelemetry, SimulatedAutopilot
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.parameters import INT32, REAL32, Parameters
 from sidelong.sitl.protocol.radio import Extended, Station
@@ -363,7 +363,7 @@ DEFAULT_INTERVAL_S = {
 }
 
 
-class Px4Telemetry(Telemetry):
+class Px4Telemetry(AutopilotTelemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
     gps_dilution = (70, 110)
     gps_accuracy_mm = (900, 1780, 400)
