@@ -28,9 +28,7 @@ class Relay:
     """
 
     def __init__(self, vehicle_url: str, faults: LinkFaults = GOOD, seed: int = 1) -> None:
-        scheme, _, address = vehicle_url.partition("://")
-        host, _, port = address.rpartition(":")
-        self._is_stream, self._there = scheme.startswith("tcp"), (host, int(port))
+        self.meet(vehicle_url)
         self._vehicle_address: tuple[str, int] | None = None
         self.cut = False
         self.spoil(faults, seed)
@@ -40,6 +38,12 @@ class Relay:
         self._application.connect(ours)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def meet(self, vehicle_url: str) -> None:
+        """Join a vehicle at another URL: one that starts after the application."""
+        scheme, _, address = vehicle_url.partition("://")
+        host, _, port = address.rpartition(":")
+        self._is_stream, self._there = scheme.startswith("tcp"), (host, int(port))
 
     def __enter__(self) -> Self:
         if self._is_stream:

@@ -2,8 +2,8 @@
 
     SIDELONG_ARDUPLANE=PATH SIDELONG_PX4=PATH RECORDS=FOLDER python -m pytest tests/bench/test_peers.py -s
 
-Each flight begins with sidelong's take-off. Then a station takes the aircraft over and goes on as the peer does, for
-DURATION=840 s, RATE=4 times as fast as the clock; wind, track, aircraft and judge are those of
+A station takes off, or takes over from sidelong if it needs its estimate. Then it flies as the peer does,
+for DURATION=840 s, RATE=4 times as fast as the clock; wind, track, aircraft and judge are those of
 ``tests/bench/test_real_flights.py``. The table has all flights in RECORDS, so that ``-k`` flies a part of them.
 SIDELONG_TARGETS: a folder of other tracks of 16 minutes and more. FOLLOW_SCRIPT: ArduPilot's Lua script; by default
 the one in the source tree of the program, which needs its stock simulator's parameters there as well.
@@ -33,7 +33,7 @@ from sidelong.app.analysis.truth import read_truth
 from sidelong.app.flight.shell import free_udp_port
 from sidelong.estimators.frames import LocalPlane
 from tests.autopilot.changing_relay import ChangingRelay
-from tests.autopilot.conftest import Application
+from tests.autopilot.conftest import PATIENCE_S, Application
 from tests.autopilot.real_vehicle import AIRCRAFT, FLAVOURS, Program, RealVehicle, configured
 from tests.bench import test_real_flights as real
 
@@ -44,7 +44,8 @@ PROGRAMS = {str(one.values[0]): one.values[0] for one in FLAVOURS}
 HEIGHT_M, AROUND_M, ASIDE_M = 100.0, 200.0, 250.0
 SLOW_M_S = 0.5  # an operator reads no course from a slower target
 BEACON_ID = 42
-GUIDED = 15
+GUIDED, TAKEOFF = 15, 13
+READY_TRIES, POSITION_HZ = 400, 10.0
 FOLLOW_PARAMETERS = {
     "SCR_ENABLE": 1,
     "FOLL_ENABLE": 1,
@@ -114,18 +115,49 @@ class Estimate:
 class Station(ChangingRelay):
     """The station that flies the peer. left: the direction of the target's left side, once it has moved."""
 
-    home_altitude_m = 0.0
+    home_altitude_m = height_m = 0.0
     left = (-1.0, 0.0)
 
     def _note(self, message: mavlink.MAVLink_message) -> None:
         super()._note(message)
         if message.get_type() == "GLOBAL_POSITION_INT":
-            self.home_altitude_m = 1e-3 * (message.alt - message.relative_alt)
+            self.height_m = 1e-3 * message.relative_alt
+            self.home_altitude_m = 1e-3 * message.alt - self.height_m
 
     @property
     def now_s(self) -> float:
         """Time on the vehicle's clock."""
         return self.time_boot_ms / 1000.0
+
+    def insist(self, command: int, *params: float) -> None:
+        """Command until it is accepted: the autopilot may not be ready yet."""
+        for _ in range(READY_TRIES):
+            if self.command(command, *params).result == mavlink.MAV_RESULT_ACCEPTED:
+                return
+            time.sleep(0.2)
+        raise AssertionError(f"command {command} was not accepted")
+
+    def take_off(self, flavour: str) -> None:
+        """Take off to the height of the flight, and circle there."""
+        self.insist(
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 1e6 / POSITION_HZ
+        )
+        self.wait_until(lambda: self.time_boot_ms > 0)
+        if flavour == "arduplane":
+            self.set_parameter("TKOFF_ALT", HEIGHT_M)
+            self.insist(mavlink.MAV_CMD_DO_SET_MODE, 1, TAKEOFF, 0)
+        else:
+            altitude_m = self.home_altitude_m + HEIGHT_M
+            self.insist(mavlink.MAV_CMD_NAV_TAKEOFF, math.nan, 0, 0, *3 * (math.nan,), altitude_m)
+        self.insist(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        self.wait_until(lambda: self.height_m > HEIGHT_M - 10.0)
+
+    def wait_until(self, met: Callable[[], bool]) -> None:
+        """Wait for the vehicle."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not met():
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
 
     def circle(self, command: int, latitude_deg: float, longitude_deg: float, *params: float) -> None:
         """Command a circle in the frame that both autopilots accept."""
@@ -246,13 +278,21 @@ def fly(peer: Peer, target: Path, folder: Path) -> tuple[real.Watched, float]:
         program = with_script(program, folder)
     requirement = f"[requirement]\ntarget_speed_max_m_s = {real.TARGET_SPEED_MAX_M_S[peer.flavour]}\n"
     config = configured(folder / "mission.toml", peer.flavour, requirement)
-    estimate, options = Estimate(), real.simulated(peer.flavour, folder / "target.csv", truth)
-    with RealVehicle(program, *options) as vehicle, Station(vehicle.urls[0]) as station, ExitStack() as begun:
-        more = ("--set", f"sharing.follow_target={estimate.url}")
-        flight = begun.enter_context(Application(station.url, folder / "runs", str(config), *more))
-        flight.wait_for(WATCHED)
-        if not peer.by_estimate:
-            flight.end()
+    estimate, station = Estimate(), Station("udpin://127.0.0.1:0")
+    with ExitStack() as begun:
+        if peer.by_estimate:  # first, since the target does not wait for it
+            more = ("--set", f"sharing.follow_target={estimate.url}")
+            flight = begun.enter_context(Application(station.url, folder / "runs", str(config), *more))
+            flight.wait_for("connecting to")
+        vehicle = begun.enter_context(
+            RealVehicle(program, *real.simulated(peer.flavour, folder / "target.csv", truth))
+        )
+        station.meet(vehicle.urls[0])
+        begun.enter_context(station)
+        if peer.by_estimate:
+            flight.wait_for(WATCHED)
+        else:
+            station.take_off(peer.flavour)
         source = estimate if peer.by_estimate else TrueTarget(truth)
         if peer.act is follow:
             station.set_parameter("GFOLL_ENABLE", 1.0)
