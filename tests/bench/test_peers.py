@@ -132,7 +132,8 @@ class Station(ChangingRelay):
     def insist(self, command: int, *params: float) -> None:
         """Command until it is accepted: the autopilot may not be ready yet."""
         for _ in range(READY_TRIES):
-            if self.command(command, *params).result == mavlink.MAV_RESULT_ACCEPTED:
+            answer = self.command(command, *params)
+            if (answer.command, answer.result) == (command, mavlink.MAV_RESULT_ACCEPTED):
                 return
             time.sleep(0.2)
         raise AssertionError(f"command {command} was not accepted")
