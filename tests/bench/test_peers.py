@@ -226,7 +226,7 @@ class Peer:
 PEERS = {
     "follow": Peer("arduplane", "ArduPlane's follow script, offset to the side", follow, 1.0, commands=False),
     "loiter": Peer("arduplane", "ArduPlane, loiter set again each 10 s", loiter, 10.0),
-    "operator": Peer("arduplane", "ArduPlane, loiter beside the target each 30 s", offset, 30.0, by_estimate=True),
+    "operator": Peer("arduplane", "ArduPlane, loiter on the required side each 30 s", offset, 30.0, by_estimate=True),
     "px4-orbit": Peer("px4", "PX4, orbit set again each 10 s", orbit, 10.0),
     "px4-loiter": Peer("px4", "PX4, loiter set again each 10 s", loiter, 10.0),
 }
