@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from types import SimpleNamespace
 
 import cv2
@@ -28,8 +29,12 @@ ESTIMATE = TargetEstimate(BEGIN_S, *TARGET_M, 0.0, 0.0, np.diag([9.0, 4.0, 0.1, 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
     """Return the pictures of the page, the messages of the camera and the recording of two seconds."""
-    record = tmp_path_factory.mktemp("run") / "video.ts"
-    taken, shown = [], []
+    return run(tmp_path_factory.mktemp("run") / "video.ts", PICTURES, 0.0)[:3]
+
+
+def run(record, pictures, lookalikes):
+    """Track for a number of pictures; return also the CPU time that was spent on each one, s."""
+    taken, shown, spent_s = [], [], 0.0
     vehicle = SimpleNamespace(system_id=1, take=taken.append)
     tracker = SimpleNamespace(parent_from_mount=(1.0, 0.0, 0.0, 0.0), estimate=lambda _time_s: ESTIMATE)
     runner = CameraRunner(
@@ -42,9 +47,9 @@ def ran(tmp_path_factory):
         record=record,
         show=lambda picture: shown.append(picture()),
     )
-    scenery = Scenery(np.zeros((60, 2)), lambda _e, _n: 0.0, 3, trees=0.0, lookalikes=0.0)
+    scenery = Scenery(np.zeros((60, 2)), lambda _e, _n: 0.0, 3, trees=0.0, lookalikes=lookalikes)
     sight = from_roll_pitch_yaw(0.0, PITCH_RAD, 0.0)
-    for k in range(PICTURES):
+    for k in range(pictures):
         time_s = BEGIN_S + k / RATE_HZ
         runner._timeline.on_message(time_s, 1000.0 + time_s)
         for reading in (
@@ -56,10 +61,12 @@ def ran(tmp_path_factory):
         if k == 1:
             runner.camera.follow(0.5, 0.5)
         picture = scenery.picture(time_s, CameraPose(HERE_M, 0.0, PITCH_RAD), math.radians(VIEW_DEG), SIZE_PX)
+        begun_s = time.process_time()
         runner._take(picture, 1000.0 + time_s)
+        spent_s += time.process_time() - begun_s
     runner._output.close()
     runner._marks.close()
-    return shown, taken, record
+    return shown, taken, record, spent_s / pictures
 
 
 def test_the_page_gets_object_estimate_and_ellipse_in_the_picture(ran):
