@@ -1,6 +1,6 @@
 """The CPU time that a camera takes: decoding, tracking, recording with metadata, and the page's picture.
 
-``python -m pytest tests/bench/test_camera_cost.py -s``. The CPU time of this process does not depend on what else runs.
+``python -m pytest tests/bench/test_camera_cost.py -s``. CPU time of the process, so that other load does not count.
 """
 
 from __future__ import annotations
