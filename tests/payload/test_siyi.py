@@ -35,7 +35,7 @@ def test_requests_of_the_manual_are_understood_by_the_simulated_gimbal():
     gimbal = SimulatedSiyi(Quirks(), np.random.default_rng(1))
     wanted = b"".join(bytes.fromhex(frame) for *_, frame in SIYI_REQUESTS)
     answers = gimbal.receive(wanted, 0.0, DeviceView(300.0, 0.0, -0.3))
-    assert [one[7] for one in answers] == [0x01, 0x02, 0x0A, 0x0D, 0x15]
+    assert [one[7] for one in answers] == [0x01, 0x02, 0x07, 0x0A, 0x0D, 0x15]
 
 
 def test_captured_replies_are_intact_and_read():
