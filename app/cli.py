@@ -56,7 +56,6 @@ _OTHERWISE = {
     "--fidelity": "every study flies the closed loop; leave it out",
     "--track": "write the name of the track behind that of its file, FILE#NAME",
 }
-_EXTRAS = {"matplotlib": "report", "scipy": "study"}  # a flight needs neither
 
 
 class _Commands(TyperGroup):
@@ -125,15 +124,6 @@ class _Command(TyperCommand):
             text = error.format_message().replace("Value error, ", "").rstrip(".")
             text = text.replace("Input should be a valid number, unable to parse string as a number", _NO_NUMBER)
             raise InputError(f"{text}; see sidelong {self.name} --help.") from error
-
-    def invoke(self, ctx: Any) -> Any:
-        try:
-            return super().invoke(ctx)
-        except ModuleNotFoundError as error:
-            extra = _EXTRAS.get((error.name or "").split(".")[0])
-            if extra is None:
-                raise
-            raise InputError(f"this needs {error.name}; install it with: pip install 'sidelong[{extra}]'.") from error
 
 
 def load_command(name: str) -> Any:

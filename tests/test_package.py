@@ -90,7 +90,7 @@ def test_a_flight_with_a_live_map_starts_with_files_of_our_names_in_its_folder_a
 
 
 @pytest.mark.udp
-def test_a_flight_needs_no_library_of_the_extras(tmp_path):
+def test_a_flight_loads_none_of_the_large_libraries(tmp_path):
     script = (
         "import sys; sys.modules.update(dict.fromkeys(('scipy', 'matplotlib', 'filterpy', 'rasterio'))); "
         "from sidelong.app.__main__ import main; main()"

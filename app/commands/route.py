@@ -21,7 +21,7 @@ from sidelong.app.commands.output import (
     write_json,
     writing,
 )
-from sidelong.app.errors import InputError, missing_package
+from sidelong.app.errors import InputError
 from sidelong.app.records.route_file import RoutePoints, read_route
 from sidelong.app.records.text_file import write_text
 from sidelong.app.report.history import read_flight
@@ -182,10 +182,8 @@ _WRITERS = {".csv": _csv, ".geojson": _geojson, ".gpx": _gpx}
 
 def _draw(found: Route, east_m: np.ndarray, north_m: np.ndarray, file: Path) -> None:
     os.environ.setdefault("MPLCONFIGDIR", str(FOLDER.parent / "matplotlib"))  # the home may be read-only
-    try:
-        from matplotlib.figure import Figure  # noqa: PLC0415  # an extra
-    except ImportError as error:
-        raise missing_package("--png", "matplotlib") from error
+    from matplotlib.figure import Figure  # noqa: PLC0415  # half a second
+
     drawn = Figure(figsize=(7.0, 7.0), layout="constrained")
     axes = drawn.subplots()
     line_m = np.stack([found.east_m, found.north_m], axis=1)

@@ -320,7 +320,7 @@ class Coordination:
         participant.charge.take(now_s, percent)
         charge = round(participant.charge.percent or 0.0)
         if before is None or charge != round(before):
-            self.put(events.BatteryReported(participant.name, now_s, charge / 100.0))
+            self.put(events.ChargeReported(participant.name, now_s, charge / 100.0))
 
     def lost(self, name: str, reason: str) -> None:
         """Take an aircraft out whose flight has ended."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from sidelong.estimators.compiled import is_cached
@@ -71,8 +70,6 @@ class Paper(PlannerKind):
         return infeasible(aircraft, requirement, largest_psi_c_rad(aircraft, requirement))
 
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
-        import_module("scipy.special")  # where it is not installed, refuse before the flight
-
         from sidelong.mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
 
         return lambda aircraft, wanted, _check: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))

@@ -225,6 +225,8 @@ def upgraded(name: str, fields: dict[str, Any], written_format: int) -> tuple[st
     """Return a record's type name and fields as the present format spells them."""
     if name == "Announce" and fields.get("kind") == "swap":  # until late in format 2
         fields = fields | {"kind": "plan"}
+    if name == "BatteryReported" and "remaining" in fields:  # of a fleet, until late in format 2
+        name = "ChargeReported"
     if written_format > OLDEST_FORMAT:
         return name, fields
     return _NAMES_IN_1.get(name, name), _with_units(fields)

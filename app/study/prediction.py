@@ -19,7 +19,7 @@ LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below thes
 
 
 def t_95(freedom: int) -> float:
-    """Return Student's t for a two-sided interval of 95 %: a flight has no scipy.
+    """Return Student's t for a two-sided interval of 95 %: a flight does not load scipy.
 
     With t = sqrt(freedom) tan(angle), its density over the angle is proportional to cos(angle) ** (freedom - 1).
     """

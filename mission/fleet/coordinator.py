@@ -60,7 +60,7 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.fleet.events import (
-    BatteryReported,
+    ChargeReported,
     ClockReported,
     FleetAnnounce,
     FleetCommand,
@@ -432,7 +432,7 @@ class FleetCoordinator:
                 self._sighted(self._vehicles[event.name], event)
             case PayloadReported():
                 self._payload_reported(self._vehicles[event.name], event)
-            case BatteryReported():
+            case ChargeReported():
                 self._vehicles[event.name].remaining = event.remaining
             case VehicleLost():
                 self._lost(self._vehicles[event.name], event.reason, event.yielded)

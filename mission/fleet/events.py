@@ -83,7 +83,7 @@ class PayloadReported:
 
 
 @dataclass(frozen=True, slots=True)
-class BatteryReported:
+class ChargeReported:
     """Remaining share of the charge, 0..1; left_s: remaining flight time, None where unknown."""
 
     name: str
@@ -180,7 +180,7 @@ FleetEvent = (
     | PlansReported
     | SightingReported
     | PayloadReported
-    | BatteryReported
+    | ChargeReported
     | VehicleLost
     | ForeignAircraftReported
     | ReliefRequested

@@ -13,7 +13,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.core.requirement import Requirement, Side
 from sidelong.mission.fleet.events import (
-    BatteryReported,
+    ChargeReported,
     ClockReported,
     ReliefRequested,
     RequirementChanged,
@@ -258,7 +258,7 @@ def test_the_battery_is_reported_when_it_changes(pair):
     coordination, coordinator, *_ = pair
     for percent in (80, 80, 79, -1):
         coordination.message("b", message("SYS_STATUS", battery_remaining=percent))
-    assert coordinator.received == [BatteryReported("b", 500.0, 0.8), BatteryReported("b", 500.0, 0.79)]
+    assert coordinator.received == [ChargeReported("b", 500.0, 0.8), ChargeReported("b", 500.0, 0.79)]
 
 
 def test_heights_are_above_the_common_home_for_the_coordinator_and_above_its_own_for_each(pair, monkeypatch):

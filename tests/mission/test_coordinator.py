@@ -30,7 +30,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.exchange.outbox import ExternalControl
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget, spread_over
 from sidelong.mission.fleet.events import (
-    BatteryReported,
+    ChargeReported,
     ClockReported,
     FleetAnnounce,
     FleetEvent,
@@ -374,14 +374,14 @@ def test_one_that_circles_about_the_target_does_not_take_the_side_from_one_that_
 def test_a_low_battery_gives_up_the_side_and_goes_home_once_another_one_watches():
     fleet = pair()
     fleet.fly(10.0)
-    fleet.put_event(BatteryReported("a", 0.0, 0.25))
+    fleet.put_event(ChargeReported("a", 0.0, 0.25))
     fleet.fly(10.0)
     assert fleet.role("a") is fleet.role("b") is Role.WANTED  # b is still on the other side
     assert fleet.vehicles["a"].core.phase is Phase.WATCHING
     fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", WEST - 30.0, 0.0, 160.0))
     fleet.fly(10.0)
     assert fleet.role("a") is Role.WANTED
-    fleet.put_event(BatteryReported("a", 0.0, 0.25))
+    fleet.put_event(ChargeReported("a", 0.0, 0.25))
     fleet.fly(5.0)
     assert [command.action for command in fleet.vehicles["a"].commands if isinstance(command, End)] == ["return"]
     assert (fleet.role("b"), fleet.vehicles["b"].core.phase) == (Role.WANTED, Phase.WATCHING)
@@ -394,7 +394,7 @@ def test_whoever_is_alone_asks_for_a_reserve_and_leaves_without_one_only_when_it
     alone.fly(5.0)
     assert [announced.name for announced in alone.announced if isinstance(announced, LaunchRequested)] == ["c"]
     assert alone.vehicles["a"].core.phase is Phase.WATCHING
-    alone.put_event(BatteryReported("a", 0.0, 0.1))
+    alone.put_event(ChargeReported("a", 0.0, 0.1))
     alone.fly(2.0)
     assert [command.action for command in alone.vehicles["a"].commands if isinstance(command, End)] == ["return"]
 

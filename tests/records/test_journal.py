@@ -28,7 +28,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.sighting import Fix, Sighting
 from sidelong.mission.core.events import Announce, PlanStatus, UploadPlan
 from sidelong.mission.core.fleet import NeighbourPlanned
-from sidelong.mission.fleet.events import SightingReported, Tell
+from sidelong.mission.fleet.events import ChargeReported, SightingReported, Tell
 
 HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
 
@@ -272,3 +272,12 @@ def test_a_journal_of_the_first_format_is_read_in_todays_words(tmp_path):
 def test_what_format_2_reported_of_plans_at_first_is_read_in_todays_words(tmp_path):
     path = written(tmp_path / "journal.jsonl", [Announce(2.0, "swap", "plan 2 was not taken")])
     assert list(JournalReader(path, (Announce,))) == [Announce(2.0, "plan", "plan 2 was not taken")]
+
+
+def test_the_charge_that_a_fleet_reported_under_an_earlier_name_is_read(tmp_path):
+    charge = ChargeReported("wing", 5.0, 0.4, 300.0)
+    path = written(tmp_path / "journal.jsonl", [charge])
+    text = path.read_bytes().splitlines(keepends=True)
+    body = text[-1].replace(b"ChargeReported", b"BatteryReported").rsplit(b',"crc32"', 1)[0]
+    path.write_bytes(text[0] + body + b',"crc32":"%08x"}\n' % zlib.crc32(body))
+    assert list(JournalReader(path, FLEET_JOURNAL_TYPES)) == [charge]
