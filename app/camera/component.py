@@ -40,6 +40,12 @@ _ACCEPTED, _DENIED, _REJECTED, _UNSUPPORTED = (
 )
 _PERIOD_MIN_S, _PERIOD_DEFAULT_S = 1.0 / 30.0, 0.2
 _ZOOM_MAX, _ZOOM_STEP = 8.0, 1.25
+# How many parameters of a command have to be numbers; NaN means that one is not used.
+_NUMBERS = {
+    mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
+    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2,
+    mavlink.MAV_CMD_SET_CAMERA_ZOOM: 2,
+}
 _UNKNOWN_PLACE = dict.fromkeys(
     ("lat_camera", "lon_camera", "alt_camera", "lat_image", "lon_image", "alt_image"), 2**31 - 1
 )
@@ -134,6 +140,8 @@ class CameraComponent:
     ) -> tuple[int, int | None]:
         """Return the result, and the number of the message to send with it."""
         params = first, second, *_ = [float(fields.get(f"param{number}") or 0.0) for number in range(1, 5)]
+        if not all(map(math.isfinite, params[: _NUMBERS.get(command, 0)])):
+            return _DENIED, None
         match command:
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 return self._requested(round(first))

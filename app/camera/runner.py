@@ -123,10 +123,18 @@ class CameraRunner:
         self._height_m, self._heading_rad = 0.0, math.nan
         self._point_s = self._report_s = -math.inf
         self._state = "idle"
+        self._fault: Exception | None = None
 
     def stepped(self, event: object, _outputs: object) -> None:
         """Take an event of the flight."""
-        self.camera.event(event)
+        self._isolated(self.camera.event, event)
+
+    def _isolated(self, work: Callable[[Any], object], argument: Any) -> None:
+        """Do what the flight or the link calls: an error ends the camera, not them."""
+        try:
+            work(argument)
+        except Exception as error:
+            self._fault = self._fault or error
 
     async def run(self) -> None:
         """Run until cancelled."""
@@ -142,6 +150,8 @@ class CameraRunner:
         try:
             with vehicle.link.serving(vehicle.system_id, CAMERA_COMPONENT) as self._transmit:
                 while not source.ended:
+                    if self._fault is not None:
+                        raise self._fault
                     taken = await asyncio.to_thread(source.next, _WAIT_S)
                     if taken is not None:
                         self._take(*taken)
@@ -166,6 +176,9 @@ class CameraRunner:
             self._height_m = message.fields["relative_alt"] * 1e-3
 
     def _commanded(self, message: Message) -> None:
+        self._isolated(self._answer, message)
+
+    def _answer(self, message: Message) -> None:
         for sent in self._component.command(message, time.monotonic()):
             self._send(sent)
 

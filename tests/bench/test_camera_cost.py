@@ -16,7 +16,7 @@ PICTURES = size(300, 20, "CAMERA_PICTURES")
 
 
 def test_a_camera_leaves_most_of_a_core_to_the_flight(tmp_path):
-    _, _, record, spent_s = run(tmp_path / "video.ts", PICTURES, 1.0)
+    _, _, record, spent_s, _ = run(tmp_path / "video.ts", PICTURES, 1.0)
     begun_s = time.process_time()
     with av.open(str(record)) as container:
         decoded = [frame.to_ndarray(format="bgr24").shape for frame in container.decode(video=0)]

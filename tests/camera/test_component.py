@@ -94,6 +94,20 @@ def test_a_point_outside_the_picture_is_denied(camera, params):
     assert not camera[1].asked
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("command", "params"),
+    [
+        (mavlink.MAV_CMD_REQUEST_MESSAGE, ()),
+        (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (275,)),
+        (mavlink.MAV_CMD_SET_CAMERA_ZOOM, (mavlink.ZOOM_TYPE_STEP,)),
+    ],
+)
+def test_a_number_that_is_none_is_denied(camera, command, params, value):
+    assert ask(camera[0], command, *params, value)[0] == mavlink.MAV_RESULT_DENIED
+    assert camera[0].zoom == 1.0
+
+
 def test_a_point_of_a_zoomed_picture_is_where_it_is_seen(camera):
     component, tracking = camera
     result, answers = ask(component, mavlink.MAV_CMD_SET_CAMERA_ZOOM, mavlink.ZOOM_TYPE_RANGE, 100.0 / 7.0)

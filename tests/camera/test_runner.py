@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -14,6 +17,7 @@ import pytest
 from sidelong.app.camera.runner import CameraRunner, Here
 from sidelong.app.camera.video import VideoReplay
 from sidelong.app.config import CameraSection
+from sidelong.app.link.message import Message
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.rotations import from_roll_pitch_yaw
@@ -66,7 +70,7 @@ def run(record, pictures, lookalikes):
         spent_s += time.process_time() - begun_s
     runner._output.close()
     runner._marks.close()
-    return shown, taken, record, spent_s / pictures
+    return shown, taken, record, spent_s / pictures, runner
 
 
 def test_the_page_gets_object_estimate_and_ellipse_in_the_picture(ran):
@@ -97,3 +101,17 @@ def test_the_recording_is_played_in_step_with_what_was_drawn(ran):
     marks = json.loads(replay.shown(BEGIN_S + 1.0).split(b"\n", 1)[0])
     assert marks["time_s"] == pytest.approx(BEGIN_S + 1.0, abs=1.0 / RATE_HZ)
     assert marks["state"] == "object"
+
+
+def test_an_error_of_the_camera_reaches_neither_the_flight_nor_the_link(tmp_path):
+    runner = run(tmp_path / "video.ts", 1, 0.0)[4]
+    runner.camera.event = runner._component.command = Mock(side_effect=ZeroDivisionError)
+    runner.stepped(None, ())
+    runner._commanded(Message("COMMAND_LONG", 255, 190, {}, 0.0))
+    vehicle = SimpleNamespace(
+        system_id=1, listeners=[], bystanders=[], link=Mock(serving=lambda *_: nullcontext(print))
+    )
+    runner._vehicle = vehicle
+    with pytest.raises(ZeroDivisionError):  # announced by the flight, which goes on
+        asyncio.run(runner.run())
+    assert vehicle.listeners == vehicle.bystanders == []
