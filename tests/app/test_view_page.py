@@ -532,7 +532,7 @@ def test_before_a_flight_the_page_shows_what_is_prepared_and_how_far_it_is(brows
         display.begin(PLANE, lambda _request: None)
         display.note("taking off")
         page.locator("#stage h2", has_text="Taking the aircraft over").wait_for()
-        assert "taking off" in page.locator("#stage-text").inner_text()
+        page.locator("#stage-text", has_text="taking off").wait_for()
         assert page.locator("#phase").inner_text() == "taking over"
         page.close()
 
