@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -308,7 +308,8 @@ class UnseenTarget:
             if now_s - self._lost_s >= _PROBATION_S or self._last is None:
                 self._last = None
                 wander_m = self._tracker.payload.wander_m(now_s)
-                return Reach(estimate.east_m, estimate.north_m, wander_m, estimate.speed_m_s) if wander_m else None
+                here = Reach.seen(estimate, speed_max_m_s)
+                return replace(here, radius_m=here.radius_m + wander_m) if wander_m else None
             since_s, reach = self._last
             return reach.after(now_s - since_s)
         speed_m_s = max(speed_max_m_s, estimate.speed_m_s)
