@@ -181,8 +181,14 @@ class RequirementSection(Section):
         return self
 
     def requirement(self) -> Requirement:
-        of_target = Side.LEFT, self.target_speed_max_m_s, self.threshold
-        plain = Requirement(self.range_min_m, self.range_max_m, *of_target, course_horizon_s=self.course_horizon_s)
+        plain = Requirement(
+            self.range_min_m,
+            self.range_max_m,
+            Side.LEFT,
+            self.target_speed_max_m_s,
+            self.threshold,
+            course_horizon_s=self.course_horizon_s,
+        )
         return watching_from(plain, self.side)
 
 

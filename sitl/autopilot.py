@@ -148,9 +148,17 @@ class AutopilotTelemetry:
         return mavlink.MAVLink_extended_sys_state_message(undefined, self._vehicle.landed_state)
 
     def battery_status(self) -> Any:
-        kind = 0, mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_LIPO
-        cells_mv = [16200] + [65535] * 9
-        return mavlink.MAVLink_battery_status_message(*kind, 32767, cells_mv, 1000, 0, -1, self.battery_percent)
+        return mavlink.MAVLink_battery_status_message(
+            0,
+            mavlink.MAV_BATTERY_FUNCTION_ALL,
+            mavlink.MAV_BATTERY_TYPE_LIPO,
+            32767,
+            [16200] + [65535] * 9,
+            1000,
+            0,
+            -1,
+            self.battery_percent,
+        )
 
     def autopilot_version(self) -> Any:
         capabilities = (

@@ -413,9 +413,16 @@ class Px4Telemetry(AutopilotTelemetry):
         """Return its own downward sensor, and what another component last reported."""
         height_m = self._craft.height_m
         height_cm = round(height_m * 100.0) if height_m < _DOWNWARD_MAX_M else _DOWNWARD_BEYOND_CM
-        kind = mavlink.MAV_DISTANCE_SENSOR_LASER, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0
-        max_cm = round(_DOWNWARD_MAX_M * 100.0)
-        downward = mavlink.MAVLink_distance_sensor_message(self._vehicle.boot_ms, 0, max_cm, height_cm, *kind)
+        downward = mavlink.MAVLink_distance_sensor_message(
+            self._vehicle.boot_ms,
+            0,
+            round(_DOWNWARD_MAX_M * 100.0),
+            height_cm,
+            mavlink.MAV_DISTANCE_SENSOR_LASER,
+            0,
+            mavlink.MAV_SENSOR_ROTATION_PITCH_270,
+            0,
+        )
         relayed, self._vehicle.relayed_range = self._vehicle.relayed_range, None
         return [downward] if relayed is None else [downward, relayed]
 

@@ -190,7 +190,7 @@ class Simulation(Wired):
         self.on_truth(TruthRow(vehicle.now_s, *places, *line, valid, outlier, *ground, name))
 
     def _sight(self, target_m: tuple[float, float, float], clear: bool = True) -> TargetGeometry:
-        """Return the line that the gimbal is on, in gusts beside the target."""
+        """Return the line that the gimbal is on, which in gusts is not quite on the target."""
         craft = self.vehicle.craft
         to_m = target_m[0] - craft.east_m, target_m[1] - craft.north_m, target_m[2] - craft.height_m
         return TargetGeometry.between((0.0, 0.0, 0.0), craft.pointed_m(to_m), clear)

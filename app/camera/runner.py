@@ -224,8 +224,7 @@ class CameraRunner:
             if pictured.edges is not None:
                 edges_px = tuple(edge * side for edge, side in zip(pictured.edges, 2 * (width, height), strict=True))
                 marked = Marked((width, height), edges_px, pictured.tracked.confidence)  # type: ignore[arg-type]
-            own = pictured.position, pictured.attitude, sensor, pictured.estimate, marked
-            klv = metadata.packet(taken_s, *own)
+            klv = metadata.packet(taken_s, pictured.position, pictured.attitude, sensor, pictured.estimate, marked)
         output.put(picture, taken_s, metadata.stamp_us(taken_s), klv)
         if self._marks is not None and not output.is_full:
             self._marks.write(line)

@@ -146,8 +146,10 @@ async def _serve(
         next_status_s = begun_s + _STATUS_EVERY_S
         while duration_s is None or time.monotonic() < begun_s + duration_s:
             await asyncio.sleep(_HEARTBEAT_EVERY_S if duration_s is None else min(_HEARTBEAT_EVERY_S, duration_s))
-            kind = mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-            publish(mavlink.MAVLink_heartbeat_message(*kind).pack(encoder))
+            heartbeat = mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+            )
+            publish(heartbeat.pack(encoder))
             status.clear()
             status.update(payload_values(runner.status()))
             if time.monotonic() >= next_status_s:

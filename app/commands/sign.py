@@ -112,8 +112,10 @@ class KeySetup:
 
     def _answers_unsigned(self, system_id: int) -> bool:
         version = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-        asked = system_id, _AUTOPILOT, dialect.MAV_CMD_REQUEST_MESSAGE, 0, version, *[0] * 6
-        self._send(dialect.MAVLink_command_long_message(*asked), signed=False)
+        request = dialect.MAVLink_command_long_message(
+            system_id, _AUTOPILOT, dialect.MAV_CMD_REQUEST_MESSAGE, 0, version, *[0] * 6
+        )
+        self._send(request, signed=False)
         answer = dialect.MAVLINK_MSG_ID_COMMAND_ACK
         return self._awaited(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
 
@@ -122,8 +124,10 @@ class KeySetup:
             return self._signing.refusal(frame, signing_time(time.time())) is None
 
     def _send(self, message: Any, signed: bool) -> None:
-        kind = dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-        for each in (dialect.MAVLink_heartbeat_message(*kind), message):
+        heartbeat = dialect.MAVLink_heartbeat_message(
+            dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+        )
+        for each in (heartbeat, message):
             data = Frame(each.pack(self._packer)).renumbered(self._packer.seq, signed=signed)
             self._packer.seq = (self._packer.seq + 1) & 0xFF
             if signed:

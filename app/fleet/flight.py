@@ -169,9 +169,19 @@ class FleetFlight:
 def _reported(found: Neighbour, member: bool) -> ForeignAircraftReported:
     """Return the event for the coordinator. member: the aircraft belongs to the fleet."""
     state = found.state
-    place_m, velocity = (state.east_m, state.north_m, found.height_m), (state.course_rad, state.ground_speed_m_s)
-    path = state.curvature_per_m, found.climb_m_s
-    return ForeignAircraftReported(found.name, state.time_s, *place_m, *velocity, member, *path, found.clear_m)
+    return ForeignAircraftReported(
+        identity=found.name,
+        mission_time_s=state.time_s,
+        east_m=state.east_m,
+        north_m=state.north_m,
+        height_m=found.height_m,
+        course_rad=state.course_rad,
+        speed_m_s=state.ground_speed_m_s,
+        member=member,
+        curvature_per_m=state.curvature_per_m,
+        climb_m_s=found.climb_m_s,
+        clear_m=found.clear_m,
+    )
 
 
 def simulated_targets(fleet: FleetFile) -> tuple[list[TargetSettings], list[int]]:

@@ -254,10 +254,19 @@ class Flight:
         observed = _Observed(self._display, alarms, observers, self._collector)
         camera = self._runner = self._camera_runner(plane, home)
         steps = (stepped,) if camera is None else (camera.stepped, stepped)
-        own = self._vehicle, self._telemetry, core, self._recording, observed
-        loop = self._loop = ControlLoop(*own, self._acquired, steps, streams.health_changed)
-        received = loop.put, self._display.note, self._vehicle.listeners
-        beacon = await open_beacon(self._config.sharing, plane, self._now_s, *received)
+        loop = self._loop = ControlLoop(
+            self._vehicle,
+            self._telemetry,
+            core,
+            self._recording,
+            observed,
+            self._acquired,
+            steps,
+            streams.health_changed,
+        )
+        beacon = await open_beacon(
+            self._config.sharing, plane, self._now_s, loop.put, self._display.note, self._vehicle.listeners
+        )
         changes = MissionChanges(self._config, self.controller, self._now_s, loop.put, self._display.say)
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
         tables = WindTables(kind, self.controller, winds, loop.put, self._display.note)
@@ -464,9 +473,12 @@ class Flight:
 
         places, point = self._camera, None if self._payload is None else self._payload.point
         here = Here("sidelong" if places.record is None else places.record.parent.name, plane, home.altitude_m)
-        own = config.camera, self._vehicle, self.controller.tracker, self._target_height_m, self._display.note
         return CameraRunner(
-            *own,
+            config.camera,
+            self._vehicle,
+            self.controller.tracker,
+            self._target_height_m,
+            self._display.note,
             here,
             source=places.simulated,
             point=point,

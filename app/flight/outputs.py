@@ -78,9 +78,15 @@ def outputs(
         else:
             sender = StreamSender(address, tls_of(sharing), sharing.cot_server_name, announce)
         across_deg, down_deg = map(math.degrees, camera.view_rad())
-        own = sharing.cot_own_type, sharing.cot_own_callsign, sharing.cot_team
-        filmed = (across_deg, down_deg), camera.video_uri
-        names = CotNames(sharing.cot_type, sharing.cot_callsign, *own, *filmed)
+        names = CotNames(
+            type=sharing.cot_type,
+            callsign=sharing.cot_callsign,
+            own_type=sharing.cot_own_type,
+            own_callsign=sharing.cot_own_callsign,
+            team=sharing.cot_team,
+            view_deg=(across_deg, down_deg),
+            video=camera.video_uri,
+        )
         yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
     if sharing.follow_target is not None:
         udp = DatagramSender(NetworkAddress.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)

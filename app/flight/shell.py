@@ -503,8 +503,17 @@ class Shell:
         self._life.watch(vehicle)
         turns_payload = self._coordinator is not None and len(self._coordinator.targets[0]) > 1
         film = CameraPlaces(None if self._simulated is None else self._simulated.video_url, craft.folder.video)
-        own = craft.recording, craft.display, self._duration_s, turns_payload, payload, film
-        craft.flight = Flight(session, craft.config, prepared, *own)
+        craft.flight = Flight(
+            session,
+            craft.config,
+            prepared,
+            craft.recording,
+            craft.display,
+            self._duration_s,
+            turns_payload,
+            payload,
+            film,
+        )
         await stack.enter_async_context(link_log(vehicle.link, craft.folder.links, craft.clock_rate, craft.trouble))
 
     async def _prepare(self) -> None:

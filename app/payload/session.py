@@ -181,9 +181,17 @@ class PayloadSession:
             missing.append("no range arrives: the laser is off, or nothing reflects within its reach")
         if self._consistency.fault:
             missing.append(self._consistency.fault)
-        driver, latest = self._driver, (self._range, self._angles)
-        link = range_hz, angles_hz, driver.round_trip_s, driver.damaged
-        return PayloadStatus(driver.identity, *link, *latest, tuple(missing), self._consistency.ratio)
+        return PayloadStatus(
+            identity=self._driver.identity,
+            range_hz=range_hz,
+            angles_hz=angles_hz,
+            round_trip_s=self._driver.round_trip_s,
+            damaged=self._driver.damaged,
+            range=self._range,
+            angles=self._angles,
+            missing=tuple(missing),
+            height_ratio=self._consistency.ratio,
+        )
 
     def _supervise(self, now_s: float) -> None:
         identity = self._driver.identity

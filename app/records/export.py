@@ -266,8 +266,15 @@ def export(flights: Sequence[FlownTrack], wanted: Format, out: Path) -> None:
 
 
 def _plan(flight: FlownTrack, mission: Mission) -> str:
-    vehicle = mission.airspeed_m_s, mission.mav_autopilot, mission.keep_in, mission.keep_out
-    return plan_file(mission.items, flight.plane, flight.home_altitude_m or 0.0, *vehicle)
+    return plan_file(
+        mission.items,
+        flight.plane,
+        flight.home_altitude_m or 0.0,
+        mission.airspeed_m_s,
+        mission.mav_autopilot,
+        mission.keep_in,
+        mission.keep_out,
+    )
 
 
 def _waypoints(flight: FlownTrack, mission: Mission) -> str:

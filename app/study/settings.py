@@ -239,7 +239,7 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
     if wind_m_s > 0.7 * airspeed_m_s:
         raise InputError(
             f"a wind of {wind_m_s:g} m/s is above 0.7 of the airspeed, {0.7 * airspeed_m_s:g} m/s, which is the most "
-            "that is studied; lower simulation.wind_speed_m_s (--wind), or raise aircraft.airspeed_m_s."
+            "that is studied; lower simulation.wind_speed_m_s, or raise aircraft.airspeed_m_s."
         )
     fitted: Overrides = {}
     if "radius_m" not in given.get("aircraft", {}):

@@ -228,18 +228,18 @@ class Server:
         self._guesses = Allowances(burst=10.0, rate_s=0.2)
         self._presses = Allowances(burst=20.0, rate_s=5.0)
         self._files = {one.name: one.read_bytes() for one in (files("sidelong.app.view") / "page").iterdir()}
+        packed = [Middleware(GZipMiddleware, compresslevel=5)]  # pictures and tiles are compressed already
         routes = [
-            Route("/", self._index),
-            Route("/state", self._state),
+            Route("/", self._index, middleware=packed),
+            Route("/state", self._state, middleware=packed),
             Route("/press", self._pressed, methods=["POST"]),
             Route("/map/{zoom:int}/{column:int}/{row:int}", self._tile),
             Route("/map", self._picture),
             Route("/shade", self._picture),
             Route("/picture", self._filmed),
-            Route("/{name}", self._file),
+            Route("/{name}", self._file, middleware=packed),
         ]
-        packed = Middleware(GZipMiddleware, compresslevel=5)
-        self.app = timed(self._guarded(Starlette(routes=routes, middleware=[packed])))
+        self.app = timed(self._guarded(Starlette(routes=routes)))
 
     def publish(self, update: Json) -> None:
         if "shade" in update:

@@ -280,22 +280,52 @@ class StandoffController:
         """Return what an operator sees now."""
         settings, changes, tracker, now_s = self.settings, self.changes, self.tracker, self.time_s
         planning = self.planning
-        target = self.estimate, self._course.made_good_rad, self._course.present_rad
-        plans = self.present, self.coming, self.decision, self._wind
-        counts = changes.moves, changes.uploads, changes.failures, self.latency.expected_s
-        flown = math.nan if self._height_m is None else self._height_m, self._attitude
-        limits = settings.aircraft.radius_m, settings.aircraft.pan_limit_rad, self._height_asked_m
-        payload = self._range_s, self._gimbal_s, self._nis, tracker.sightings, tracker.rejected, tracker.delays
-        ending = settings.give_up_after_s, settings.give_up_action
         traffic = "" if self.encounter is None or self.encounter.share >= 1.0 else str(self.encounter)
-        fleet = planning.target, planning.turn_payload, self._over, planning.too_near(now_s) or traffic
-        age_s = max(self.door.clock.now_s - now_s, self.health.silent_s) if now_s > -math.inf else 0.0
-        moved_m = math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m
-        health = self.health.reports, self._unknown(), age_s, planning.route_progress, changes.stuck(now_s)
-        first = now_s, self.phase, settings.requirement, self.aircraft, *target, *plans, *counts, self._mode
-        later = *flown, *limits, *payload, *ending, self._connected, *fleet, *health, self._home_m, moved_m
-        every = *first, *later, self._object.reason
-        return Present(*every, traffic=self.surroundings.separation.traffic)
+        return Present(
+            time_s=now_s,
+            phase=self.phase,
+            requirement=settings.requirement,
+            aircraft=self.aircraft,
+            estimate=self.estimate,
+            course_rad=self._course.made_good_rad,
+            present_course_rad=self._course.present_rad,
+            plan=self.present,
+            coming=self.coming,
+            decision=self.decision,
+            wind=self._wind,
+            moves=changes.moves,
+            uploads=changes.uploads,
+            upload_failures=changes.failures,
+            latency_s=self.latency.expected_s,
+            mode=self._mode,
+            height_m=math.nan if self._height_m is None else self._height_m,
+            attitude=self._attitude,
+            radius_m=settings.aircraft.radius_m,
+            pan_limit_rad=settings.aircraft.pan_limit_rad,
+            height_asked_m=self._height_asked_m,
+            range_s=self._range_s,
+            gimbal_s=self._gimbal_s,
+            nis=self._nis,
+            sightings=tracker.sightings,
+            rejected=tracker.rejected,
+            delays=tracker.delays,
+            give_up_after_s=settings.give_up_after_s,
+            give_up_action=settings.give_up_action,
+            connected=self._connected,
+            target=planning.target,
+            turn_payload=planning.turn_payload,
+            over=self._over,
+            separation=planning.too_near(now_s) or traffic,
+            health=self.health.reports,
+            unknown=self._unknown(),
+            position_age_s=max(self.door.clock.now_s - now_s, self.health.silent_s) if now_s > -math.inf else 0.0,
+            route=planning.route_progress,
+            orders=changes.stuck(now_s),
+            home_m=self._home_m,
+            home_moved_m=(math.dist(self._home_m or (), self._first_home_m or ()), self.door.home_m),
+            other_object=self._object.reason,
+            traffic=self.surroundings.separation.traffic,
+        )
 
     def _unknown(self) -> str:
         unseen_s = math.inf if self.estimate is None else self.time_s - self.estimate.last_sighting_s
