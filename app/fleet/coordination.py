@@ -343,7 +343,7 @@ class Coordination:
         for command in self.coordinator.step(event):
             self._journal.write(command)
             match command:
-                case events.Tell():
+                case events.VehicleEvent():
                     advised = self._participants[command.name]
                     advised.put_event(_raised(command.event, -advised.home_above_m))
                 case events.FleetAnnounce():

@@ -47,6 +47,8 @@ _NAMES_IN_1 = {
     "SwapReported": "PlanStatus",
     "Decided": "DecisionRecord",
 }
+# Types of a fleet, until late in format 2. A flight has a BatteryReported of its own.
+_EARLIER_NAMES = {"BatteryReported": "ChargeReported", "Tell": "VehicleEvent"}
 _UNIT_IN_1 = re.compile(r"_1_(m2|m|s)$")
 
 
@@ -139,7 +141,8 @@ class JournalReader:
 
     def __init__(self, path: Path, types: Collection[type], progress: Progress = unseen) -> None:
         self.path, self._progress = path, progress
-        self._types = {kind.__name__: kind for kind in (Header, *types)}
+        present = {kind.__name__: kind for kind in (Header, *types)}
+        self._types = {old: present[new] for old, new in _EARLIER_NAMES.items() if new in present} | present
         self.damaged_lines = 0
         first = next(self._records(_record), None)
         if first is None or first[0] != Header.__name__:
@@ -225,8 +228,6 @@ def upgraded(name: str, fields: dict[str, Any], written_format: int) -> tuple[st
     """Return a record's type name and fields as the present format spells them."""
     if name == "Announce" and fields.get("kind") == "swap":  # until late in format 2
         fields = fields | {"kind": "plan"}
-    if name == "BatteryReported" and "remaining" in fields:  # of a fleet, until late in format 2
-        name = "ChargeReported"
     if written_format > OLDEST_FORMAT:
         return name, fields
     return _NAMES_IN_1.get(name, name), _with_units(fields)

@@ -38,7 +38,7 @@ from sidelong.mission.core.plan import AircraftState, PlanCheck
 from sidelong.mission.core.requirement import Aircraft, Requirement
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from sidelong.mission.fleet.events import ClockReported, FleetEvent, TargetRouteGiven, Tell, Tick, VehicleLost
+from sidelong.mission.fleet.events import ClockReported, FleetEvent, TargetRouteGiven, Tick, VehicleEvent, VehicleLost
 from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
@@ -200,7 +200,7 @@ class FleetRun:
 
     def _step(self, event: FleetEvent) -> None:
         for command in self._coordinator.step(event):
-            if isinstance(command, Tell):
+            if isinstance(command, VehicleEvent):
                 self._by_name[command.name].waiting.append(command.event)
 
 

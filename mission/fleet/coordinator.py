@@ -10,7 +10,8 @@ How it is used
 --------------
 After each step of a vehicle's core, in the order of the steps, its
 :class:`sidelong.mission.fleet.reports.FleetReporter` returns events. ``step`` takes each of them, and a ``Tick`` at
-least once a second. A ``Tell`` among the commands that it returns is put into the named vehicle's queue and journal.
+least once a second. A ``VehicleEvent`` among the commands that it returns is put into the named vehicle's queue and
+journal.
 
 Events are :data:`sidelong.mission.fleet.events.FleetEvent`; a ``ClockReported`` has to come first for each vehicle.
 All positions are in one local plane and all heights above one home: the shell gives all vehicles the same. Pure: the
@@ -75,8 +76,8 @@ from sidelong.mission.fleet.events import (
     SideRequested,
     SightingReported,
     TargetRouteGiven,
-    Tell,
     Tick,
+    VehicleEvent,
     VehicleLost,
     VehicleReported,
 )
@@ -494,7 +495,7 @@ class FleetCoordinator:
         plans, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
         present, coming = shifted_plan(plans.present, by_s), shifted_plan(plans.coming, by_s)
         announced = NeighbourPlanned(self._now_s - listener.clock.offset_s, plans.name, present, coming)
-        self._out.append(Tell(listener.member.name, announced))
+        self._out.append(VehicleEvent(listener.member.name, announced))
 
     def _sighted(self, vehicle: FleetVehicle, event: SightingReported) -> None:
         if not vehicle.clock.known:
@@ -602,7 +603,7 @@ class FleetCoordinator:
         for vehicle in self._vehicles.values():
             if vehicle.report is not None:
                 advice = self._advice_to(vehicle, estimates[vehicle.target], too_near.get(vehicle.member.name, ""))
-                self._out.append(Tell(vehicle.member.name, advice))
+                self._out.append(VehicleEvent(vehicle.member.name, advice))
                 self._give_route(vehicle)
 
     def _advice_to(self, vehicle: FleetVehicle, estimate: TargetEstimate | None, separation: str) -> FleetAdvice:
@@ -643,7 +644,7 @@ class FleetCoordinator:
         if route is not vehicle.route:
             vehicle.route = route
             own = replace(route or _NO_ROUTE, time_s=self._now_s - vehicle.clock.offset_s)
-            self._out.append(Tell(vehicle.member.name, own))
+            self._out.append(VehicleEvent(vehicle.member.name, own))
 
     def _announce_refusals(self) -> None:
         for track in self._tracks.values():

@@ -192,7 +192,7 @@ FleetEvent = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tell:
+class VehicleEvent:
     """Feed ``event`` into the named vehicle's control step, as an event of its own."""
 
     name: str
@@ -226,4 +226,4 @@ class RequirementChanged:
     requirement: Requirement
 
 
-FleetCommand = Tell | LaunchRequested | FleetAnnounce | RequirementChanged
+FleetCommand = VehicleEvent | LaunchRequested | FleetAnnounce | RequirementChanged

@@ -18,8 +18,8 @@ from sidelong.mission.fleet.events import (
     ReliefRequested,
     RequirementChanged,
     SideRequested,
-    Tell,
     Tick,
+    VehicleEvent,
     VehicleLost,
     VehicleReported,
 )
@@ -247,9 +247,9 @@ def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_sil
 def test_what_goes_in_and_comes_out_is_in_the_journal(pair):
     coordination, coordinator, journal, announced, noted, _ = pair
     coordination.message("a", message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
-    coordinator.answers = [answer := Tell("a", NeighbourPlanned(10.0, "b", None, None))]
+    coordinator.answers = [answer := VehicleEvent("a", NeighbourPlanned(10.0, "b", None, None))]
     coordination.lost("b", "its link is lost")
-    assert [type(line) for line in journal.lines] == [ClockReported, VehicleLost, Tell]
+    assert [type(line) for line in journal.lines] == [ClockReported, VehicleLost, VehicleEvent]
     assert announced == {"a": [answer.event], "b": []}
     assert noted == []
 
@@ -268,7 +268,7 @@ def test_heights_are_above_the_common_home_for_the_coordinator_and_above_its_own
     advice = FleetAdvice(
         500.0, "boat", Role.WANTED, Side.LEFT, None, 160.0, (Neighbour("a", STATE, 90.0, True),), "because"
     )
-    coordinator.answers = [Tell("b", advice), Tell("b", NeighbourPlanned(500.0, "a", PLAN, None))]
+    coordinator.answers = [VehicleEvent("b", advice), VehicleEvent("b", NeighbourPlanned(500.0, "a", PLAN, None))]
     coordination.stepped("b")(None, ())
     assert coordinator.received[0].height_m == 120.0
     advised, planned = announced["b"]

@@ -36,8 +36,8 @@ from sidelong.mission.fleet.events import (
     FleetEvent,
     PlansReported,
     SightingReported,
-    Tell,
     Tick,
+    VehicleEvent,
     VehicleReported,
 )
 from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
@@ -183,7 +183,7 @@ def test_decisions_of_four_on_two_targets(settings, table):
         spent_s -= process_time()
         commands = coordinator.step(Tick(k + 0.5))
         for command in commands:
-            if isinstance(command, Tell):
+            if isinstance(command, VehicleEvent):
                 planners[command.name].advise(command.event)
         for name in names:
             estimate = coordinator.estimate(coordinator.roles[name][0])

@@ -19,7 +19,7 @@ import numpy as np
 
 from sidelong.app.fleet.coordination import coordinator_of
 from sidelong.app.fleet.fleet_file import FleetFile, TeamPredictive
-from sidelong.mission.fleet.events import ClockReported, FleetEvent, Tell, Tick
+from sidelong.mission.fleet.events import ClockReported, FleetEvent, Tick, VehicleEvent
 from sidelong.mission.fleet.reports import FleetReporter
 from tests.bench.size import size
 from tests.faults.flight import FLAVOURS, STEP_S, FaultedFlight, Scenario
@@ -249,7 +249,7 @@ def _flight_together(order: tuple[str, float, int]) -> tuple[str, float, list[fl
     """
     name, begin_s, seed = order
     fleet = FleetFile.model_validate({"aircraft": [{"name": "west"}, {"name": "east"}]})
-    coordinator, pending, errors_m, inside = coordinator_of(fleet), deque[Tell](), [], []
+    coordinator, pending, errors_m, inside = coordinator_of(fleet), deque[VehicleEvent](), [], []
     flights = {
         member.name: FaultedFlight(
             Scenario(seed, list(FLAVOURS)[(seed + k) % 2], TOGETHER_S),
@@ -262,7 +262,7 @@ def _flight_together(order: tuple[str, float, int]) -> tuple[str, float, list[fl
     }
 
     def put(event: FleetEvent) -> None:
-        pending.extend(one for one in coordinator.step(event) if isinstance(one, Tell))
+        pending.extend(one for one in coordinator.step(event) if isinstance(one, VehicleEvent))
 
     def stepped(reporter: FleetReporter, flight: FaultedFlight, event: object, outputs: tuple) -> None:
         for news in reporter.after(flight.controller, event, outputs, flight.simulated.time_s):

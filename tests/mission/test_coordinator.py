@@ -42,8 +42,8 @@ from sidelong.mission.fleet.events import (
     SideRequested,
     SightingReported,
     TargetRouteGiven,
-    Tell,
     Tick,
+    VehicleEvent,
     VehicleReported,
 )
 from sidelong.mission.fleet.reports import FleetReporter
@@ -167,7 +167,7 @@ class Fleet:
     def put_event(self, event: FleetEvent) -> None:
         self.journal.append(event)
         for command in self.coordinator.step(event):
-            if isinstance(command, Tell):
+            if isinstance(command, VehicleEvent):
                 if isinstance(command.event, FleetAdvice):
                     self.advice[command.name] = command.event
                 if isinstance(command.event, RouteGiven):
@@ -461,7 +461,7 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
     def fly(from_s: int, until_s: int, unseen: str = "") -> None:
         for k in range(from_s, until_s):
             for command in coordinator.step(Tick(float(k))):
-                if isinstance(command, Tell) and isinstance(command.event, RouteGiven):
+                if isinstance(command, VehicleEvent) and isinstance(command.event, RouteGiven):
                     routes.append((command.name, command.event.east_m == ROUTE.east_m))
             for name, (east_m, north_m) in places.items():
                 state = AircraftState(float(k), east_m, north_m, 0.0, SPEED_M_S, 1.0 / RADIUS_M)

@@ -26,9 +26,9 @@ from sidelong.app.records import journal
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.sighting import Fix, Sighting
-from sidelong.mission.core.events import Announce, PlanStatus, UploadPlan
+from sidelong.mission.core.events import Announce, BatteryReported, PlanStatus, UploadPlan
 from sidelong.mission.core.fleet import NeighbourPlanned
-from sidelong.mission.fleet.events import ChargeReported, SightingReported, Tell
+from sidelong.mission.fleet.events import ChargeReported, SightingReported, VehicleEvent
 
 HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
 
@@ -134,7 +134,7 @@ SIGHTED = Sighting(1.5, 300.0, -0.5, 0.25, 0.75, 0.01, 0.02, -50.0, 20.0, 80.0, 
     [
         SightingReported("wing", SIGHTED),
         SightingReported("wing", Fix(2.5, -10.0, 20.0, 3.0)),
-        Tell("wing", NeighbourPlanned(3.5, "plane", None, None)),
+        VehicleEvent("wing", NeighbourPlanned(3.5, "plane", None, None)),
     ],
     ids=["sighting", "fix", "neighbour"],
 )
@@ -274,10 +274,23 @@ def test_what_format_2_reported_of_plans_at_first_is_read_in_todays_words(tmp_pa
     assert list(JournalReader(path, (Announce,))) == [Announce(2.0, "plan", "plan 2 was not taken")]
 
 
-def test_the_charge_that_a_fleet_reported_under_an_earlier_name_is_read(tmp_path):
-    charge = ChargeReported("wing", 5.0, 0.4, 300.0)
-    path = written(tmp_path / "journal.jsonl", [charge])
-    text = path.read_bytes().splitlines(keepends=True)
-    body = text[-1].replace(b"ChargeReported", b"BatteryReported").rsplit(b',"crc32"', 1)[0]
-    path.write_bytes(text[0] + body + b',"crc32":"%08x"}\n' % zlib.crc32(body))
-    assert list(JournalReader(path, FLEET_JOURNAL_TYPES)) == [charge]
+@pytest.mark.parametrize(
+    ("event", "earlier"),
+    [
+        (ChargeReported("wing", 5.0, 0.4, 300.0), b"BatteryReported"),
+        (VehicleEvent("wing", NeighbourPlanned(3.5, "plane", None, None)), b"Tell"),
+    ],
+    ids=lambda part: type(part).__name__,
+)
+def test_what_a_fleet_recorded_under_an_earlier_name_is_read(tmp_path, event, earlier):
+    path = written(tmp_path / "journal.jsonl", [event])
+    header, line = path.read_bytes().splitlines(keepends=True)
+    body = line.replace(type(event).__name__.encode(), earlier).rsplit(b',"crc32"', 1)[0]
+    path.write_bytes(header + body + b',"crc32":"%08x"}\n' % zlib.crc32(body))
+    (read,) = JournalReader(path, FLEET_JOURNAL_TYPES)
+    assert encode(read) == encode(event)
+
+
+def test_a_flight_s_own_report_of_its_battery_keeps_its_name(tmp_path):
+    report = BatteryReported(5.0, 40.0, 300.0, 60.0)
+    assert list(JournalReader(written(tmp_path / "journal.jsonl", [report]), JOURNAL_TYPES)) == [report]
