@@ -135,6 +135,8 @@ def fences_of(fences: Sequence[Mapping[str, Any]], rally: Sequence[Mapping[str, 
     items = iter(fences)
     for item in items:
         command, size = item["command"], item["param1"]
+        if (command in _CIRCLES or command in _VERTICES) and (size is None or not 0.0 <= size < math.inf):
+            raise LookupError("the vehicle's fence has an item without a size")
         if command in _CIRCLES:
             outlines[_CIRCLES[command]].append(_circle(_corner(item), size, _CIRCLES[command]))
         elif command in _VERTICES:

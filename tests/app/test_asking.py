@@ -16,7 +16,7 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import load_config
 from sidelong.app.flight.streams import ask_for_streams, is_slow, wants_few
 from sidelong.app.link.message import Message
-from sidelong.app.link.stored import fences_of, mission_of, read_fences, read_mission, read_parameters
+from sidelong.app.link.stored import VehicleFences, fences_of, mission_of, read_fences, read_mission, read_parameters
 from sidelong.app.link.vehicle import LinkError, Vehicle
 from sidelong.estimators.frames import LocalPlane
 from sidelong.sitl.protocol.transfer import Item
@@ -221,6 +221,15 @@ def test_a_fence_that_is_cut_short_is_refused():
     vertex = {"command": mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, "param1": 4.0, "x": 1, "y": 2}
     with pytest.raises(LookupError, match="fewer than its 4 corners"):
         fences_of([vertex] * 3)
+
+
+@pytest.mark.parametrize("size", [None, math.nan, math.inf, -1.0])
+def test_a_fence_without_a_size_is_refused(size):
+    item = {"command": mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, "param1": size, "x": 1, "y": 2}
+    for command in (item["command"], mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION):
+        with pytest.raises(LookupError, match="without a size"):
+            fences_of([item | {"command": command}])
+    assert fences_of([item | {"command": mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT}]) == VehicleFences()
 
 
 def test_mission_that_jumps_back_indefinitely_is_a_lap():

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import TimeoutError as NotYet
+from playwright.sync_api import expect
 from rich.console import Console
 
 from sidelong.app.config import Config
@@ -461,7 +462,7 @@ def test_the_map_is_moved_by_keys(page):
 @pytest.mark.parametrize("alarms", [(), (LOST, SEEN)], ids=["calm", "alarms"])
 def test_everybody_can_read_it(browser, display, scheme, size, alarms):
     with alarmed(display, *alarms), opened(browser, display, size, scheme) as page:
-        assert page.locator("#alarms > div").count() == len(alarms)
+        expect(page.locator("#alarms > div")).to_have_count(len(alarms))
         page.locator("#engineers summary").click()
         page.locator("#more summary").click()
         found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]})
