@@ -7,7 +7,6 @@ from mmap import mmap
 from typing import Any
 
 from fastcrc import crc16
-from pymavlink.dialects.v20 import all as dialect
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.link.framing import Framer
@@ -16,13 +15,13 @@ from sidelong.app.link.message import Message
 _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
-_CRC_EXTRA = {number: definition.crc_extra for number, definition in dialect.mavlink_map.items()}
+_CRC_EXTRA = {number: definition.crc_extra for number, definition in mavlink.mavlink_map.items()}
 _FLAGS_AT, _SEQUENCE_AT = 2, 4
 FRAME_MIN_BYTES = 8  # MAVLink 1, without a payload
 
 
 def message_ids(names: str) -> frozenset[int]:
-    return frozenset(getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in names.split())
+    return frozenset(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in names.split())
 
 
 class Frame:
