@@ -52,6 +52,16 @@ def programs(environment: Mapping[str, str]) -> list[Any]:
 FLAVOURS = programs(os.environ)
 
 
+def arduplane_with(path: Path, script: Path, parameters: str, options: str = "") -> Program:
+    """Write a script that starts ArduPlane with more parameters and options, and return it as a program."""
+    stock = path.resolve().parents[3] / "Tools/autotest/models/plane.parm"
+    more = script.with_suffix(".parm")
+    more.write_text(parameters)
+    script.write_text(f'#!/bin/sh\ncat "{stock}" "{more}" >> own.parm\nexec "{path.resolve()}" "$@" {options}\n')
+    script.chmod(0o755)
+    return Program("arduplane", script, "arduplane")
+
+
 class RealVehicle:
     """A SITL program with payload and target; skips where none is named. Use as ``with``.
 

@@ -17,7 +17,7 @@ import pytest
 from pymavlink import DFReader, mavutil
 from pymavlink.dialects.v20 import all as mavlink
 
-from tests.autopilot.real_vehicle import FLAVOURS, Program, RealVehicle
+from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, arduplane_with
 
 pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(900)]
 
@@ -93,23 +93,17 @@ def connected(request, tmp_path, free_port):
     if given is None or given.path is None:
         pytest.skip("SIDELONG_ARDUPLANE does not name a SITL program")
     mount_type, scheme, _ = DRIVERS[request.param]
-    stock = given.path.resolve().parents[3] / "Tools/autotest/models/plane.parm"
-    mount = tmp_path / "mount.parm"
-    mount.write_text(
+    port = f"{scheme}:127.0.0.1:{free_port()}"
+    parameters = (
         f"MNT1_TYPE {mount_type}\nSERIAL5_PROTOCOL 8\nSERIAL5_BAUD 115\nLOG_DISARMED 1\n"
         "MNT1_YAW_MIN -180\nMNT1_YAW_MAX 180\nMNT1_PITCH_MIN -90\nMNT1_PITCH_MAX 30\n"
     )
-    script = tmp_path / "arduplane"
-    port = f"{scheme}:127.0.0.1:{free_port()}"
-    script.write_text(
-        f'#!/bin/sh\ncat "{stock}" "{mount}" >> own.parm\nexec "{given.path.resolve()}" "$@" --serial5 {port}\n'
-    )
-    script.chmod(0o755)
+    program = arduplane_with(given.path, tmp_path / "arduplane", parameters, f"--serial5 {port}")
     exact = [word for key in EXACT for word in ("--set", f"payload.{key}=0")]
 
     def start(*options):
         device = "--set", f"device={request.param}@{port.partition(':')[2]}"
-        return RealVehicle(Program("arduplane", script, "arduplane"), "--target", "still", *device, *exact, *options)
+        return RealVehicle(program, "--target", "still", *device, *exact, *options)
 
     return request.param, start
 

@@ -8,7 +8,9 @@ there: what a receiver of one point a second adds is no motion. Twenty minutes e
 RATE=4 times as fast as the clock: the programs do not wait for anyone, so the machine has to keep up. A flight is
 judged from a minute after it was taken over, when it has come from home; the target waits for a PX4 to come up. The
 study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft; both are judged
-alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records. If NAME.route.csv (east_m, north_m) stands
+alike. WIND=M_S is another wind for both. GUSTS=M_S is the standard deviation of ArduPlane's turbulence
+(SIM_WIND_TURB); its study then flies in moderate gusts, whose vertical ones have 1.5 m/s. PX4 has none.
+``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records. If NAME.route.csv (east_m, north_m) stands
 next to a track, flight and study know it as the target's route. ``-k eights`` flies next to the first target with a
 gimbal that pans 120 degrees to each side.
 """
@@ -42,7 +44,7 @@ from sidelong.sitl.payload.devices import OVER_TCP
 from sidelong.sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour
 from sidelong.sitl.world.geodesy import HomePlane
 from tests.autopilot.matrix import flight_row, upload_s
-from tests.autopilot.real_vehicle import FLAVOURS, ROOT, Program, RealVehicle, configured
+from tests.autopilot.real_vehicle import FLAVOURS, ROOT, Program, RealVehicle, arduplane_with, configured
 
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
 DURATION_S = float(os.environ.get("DURATION", "1200"))
@@ -55,6 +57,9 @@ TARGETS = [file for file in _FILES if not file.stem.endswith(".route") and file.
 # A cyclist would be out of sight before the simulated PX4, which circles at home until it climbs, has come.
 WAITS_S = {"arduplane": 0.0, "px4": 150.0}
 TARGET_SPEED_MAX_M_S, WIND_M_S = {"arduplane": 9.0, "px4": 7.0}, {"arduplane": 4.0, "px4": 0.0}
+if "WIND" in os.environ:
+    WIND_M_S = dict.fromkeys(WIND_M_S, float(os.environ["WIND"]))
+GUSTS_M_S = float(os.environ.get("GUSTS", "0"))
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,10 @@ def fly(
         at_m = zip(known.east_m + east_m, known.north_m + north_m, strict=True)
         route = np.array([plane.latitude_longitude_deg(*one) for one in at_m])
         np.savetxt(folder / "route.csv", route, "%.8f", ",", header="lat,lon", comments="")
-    run = flown(RealVehicle(flavour, *options), guidance, folder, duration_s, known=known is not None)
+    program = flavour
+    if GUSTS_M_S and flavour == "arduplane" and flavour.path is not None:
+        program = arduplane_with(flavour.path, folder / "arduplane", f"SIM_WIND_TURB {GUSTS_M_S:g}\n")
+    run = flown(RealVehicle(program, *options), guidance, folder, duration_s, known=known is not None)
     truth, records = read_truth(folder / "truth.csv"), JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
     log, changed_s = seen(truth, records, duration_s)
     piece = piece_of(log, target, folder)
@@ -280,6 +288,8 @@ def studied(flavour: str, folder: Path, *, known: bool) -> Watched:
         "--set",
         f"study.noise_draws={DRAWS}",
     ]
+    if GUSTS_M_S and flavour == "arduplane":
+        words += ["--set", "simulation.turbulence=moderate"]
     command = [
         sys.executable,
         "-m",
