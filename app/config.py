@@ -496,8 +496,6 @@ class DisplaySection(Section):
     """Map below the tracks: raster tiles (.mbtiles, .pmtiles), or a picture with map_bounds."""
     map_bounds: tuple[float, float, float, float] | None = Field(None, examples=[[47.3, 8.4, 47.5, 8.6]])
     """Bounds of that picture: south, west, north, east, degrees."""
-    map_url: str | None = Field(None, examples=["http://127.0.0.1:8080/{z}/{x}/{y}.png"])
-    """Instead, the URL template of a tile server, with {z}, {x} and {y}; its tiles are kept for use without it."""
 
     units: Literal["metric", "nautical", "imperial"] = "metric"
     """metric: m, m/s; nautical: feet, nautical miles, knots; imperial: feet, miles, miles per hour."""

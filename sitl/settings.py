@@ -89,8 +89,6 @@ class CameraSettings:
     rate_deg_s: Annotated[float, Field(gt=0.0)] = 60.0  # of the gimbal, like lag_s
     lag_s: Annotated[float, Field(gt=0.0)] = 0.1
     pan_limit_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
-    yaw_bias_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0  # of the reported attitude, like pitch_bias_deg
-    pitch_bias_deg: Annotated[float, Field(ge=-45.0, le=45.0)] = 0.0
     trees: Annotated[float, Field(ge=0.0)] = 1.0
     lookalikes: Annotated[float, Field(ge=0.0)] = 1.0
 

@@ -27,7 +27,7 @@ TrackingState = Literal["idle", "object", "lost"]
 _SIDE_PX = 36  # of the object in the window
 _WINDOW_PX, _SEARCH_MAX_PX = 180, 480
 _HIDDEN_BELOW, _LEARNT_FROM, _ALIKE_FROM = 0.45, 0.75, 0.65  # shares of how much it looks like itself
-_HIDDEN_PICTURES, _UNLIKE_S = 3, 1.5  # it is lost after this many pictures, or so long below _LEARNT_FROM
+_HIDDEN_PICTURES = 3
 _LEARN_EVERY_S = 0.25
 _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
 _CANDIDATES_MAX = 10
@@ -69,14 +69,9 @@ class Tracked:
 
 
 _HUES, _LEARN, _COLOUR_MIN = 24, 0.1, 0.35
-_RARE = 0.01  # share of the object below which a colour is not its own: some pixels of a tree next to it
-_TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 2.0
+_TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 1.5
 _TURNED_DEG = (0.0, -20.0, 20.0)
 _CORRELATION = 0.8  # of an object with itself some seconds before
-
-
-Shares = npt.NDArray[np.float64]
-"""How often each colour is seen, shape (_HUES, _HUES)."""
 
 
 class _Look:
@@ -90,28 +85,28 @@ class _Look:
         self._outside = np.zeros((_HUES, _HUES))
         self._colour = 0.0  # mean share of the object's own colours in its box
         self._templates: deque[Picture] = deque(maxlen=_TEMPLATES)
-        self._unproved: deque[tuple[float, Picture, Shares, Shares]] = deque()
-        self._template_s = -math.inf
+        self._unproved: deque[tuple[float, Picture]] = deque()
 
     def learn(self, window: Picture, x_px: float, y_px: float, size_px: tuple[int, int], time_s: float) -> None:
-        """Take what the object looks like at a place of the window; it counts once the object is seen for longer."""
+        """Take what the object looks like at a place of the window."""
         patch: Picture = cv2.getRectSubPix(window, size_px, (x_px, y_px))  # type: ignore[assignment]
-        width, height = size_px
+        hues, (width, height) = _hues(window), size_px
         left, top = round(x_px - 0.5 * width), round(y_px - 0.5 * height)
         around = np.ones(window.shape[:2], bool)
         around[max(top - 4, 0) : top + height + 4, max(left - 4, 0) : left + width + 4] = False
         inner = _hues(patch)[height // 4 : -height // 4, width // 4 : -width // 4]
-        self._unproved.append((time_s, patch, _shares(inner.reshape(-1, 2)), _shares(_hues(window)[around])))
         first = not self._templates
         rate = 1.0 if first else _LEARN
-        while self._unproved and (first or time_s - self._unproved[0][0] > _PROVED_AFTER_S):
-            seen_s, patch, inside, outside = self._unproved.popleft()
-            self._inside += rate * (inside - self._inside)
-            self._outside += rate * (outside - self._outside)
-            self._colour += rate * (float(self._own_colour(_hues(patch)).mean()) - self._colour)
-            if seen_s - self._template_s > _TEMPLATE_EVERY_S:
-                self._template_s = seen_s
-                self._templates.append(patch)
+        self._inside += rate * (_shares(inner.reshape(-1, 2)) - self._inside)
+        self._outside += rate * (_shares(hues[around]) - self._outside)
+        colour = float(self._own_colour(_hues(patch)).mean())
+        self._colour += rate * (colour - self._colour)
+        if first:
+            self._templates.append(patch)
+        elif not self._unproved or time_s - self._unproved[-1][0] > _TEMPLATE_EVERY_S:
+            self._unproved.append((time_s, patch))
+        while self._unproved and time_s - self._unproved[0][0] > _PROVED_AFTER_S:
+            self._templates.append(self._unproved.popleft()[1])
 
     def forget_lately(self) -> None:
         """Drop what was learnt just now: it may show what hides the object."""
@@ -156,7 +151,7 @@ class _Look:
         return np.where(colour < _HIDDEN_BELOW, colour, both).astype(np.float32)
 
     def _own_colour(self, hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
-        share = self._inside / (self._inside + self._outside + _RARE)
+        share = self._inside / (self._inside + self._outside + 1e-3)
         return share[hues[..., 0], hues[..., 1]]
 
 
@@ -228,7 +223,7 @@ class ObjectTracker:
         self._at_m = (0.0, 0.0)  # where it was last seen
         self._velocity_m_s = (0.0, 0.0)
         self._seen_s = self._learnt_s = self._searched_s = self._surveyed_s = -math.inf
-        self._doubts, self._like_s = 0, -math.inf  # since it looked like itself: pictures, and when
+        self._doubts = 0
         self._candidates: list[_Candidate] = []
         self._watched_m: tuple[float, float] | None = None  # the likeliest candidate
         self._trial: _Trial | None = None
@@ -317,7 +312,7 @@ class ObjectTracker:
             return
         self._tracker = (cv2.TrackerCSRT if self._kind == "csrt" else cv2.TrackerKCF).create()
         self._tracker.init(window.picture, window.middle_box(self._size_m))
-        self._state, self._at_m, self._seen_s, self._like_s, self._doubts = "object", at_m, time_s, time_s, 0
+        self._state, self._at_m, self._seen_s, self._doubts = "object", at_m, time_s, 0
         self._candidates, self._watched_m, self._confidence = [], None, 1.0
         if self._learnt_s == -math.inf:
             self._learn(window, 0.5 * _WINDOW_PX, 0.5 * _WINDOW_PX, time_s)
@@ -333,12 +328,9 @@ class ObjectTracker:
         middle = x + 0.5 * w, y + 0.5 * h
         likeness = self._likeness(window, *middle) if ok else 0.0
         self._confidence += 0.3 * (max(likeness, 0.0) - self._confidence)
-        if self._confidence >= _LEARNT_FROM:
-            self._like_s = time_s
-        is_unlike = time_s - self._like_s > _UNLIKE_S
-        if likeness < _HIDDEN_BELOW or is_unlike:
+        if likeness < _HIDDEN_BELOW:
             self._doubts += 1
-            if self._doubts >= _HIDDEN_PICTURES or is_unlike or not ok:
+            if self._doubts >= _HIDDEN_PICTURES or not ok:
                 self._lose()
             return None
         self._doubts = 0

@@ -82,22 +82,13 @@ def page_address(view: bool, display: DisplaySection, port: int | None = None) -
         raise InputError(f"display.map_file: there is no file {display.map_file}.")
     if not view:
         return None
+    under = None
+    if display.map_file is not None:
+        from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need
+
+        try:
+            under = background(display.map_file, display.map_bounds)
+        except InputError as error:
+            raise InputError(f"display.map_file: {error}") from error
     port = display.port if port is None else port
-    under = _under(display)
     return PageAddress(display.host, port, display.certificate_file, display.key_file, under)
-
-
-def _under(display: DisplaySection) -> Background | None:
-    key = "map_url" if display.map_url is not None else "map_file"
-    if getattr(display, key) is None:
-        return None
-    from sidelong.app.view.background import background, tile_server  # noqa: PLC0415  # SQLite, which few need
-
-    try:
-        if display.map_file is None:
-            return tile_server(str(display.map_url))
-        if display.map_url is not None:
-            raise InputError("display.map_file is a map, too; leave one of them out.")
-        return background(display.map_file, display.map_bounds)
-    except InputError as error:
-        raise InputError(f"display.{key}: {error}") from error

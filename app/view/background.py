@@ -1,31 +1,23 @@
-"""The background map: raster tiles of a file or of a server, each read on request, or one image with its bounds."""
+"""The background map: raster tiles from one file, each read on request, or one image with its bounds."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sqlite3
-import string
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError
-from urllib.parse import urlsplit
-from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_opener
 
 from sidelong.app.errors import InputError, missing_package
 from sidelong.app.link.message import plain
 
 _PICTURE_MAX_BYTES, _TILE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 16 << 20, 24
 _OPEN_WITHIN_S, _TILE_WITHIN_S = 10.0, 0.5
-_ANSWER_WITHIN_S, _RETRY_AFTER_S = 5.0, 10.0  # of a tile server
-_KEPT_MAX_BYTES, _URL_ZOOMS = 1 << 30, (0, 19)
 _STEPS = 10_000  # of SQLite's machine between two looks at the clock: well below a millisecond
 _FORMATS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))
-_URL_SUCH_AS = "such as http://127.0.0.1:8080/{z}/{x}/{y}.png, with {z}, {x} and {y} once each"
 _SUFFIXES = ".mbtiles, .pmtiles, .png, .jpg or .webp"
 
 
@@ -83,77 +75,19 @@ class PmTiles:
         return next((bytes(data) for _, data in self._every()), b"")
 
 
-class _NoRedirect(HTTPRedirectHandler):
-    def redirect_request(self, *_: object, **__: object) -> None:
-        return None
-
-
-class UrlTiles:
-    """Tiles of a server, each requested once and kept in an .mbtiles file: the map remains without the server.
-
-    Requests go to the configured address alone, by no proxy and no redirect. Raises sqlite3.Error, OSError: the file
-    cannot be written.
-    """
-
-    _opener = build_opener(ProxyHandler({}), _NoRedirect)
-
-    def __init__(self, template: str, file: Path) -> None:
-        self._template = template
-        self._retry_s = 0.0  # no request before: the server did not answer
-        self._missing: set[tuple[int, int, int]] = set()  # the server has none
-        self._database = sqlite3.connect(file, isolation_level=None)
-        self._database.execute(f"pragma max_page_count = {_KEPT_MAX_BYTES // 4096}")  # then no more are kept
-        columns = "zoom_level integer, tile_column integer, tile_row integer, tile_data blob"
-        key = "primary key (zoom_level, tile_column, tile_row)"
-        self._database.execute(f"create table if not exists tiles ({columns}, {key})")
-        self.tile = MbTiles(file).tile
-
-    def request(self, zoom: int, column: int, row: int) -> bytes | None:
-        """Request a tile from the server, within seconds; None: it has none, or did not answer. For a thread."""
-        place = zoom, column, row
-        if place in self._missing or time.monotonic() < self._retry_s:
-            return None
-        url = self._template.format(z=zoom, x=column, y=row)
-        try:
-            asked = Request(url, headers={"User-Agent": "sidelong"})
-            with self._opener.open(asked, timeout=_ANSWER_WITHIN_S) as answer:
-                data: bytes = answer.read(_TILE_MAX_BYTES)
-        except HTTPError:
-            data = b""
-        except (OSError, ValueError):  # of the link; a malformed answer
-            self._retry_s = time.monotonic() + _RETRY_AFTER_S
-            return None
-        if media_type(data) is None:
-            self._missing.add(place)
-            return None
-        return data
-
-    def keep(self, zoom: int, column: int, row: int, data: bytes) -> None:
-        """Keep a tile for later. Raises sqlite3.Error: the file is full or cannot be written."""
-        self._database.execute(
-            "insert or replace into tiles values (?, ?, ?, ?)", (zoom, column, (1 << zoom) - 1 - row, data)
-        )
-
-
-Tiles = MbTiles | PmTiles | UrlTiles
-_OPENERS: dict[str, Callable[[Path], MbTiles | PmTiles]] = {".mbtiles": MbTiles, ".pmtiles": PmTiles}
+Tiles = MbTiles | PmTiles
+_OPENERS: dict[str, Callable[[Path], Tiles]] = {".mbtiles": MbTiles, ".pmtiles": PmTiles}
 
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """A map's file. bounds_deg: of a picture, (south, west, north, east); zooms: of tiles, (least, greatest).
-
-    url: template of a tile server, whose tiles are kept in the file.
-    """
+    """A map's file. bounds_deg: of a picture, (south, west, north, east); zooms: of tiles, (least, greatest)."""
 
     path: Path
     bounds_deg: tuple[float, float, float, float] | None = None
     zooms: tuple[int, int] | None = None
-    url: str | None = None
 
     def opened(self) -> Tiles | None:
-        if self.url is not None:
-            return UrlTiles(self.url, self.path)
         return _OPENERS[self.path.suffix.lower()](self.path) if self.zooms is not None else None
 
 
@@ -188,25 +122,6 @@ def background(path: Path, bounds: tuple[float, float, float, float] | None) -> 
     if not 0 <= least <= most <= _ZOOM_MAX:
         raise InputError(f"{path} has zooms from {least} to {most}; 0 to {_ZOOM_MAX} make sense.")
     return Background(path, zooms=tiles.zooms)
-
-
-def tile_server(template: str) -> Background:
-    """Return the map of a tile server, kept in a file of the user's cache folder. Raises InputError."""
-    try:
-        names = sorted(name for _, name, _, _ in string.Formatter().parse(template) if name is not None)
-        address = urlsplit(template)
-    except ValueError as error:
-        raise InputError(f"{template!r} is no URL ({error}); give one {_URL_SUCH_AS}.") from error
-    if names != ["x", "y", "z"] or address.scheme not in ("http", "https") or not address.hostname:
-        raise InputError(f"{template!r} is no URL of raster tiles; give one {_URL_SUCH_AS}.")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "sidelong" / "tiles"
-    path = folder / f"{address.hostname}-{hashlib.sha256(template.encode()).hexdigest()[:8]}.mbtiles"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        UrlTiles(template, path)
-    except (OSError, sqlite3.Error) as error:
-        raise InputError(f"its tiles cannot be kept in {path} ({error}); set XDG_CACHE_HOME.") from error
-    return Background(path, zooms=_URL_ZOOMS, url=template)
 
 
 def _picture(path: Path, bounds: tuple[float, float, float, float] | None) -> Background:

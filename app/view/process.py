@@ -123,7 +123,7 @@ def start_page(
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
     feed = Feed(helper_command("sidelong.app.view.server"), helper_environment())
     options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
-    options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms, "url": under.url}
+    options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
     options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
     options |= {"replay": replay, "fleet": list(fleet), "service": service}
     feed.send(page_line(options))

@@ -11,13 +11,11 @@ This module is imported by the server's process alone and must stay quick to loa
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import ipaddress
 import json
 import re
 import secrets
 import socket
-import sqlite3
 import sys
 import time
 from collections import Counter
@@ -39,7 +37,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sidelong.app.network import Allowances
 from sidelong.app.view.address import LOOPBACK
-from sidelong.app.view.background import Background, UrlTiles, is_tile, media_type, readable_tile
+from sidelong.app.view.background import Background, is_tile, media_type, readable_tile
 from sidelong.app.view.history import FrameHistory, Json
 
 _CONNECTIONS_MAX, _CONNECTIONS_OF_ONE_MAX = 100, 24
@@ -203,7 +201,6 @@ _OF_SERVICE = frozenset({"watch", "release"})  # buttons of a service's page
 
 
 _LINE_MAX_BYTES = 1 << 22
-_TILE_REQUESTS_MAX = 4  # at a time, to a tile server
 
 
 class Server:
@@ -221,7 +218,6 @@ class Server:
         self._access, self._press = access, press
         self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet), service=service)
         self._under, self._tiles = under, under.opened() if under is not None else None
-        self._tile_requests = asyncio.Semaphore(_TILE_REQUESTS_MAX)
         self._shade: Path | None = None
         self._camera: Path | None = None
         self._history = FrameHistory(aircraft=max(len(fleet), 1))
@@ -310,18 +306,8 @@ class Server:
         return Response(self._files[name], media_type=_MEDIA[name.rpartition(".")[2]])
 
     async def _tile(self, request: Request) -> Response:
-        values = request.path_params
-        at: tuple[int, int, int] = values["zoom"], values["column"], values["row"]
-        if self._tiles is None or not is_tile(*at):
-            return _shown(None)
-        data = readable_tile(self._tiles, *at)
-        if data is None and isinstance(self._tiles, UrlTiles):
-            async with self._tile_requests:
-                data = await asyncio.to_thread(self._tiles.request, *at)
-            if data is not None:
-                with contextlib.suppress(sqlite3.Error):  # it is shown all the same
-                    self._tiles.keep(*at, data)
-        return _shown(data)
+        at = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
+        return _shown(readable_tile(self._tiles, *at) if self._tiles is not None and is_tile(*at) else None)
 
     async def _picture(self, request: Request) -> Response:
         under = self._under.path if self._under and not self._tiles else None
@@ -479,8 +465,7 @@ async def _serve() -> None:
     def press(pressed: Json) -> None:
         print(json.dumps(pressed), flush=True)
 
-    layer = options["map"]
-    under = layer and Background(Path(layer["path"]), zooms=layer["zooms"], url=layer["url"])
+    under = options["map"] and Background(Path(options["map"]["path"]), zooms=options["map"]["zooms"])
     access = Access(options["host"], options["operator_token"], options["viewer_token"])
     server = Server(access, press, under, options["replay"], options["fleet"], options["service"])
     configured = uvicorn.Config(

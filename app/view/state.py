@@ -62,7 +62,7 @@ def setting(
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
         "name": name,
-        "display": config.display.model_dump(include={"units", "coordinates", "times"}),
+        "display": config.display.model_dump(),
         "routes": [[_rounded(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()] for route in routes],
         "origin": None if plane is None else _origin(plane),
     }

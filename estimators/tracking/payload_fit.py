@@ -147,17 +147,21 @@ SURE_S = 0.045  # standard deviation of a delay that is known
 _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
 # 4. drifts
 _DRIFT_S, _DRIFT_SPAN_MIN_S, _GROWS_S = 100.0, 40.0, 50.0  # a drift may have begun within the window
-_DRIFT_EVERY_S = 20.0, 10.0  # while nothing drifts, and while something seems to
+_DRIFT_EVERY_S = 15.0, 10.0  # while nothing drifts, and while something seems to
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
 _SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
 _GROWN_YAW, _GROWN_M = math.radians(1.8), 5.0  # a drift is at least this large in its last seconds
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
+_CALM_DRIFT_M = 0.05
 _WORTH = 4.0  # evidence in sight, without which a drift is not fitted
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
-_DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER = 2, 3  # judgements in a row
+_DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER, _UNSEEMING_COUNT = 2, 3, 2  # judgements in a row
+_SEEN_AGAIN = 0.6  # of the evidence, for a yaw that drifted a judgement before
+_LONG_COUNT = 1  # of a range error that lasts, and that no fit of constant errors finds
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
 _WANDER_MIN_M = 10.0  # less is within what the ellipse of the estimate and the band allow for
+_LAST = 5  # readings: the median place of these
 _SECTOR_RAD, _SECTOR_COUNT, _SECTOR_VISITS, _VISIT_S = math.radians(15.0), 5, 2, 5.0
 _SECTOR_OFF, _SECTOR_SIGMA, _SECTOR_EVIDENCE = 0.06, 0.05, 60.0  # shares of the range
 
@@ -288,7 +292,7 @@ class PayloadFit:
         self._agreeing = self._corrected = self._off_ground = self._fits = self._late_count = 0
         self._frame_fault = self._unit_fault = self._drift_fault = ""
         self._drift = self._drift_seen = ""
-        self._drifting = 0
+        self._drifting = self._long = self._unseeming = 0
         self.yaw_error_rad = self._turn_rad = 0.0  # the first one is large, and to be corrected
         self._sound: Fit | None = None
         self._erring: Fit | None = None  # while that explains the readings far better
@@ -298,6 +302,8 @@ class PayloadFit:
         self.is_changed = True
         self._fit_s = self._drift_s = self._wander_s = -math.inf
         self._wander = 0.0, 0.0  # suspected error of the estimate m, and its growth m/s
+        # Time s, place (east, north) m and its standard deviation m, without the drift that is likely.
+        self.place: tuple[float, float, float, float] | None = None
 
     def _expect_another_laser(self) -> None:
         self._range_repeats, self._range_stays = _Repeats(_SAME_RANGE_M), _Repeats(_EXACT_M)
@@ -401,6 +407,7 @@ class PayloadFit:
     def _row(self, now_s: float) -> None:
         if now_s < self._row_s:  # the clock was set back
             self._history.clear()
+            self.place = None
             self._sampled_s = self._judged_s = self._since_s = self._fit_s = self._drift_s = -math.inf
         self._row_s = now_s
         if self._since_s == -math.inf:
@@ -781,13 +788,10 @@ class PayloadFit:
         if frame:
             sights[:, 1:4] = sights[:, 1:4] @ np.array([rotate(self._parent_from_mount, axis) for axis in _AXES])
             attitudes[:, 3] = np.unwrap(attitudes[:, 3])
-        end_s, settings = max(sights[-1, 0], ranges[-1, 0]), self._settings
-        sights, ranges = (
-            np.column_stack((one, np.maximum(one[:, 0] - end_s, -_GROWS_S))) for one in (sights, ranges)
-        )
+        settings = self._settings
         pitch_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad) if self._on_ground else 0.0
         noise = settings.yaw_sigma_rad, settings.range_sigma_m, pitch_rad, self._ground_sigma_m
-        return Readings(positions, attitudes, sights, ranges, frame, noise, delays_s)
+        return _growing(Readings(positions, attitudes, sights, ranges, frame, noise, delays_s), _GROWS_S)
 
     def fit(self, now_s: float) -> None:
         """Fit delays and constant errors to the readings of the last minutes."""
@@ -923,8 +927,8 @@ class PayloadFit:
             self._drift = self._drift_fault = ""
             self.restart()
 
-    def _drift_of(self, readings: Readings) -> tuple[str, str]:
-        """Return what drifts, and the fault in words; both empty if nothing does."""
+    def _drift_fits(self, readings: Readings) -> tuple[Fit, Fit, Fit, Callable[..., Fit]]:
+        """Return the best fits of constant errors, of a yaw and of a range that drifts; and what makes such a fit."""
         sigmas = np.array([_PINNED_S, _PINNED_S, self._sigmas[2], _DRIFTING_SIGMA_M, _PINNED_YAW, _PINNED_RANGE])
         start, known = np.zeros(SHARED), []  # constant errors that are corrected are no drift
         if self._sound is not None and (self._late_count or not self.is_confirmed):
@@ -932,6 +936,7 @@ class PayloadFit:
             start[:2] = self._sound.shared[:2] + self._settings.latencies_s - np.array(self.used_s)
         if self._erring is not None:
             known, sigmas[3] = [2, 3], self._sigmas[3]
+        long = _growing(readings, _DRIFT_S)
 
         def fit(growth: int = 0, given: Readings = readings, sigma: float = 0.0, scale_m: float = 0.0) -> Fit:
             """Return the best fit; growth: which shared number may be large, with this standard deviation."""
@@ -943,18 +948,37 @@ class PayloadFit:
                     heavy[growth - 2], one[growth - 2] = True, self._sigmas[growth - 2]
             return Fit(*fit_readings(given, one, heavy, start, scale_m))
 
-        sound, eased = fit(), 0.5 if self._drift else 1.0
+        sound = fit()
         seems = bool(self._drift_seen or self._drift or self._wander[0])
         by_yaw, by_range = (
-            fit(rate) if seems or _gain_of_freeing(sound, sigmas, rate) > _WORTH else sound for rate in (4, 5)
+            min(fit(rate), fit(rate, long), key=_cost)
+            if seems or _gain_of_freeing(sound, sigmas, rate) > _WORTH
+            else sound
+            for rate in (4, 5)
         )
         if sound.cost - min(by_yaw.cost, by_range.cost) > _SUSPICIOUS:  # it may have ended in a lesser minimum
             sound = min(sound, fit(scale_m=min(by_yaw, by_range, key=_cost).scale_m), key=_cost)
+        by_yaw, by_range = (
+            one if one.cost <= sound.cost else min(one, fit(rate, scale_m=sound.scale_m), key=_cost)
+            for rate, one in ((4, by_yaw), (5, by_range))
+        )
+        return sound, by_yaw, by_range, fit
+
+    def _drift_of(self, readings: Readings) -> tuple[str, str]:
+        """Return what drifts, and the fault in words; both empty if nothing does."""
+        (sound, by_yaw, by_range, fit), eased = self._drift_fits(readings), 0.5 if self._drift else 1.0
+        # Without an error that is there, the target moves more calmly; else it is the target that turned. A range
+        # that drifts has the height as another witness.
+        calm_m = max(sound.scale_m, _CALM_DRIFT_M)
+        if by_yaw.scale_m > calm_m:
+            by_yaw = sound
         looks = np.empty((len(readings.sights), 3))
         look(readings, 0.0, looks)
         looks[:, 0] = np.unwrap(looks[:, 0])
         bearing_rad, down_rad = (np.interp(readings.ranges[:, 0], readings.sights[:, 0], looks[:, k]) for k in (0, 1))
         level_m = readings.ranges[:, 1] * np.cos(down_rad)
+        if by_range.shared[3] > _RANGE_SHARE_MAX * float(np.median(level_m)):
+            by_range = sound
         gain, sector = 0.0, ""
         for whose, inside, middle_rad in _sectors(readings, bearing_rad, sound.off_m):
             marked = np.column_stack((readings.ranges[:, :2], inside * level_m))
@@ -968,9 +992,12 @@ class PayloadFit:
             readings,
             float(np.median(level_m)),
             by_yaw if yaw_gain > _SUSPICIOUS else None,
-            by_range if range_gain > _SUSPICIOUS else None,
+            by_range if range_gain > _SUSPICIOUS and by_range.scale_m <= calm_m else None,
         )
+        best, error = (by_yaw, 2) if yaw_gain > range_gain else (by_range, 3)
+        self.place = self._place(readings, best, error, bearing_rad, level_m) if best is not sound else None
         if sector and gain > max(yaw_gain, range_gain):
+            self.place = None
             return "sector", sector
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
@@ -979,11 +1006,14 @@ class PayloadFit:
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
         span_s = min(float(readings.ranges[-1, 0] - readings.ranges[0, 0]), _GROWS_S)
+        again = min(eased, _SEEN_AGAIN if self._drift_seen == "yaw" else 1.0)
         yaw_grows = abs(by_yaw.shared[4]) * span_s > eased * _GROWN_YAW  # else it is constant, and corrected
+        is_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
+        self._long = self._long + 1 if is_long else 0
         range_grows = abs(by_range.shared[5]) * span_s > eased * _GROWN_M
-        looks_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M and range_grows
+        looks_long = is_long and (range_grows or self._long > _LONG_COUNT)
         is_range = looks_long and pitch_rad / (range_m * pitch_of_range_rad_m) > _SINKS_MIN
-        is_yaw = yaw_gain > eased * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
+        is_yaw = yaw_gain > again * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
         opposite = looks_long and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
         is_pitch = abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range
         for what, is_it, numbers in (
@@ -997,15 +1027,33 @@ class PayloadFit:
 
     def _bound(self, readings: Readings, level_m: float, by_yaw: Fit | None, by_range: Fit | None) -> None:
         """Bound the error of the estimate by the drifts that are likely, though not yet certain."""
+        seems = by_yaw is not None or by_range is not None
+        self._unseeming = 0 if seems else self._unseeming + 1
+        if not seems and self._unseeming < _UNSEEMING_COUNT:
+            return
         self._wander = 0.0, 0.0
         for one, k, metres in ((by_yaw, 2, level_m), (by_range, 3, 1.0)):
             if one is not None:
-                pair = one.information[np.ix_([k, k + 2], [k, k + 2])] / _READINGS_SIGMAS**2
-                pair += np.diag([1e-9, 1e-9])
                 known = 0.0 if self._erring is None else float(self._erring.shared[k])
-                off_m = abs(float(one.shared[k]) - known) + 2.0 * math.sqrt(float(np.linalg.inv(pair)[0, 0]))
+                off_m = abs(float(one.shared[k]) - known) + 2.0 * _sigma_at_end(one, k)
                 self._wander = max(self._wander, (metres * off_m, metres * abs(float(one.shared[k + 2]))))
         self._wander_s = float(readings.ranges[-1, 0])
+
+    @staticmethod
+    def _place(
+        readings: Readings, drift: Fit, error: int, bearing_rad: FloatArray, level_m: FloatArray
+    ) -> tuple[float, float, float, float]:
+        """Return the time of the last readings, and the place that they show without the drift, with its sigma, m."""
+        time_s = readings.ranges[-_LAST:, 0]
+        level_m = level_m[-_LAST:] - drift.shared[3]
+        bearing_rad = bearing_rad[-_LAST:] - math.atan(drift.shared[2])
+        east_m, north_m = (
+            float(np.median(np.interp(time_s, readings.positions[:, 0], readings.positions[:, k]) + level_m * way))
+            for k, way in ((1, np.sin(bearing_rad)), (2, np.cos(bearing_rad)))
+        )
+        metres = float(level_m[-1]) if error == 2 else 1.0
+        noise_m = math.hypot(readings.noise[0] * float(level_m[-1]), readings.noise[1])
+        return float(time_s[-1]), east_m, north_m, math.hypot(metres * _sigma_at_end(drift, error), noise_m)
 
     def wander_m(self, time_s: float) -> float:
         """Return how far the estimate may be off by a drift that is suspected; 0 while the motion shows none, m."""
@@ -1083,6 +1131,22 @@ def _between(log: FloatArray, first_s: float, last_s: float, gaps_s: list[tuple[
     for begin_s, end_s in gaps_s:
         kept &= (time_s < begin_s) | (time_s > end_s)
     return log[kept]
+
+
+def _sigma_at_end(found: Fit, error: int) -> float:
+    """Return the standard deviation of the error of yaw (2) or range (3) that grows."""
+    pair = found.information[np.ix_([error, error + 2], [error, error + 2])] / _READINGS_SIGMAS**2
+    return math.sqrt(float(np.linalg.inv(pair + np.diag([1e-9, 1e-9]))[0, 0]))
+
+
+def _growing(readings: Readings, span_s: float) -> Readings:
+    """Return readings whose errors grow over the last seconds of a span, and not before."""
+    end_s = max(readings.sights[-1, 0], readings.ranges[-1, 0])
+    sights, ranges = (
+        np.column_stack((rows[:, :count], np.maximum(rows[:, 0] - end_s, -span_s)))
+        for rows, count in ((readings.sights, 4), (readings.ranges, 2))
+    )
+    return readings._replace(sights=sights, ranges=ranges)
 
 
 def _scaled(readings: Readings, factor: float) -> Readings:

@@ -115,6 +115,8 @@ _SILENT_S = 2.0
 _NAMED_WITHIN_S = 3.0  # an autopilot states the reason of a failsafe this long after it has changed the mode
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
+_ELSEWHERE = "the target may not be where it is seen"
+_LATE = "the aircraft may not follow that path closely"
 _TOO_FAST = "the payload may follow another object: it moves faster than the target can"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
 _SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
@@ -334,11 +336,6 @@ class StandoffController:
         jumped = _JUMPED if self.health.payload.is_suspect(self.time_s) else ""
         return self.health.unknown or self.door.doubt or self._object.reason or jumped or unseen or self._wanders()
 
-    @property
-    def _doubt_of_place(self) -> str:
-        wanders = self.health.payload.wander_m(self.time_s) > 0.0
-        return "the target may not be where it is seen" if wanders else "the target is not seen"
-
     def _wanders(self) -> str:
         """Return that the payload may have drifted by more than the target is within the band; empty: no."""
         wander_m, aircraft, target = self.health.payload.wander_m(self.time_s), self.aircraft, self.estimate
@@ -452,8 +449,7 @@ class StandoffController:
         reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
         if reach is not None:
             away = self._hold_away(aircraft, present, reach)
-            wanders = self.health.payload.wander_m(self.time_s) > 0.0
-            if away or fault or (target.quality is TrackQuality.GOOD and not wanders):
+            if away or fault or target.quality is TrackQuality.GOOD:
                 return away
         elif self._object.reason:
             # What is seen may be another object: that and the target are kept clear, but for a shadow.
@@ -478,14 +474,19 @@ class StandoffController:
         news = self.planning.route_news()
         announced: tuple[StepOutput, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
-            reason = f"staying: {self._doubt_of_place} and may be too near there"
+            reason = "staying: the target is not seen and may be too near there"
             decision = replace(decision, plan=None, reason=reason)
-        if self._spare_m:
+        wander_m = self.health.payload.wander_m(self.time_s)
+        wanders = wander_m > 0.0
+        if self._spare_m or wanders:
             seen, plan = self._seen(target), decision.plan
+            if not self._spare_m:  # an ordinary move allows for the rest
+                seen = replace(seen, radius_m=wander_m, speed_m_s=0.0)
             if plan is not None and not self._keeps_away(plan, seen, LEAVE_S, self._spare_m):
-                reason = "staying: the aircraft may not follow that path closely"
-                decision = replace(decision, plan=None, reason=reason)
-            if decision.plan is None and (away := self._hold_away(aircraft, present, seen, "the target moves")):
+                why = f"{_ELSEWHERE} and may be too near there" if wanders else _LATE
+                decision = replace(decision, plan=None, reason=f"staying: {why}")
+            why = _ELSEWHERE if wanders else "the target moves"
+            if decision.plan is None and (away := self._hold_away(aircraft, present, seen, why, is_seen=True)):
                 return away
         if decision.plan is not None:
             cleared = self.surroundings.cleared(decision.plan)
@@ -587,7 +588,9 @@ class StandoffController:
     # -- ways out ------------------------------------------------------------------------------------------
 
     def _seen(self, target: TargetEstimate) -> Reach:
-        return Reach.seen(target, self.settings.requirement.target_speed_max_m_s)
+        """Return the disk of a target that is seen, wider by a drift of the payload that is suspected."""
+        seen = Reach.seen(target, self.settings.requirement.target_speed_max_m_s)
+        return replace(seen, radius_m=seen.radius_m + self.health.payload.wander_m(self.time_s))
 
     def _best_way(self, aircraft: AircraftState, present: Plan) -> tuple[Plan | None, float]:
         """Return the way out to take, and how far it keeps from the target; None if none passes the checks.
@@ -676,17 +679,29 @@ class StandoffController:
         return reach.after(self.latency.expected_s).clearance_m(plan, airspeed_m_s, hold_s) >= least_m + spare_m
 
     def _hold_away(
-        self, aircraft: AircraftState, present: Plan, reach: Reach, why: str = "", others: Sequence[Reach] = ()
+        self,
+        aircraft: AircraftState,
+        present: Plan,
+        reach: Reach,
+        why: str = "the target is not seen",
+        others: Sequence[Reach] = (),
+        *,
+        is_seen: bool = False,
     ) -> tuple[StepOutput, ...]:
-        """Return the plan to a circle farther away, if the target may come too near to the present one."""
-        why, reaches = why or self._doubt_of_place, (reach, *others)
+        """Return the plan to another circle, if the target may come too near to the present one.
+
+        It leads away from a target that is unseen, and stays within the band of one that is seen where it can.
+        """
+        reaches = (reach, *others)
         settings, latency_s, plan = self.settings, self.latency.expected_s, None
         airspeed_m_s, keep_m = settings.aircraft.airspeed_m_s, settings.requirement.range_min_m
         flown_m = nearest_arc_m(present, aircraft)
         if flown_m >= present.transition_m:
             present = replace(present, transition=None)
         clear_m = min(one.clearance_m(present, airspeed_m_s, LEAVE_S, flown_m) for one in reaches)
-        if clear_m < keep_m:
+        if clear_m < keep_m and is_seen:
+            plan, _ = self._best_way(aircraft, present)
+        elif clear_m < keep_m:
             start, later = dead_reckoned(aircraft, latency_s), [one.after(latency_s) for one in reaches]
             clockwise = settings.requirement.side.clockwise
             plans = retreats(start, later[0], clockwise, settings.aircraft, keep_m, later[1:])

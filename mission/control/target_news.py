@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -296,10 +296,10 @@ class UnseenTarget:
         self._last: tuple[float, Reach] | None = None  # with the time that it holds for
 
     def reach(self, now_s: float, estimate: TargetEstimate, fault: bool, speed_max_m_s: float) -> Reach | None:
-        """Return where the target can be, None while it is seen and the payload's errors are known.
+        """Return where the target can be, None while it is seen.
 
         A track that begins again may be a wrong one: it counts only some seconds later. With a fault of laser or
-        gimbal their silence is no mere gap.
+        gimbal their silence is no mere gap; where they drift, the place without the drift is used.
         """
         unseen_s = now_s - estimate.last_sighting_s
         if estimate.quality is TrackQuality.LOST:
@@ -307,9 +307,7 @@ class UnseenTarget:
         if unseen_s <= _BLIND_S and not fault:
             if now_s - self._lost_s >= _PROBATION_S or self._last is None:
                 self._last = None
-                wander_m = self._tracker.payload.wander_m(now_s)
-                here = Reach.seen(estimate, speed_max_m_s)
-                return replace(here, radius_m=here.radius_m + wander_m) if wander_m else None
+                return None
             since_s, reach = self._last
             return reach.after(now_s - since_s)
         speed_m_s = max(speed_max_m_s, estimate.speed_m_s)
@@ -321,6 +319,10 @@ class UnseenTarget:
             east_m = estimate.east_m - unseen_s * estimate.velocity_east_m_s
             north_m = estimate.north_m - unseen_s * estimate.velocity_north_m_s
             sigma_m = 0.0
+        place = self._tracker.payload.place if fault else None
+        if place is not None and place[0] > estimate.last_sighting_s:
+            at_s, east_m, north_m, sigma_m = place
+            unseen_s = now_s - at_s
         reach = Reach(east_m, north_m, 2.0 * sigma_m + speed_m_s * unseen_s, speed_m_s)
         self._last = now_s, reach
         return reach

@@ -100,8 +100,7 @@ class GimbalCamera:
 
     def attitude(self, boot_ms: int) -> Any:
         """Return GIMBAL_DEVICE_ATTITUDE_STATUS, relative to north and the horizon."""
-        yaw_rad = self.yaw_rad + self._error_rad[0] + math.radians(self.settings.yaw_bias_deg)
-        pitch_rad = self.pitch_rad + self._error_rad[1] + math.radians(self.settings.pitch_bias_deg)
+        yaw_rad, pitch_rad = self.yaw_rad + self._error_rad[0], self.pitch_rad + self._error_rad[1]
         turned = list(quaternion(self._roll_rad, pitch_rad, yaw_rad))
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0, 0, boot_ms, _LOCKED, turned, *(math.nan,) * 3, 0

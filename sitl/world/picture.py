@@ -80,7 +80,7 @@ class Scenery:
         trees: float = 1.0,
         lookalikes: float = 1.0,
     ) -> None:
-        self._path_m, self.height_m = path_m, height_m
+        self._path_m, self._height_m = path_m, height_m
         self._rng = np.random.default_rng(seed)
         self._ground = _texture(self._rng)
         size = 720, 1280, 3
@@ -148,7 +148,7 @@ class Scenery:
     def _touching(self, east_m: float, north_m: float) -> tuple[float, float, float]:
         """Return height and slopes (east, north) of the plane that touches the ground there."""
         level_m = [
-            self.height_m(east_m + e, north_m + n) for e, n in ((0, 0), (_SLOPE_OVER_M, 0), (0, _SLOPE_OVER_M))
+            self._height_m(east_m + e, north_m + n) for e, n in ((0, 0), (_SLOPE_OVER_M, 0), (0, _SLOPE_OVER_M))
         ]
         here_m, east, north = (0.0 if math.isnan(one) else one for one in level_m)
         return here_m, (east - here_m) / _SLOPE_OVER_M, (north - here_m) / _SLOPE_OVER_M
@@ -183,7 +183,7 @@ class Scenery:
         return bool(-margin < x < size_px[0] + margin and -margin < y < size_px[1] + margin)
 
     def _level_m(self, one: _Vehicle | _Tree) -> float:
-        height_m = self.height_m(one.east_m, one.north_m)
+        height_m = self._height_m(one.east_m, one.north_m)
         return 0.0 if math.isnan(height_m) else height_m
 
     def _draw_shadow(self, image: Image, view: _View, one: _Vehicle | _Tree) -> None:

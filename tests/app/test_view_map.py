@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import http.server
 import io
 import sqlite3
-import threading
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -18,9 +16,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from sidelong.app.cli import app
-from sidelong.app.config import Config, DisplaySection
+from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.view.address import PageAddress, page_address
+from sidelong.app.view.address import PageAddress
 from sidelong.app.view.background import MbTiles, background, readable_tile
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import Panel
@@ -120,9 +118,9 @@ def test_tiles_are_served_and_nothing_else_of_the_file(tmp_path):
 
 
 def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
-    config = Config.model_validate({"display": {"map_file": mbtiles(tmp_path / "a.mbtiles", picture()), "port": 0}})
+    under = background(mbtiles(tmp_path / "a.mbtiles", picture()), None)
     with ViewDisplay(
-        {"": Panel(Console(), quiet=True).of()}, {"": config}, page_address(True, config.display)
+        {"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0, map=under)
     ) as display:
         display.begin(PLANE, lambda _wish: None)
         display.engage(100.0, None)
@@ -148,117 +146,6 @@ def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
     middle = ring["x"] + ring["width"] / 2, ring["y"] + ring["height"] / 2
     assert (box["x"] - middle[0]) / px_per_m == pytest.approx(corner_m[0] - target_m[0], abs=15.0)
     assert (middle[1] - box["y"]) / px_per_m == pytest.approx(corner_m[1] - target_m[1], abs=15.0)
-
-
-class TileServer(http.server.ThreadingHTTPServer):
-    """Serves one picture for the tiles around the plane's origin; asked: the requested paths."""
-
-    def __init__(self):
-        self.asked = []
-        super().__init__(("127.0.0.1", 0), _TileRequest)
-        threading.Thread(target=self.serve_forever, daemon=True).start()
-
-    @property
-    def template(self):
-        return f"http://127.0.0.1:{self.server_port}/{{z}}/{{x}}/{{y}}.png?key=secret"
-
-    def close(self):
-        self.shutdown()
-        self.server_close()
-
-
-class _TileRequest(http.server.BaseHTTPRequestHandler):
-    def do_GET(self):
-        self.server.asked.append(self.path)
-        zoom, column, row = map(int, self.path.partition(".")[0].strip("/").split("/"))
-        if zoom == 1:
-            self.send_response(302)
-            self.send_header("Location", "/0/0/0.png")
-            self.end_headers()
-            return
-        self.send_response(200 if zoom == ZOOM and (column, row) == (COLUMN, ROW) else 404)
-        self.end_headers()
-        self.wfile.write(picture())
-
-    def log_message(self, *_):
-        pass
-
-
-@pytest.fixture
-def tile_serving(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    server = TileServer()
-    yield server
-    server.close()
-
-
-def test_a_tile_of_a_server_is_requested_once_and_remains_without_the_server(tile_serving):
-    address = page_address(True, DisplaySection(map_url=tile_serving.template, port=0))
-    panel = Panel(Console(), quiet=True).of()
-    with ViewDisplay({"": panel}, {"": Config()}, address) as display:
-        for _ in range(2):
-            with urlopen(f"{display.url}map/{ZOOM}/{COLUMN}/{ROW}") as answer:
-                assert answer.read() == picture()
-                assert "connect-src 'self'" in answer.headers["Content-Security-Policy"]
-            for place in ("1/0/0", f"{ZOOM}/{COLUMN}/{ROW + 1}"):  # redirected to another address; not there
-                with pytest.raises(HTTPError) as missing:
-                    urlopen(f"{display.url}map/{place}")
-                assert missing.value.code == 404
-    assert sorted(tile_serving.asked) == sorted(
-        f"/{place}.png?key=secret" for place in (f"{ZOOM}/{COLUMN}/{ROW}", "1/0/0", f"{ZOOM}/{COLUMN}/{ROW + 1}")
-    )
-    tile_serving.close()
-    again = page_address(True, DisplaySection(map_url=tile_serving.template, port=0))
-    with ViewDisplay({"": panel}, {"": Config()}, again) as display:
-        with urlopen(f"{display.url}map/{ZOOM}/{COLUMN}/{ROW}") as answer:
-            assert answer.read() == picture()
-        for _ in range(2):
-            with pytest.raises(HTTPError):
-                urlopen(f"{display.url}map/{ZOOM}/{COLUMN + 1}/{ROW}")
-    kept = background(again.map.path, None)  # a map of its own
-    assert kept.opened().tile(ZOOM, COLUMN, ROW) == picture()
-
-
-def test_the_page_shows_the_tiles_of_a_server_and_learns_nothing_of_it(browser, tile_serving, flight):
-    config = Config.model_validate({"display": {"map_url": tile_serving.template, "port": 0}})
-    address = page_address(True, config.display)
-    with ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": config}, address) as display:
-        display.begin(PLANE, lambda _wish: None)
-        display.engage(100.0, None)
-        for _, _, controller in flight(5.0):
-            display.show(controller.snapshot())
-        display.pump()
-        page = browser.new_page(viewport={"width": 1200, "height": 800})
-        page.goto(display.url)
-        page.locator("#map .tile").first.wait_for(state="attached")
-        while page.locator(f"#map .tile[href='map/{ZOOM}/{COLUMN}/{ROW}']").count() == 0:
-            page.locator("#map").press("-")
-        page.wait_for_function(f"fetch('map/{ZOOM}/{COLUMN}/{ROW}').then((answer) => answer.ok)")
-        state = urlopen(f"{display.url}state").read()
-        page.context.close()
-    assert b"secret" not in state
-    assert any(path.startswith(f"/{ZOOM}/{COLUMN}/{ROW}.png") for path in tile_serving.asked)
-
-
-@pytest.mark.parametrize(
-    "template",
-    [
-        "file:///tmp/{z}/{x}/{y}.png",
-        "http://127.0.0.1/{z}/{x}.png",
-        "http://127.0.0.1/{z}/{x}/{y}/{0}",
-        "http://[{z}{x}{y}",
-    ],
-)
-def test_a_url_that_is_no_tile_server_is_refused(template, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(InputError, match=r"display\.map_url: .* such as http://127\.0\.0\.1:8080/\{z\}/\{x\}/\{y\}"):
-        page_address(True, DisplaySection(map_url=template))
-
-
-def test_a_file_and_a_server_are_not_given_together(tmp_path):
-    file = written(tmp_path / "a.mbtiles", b"")
-    with pytest.raises(InputError, match="leave one of them out"):
-        page_address(True, DisplaySection(map_url="http://127.0.0.1/{z}/{x}/{y}", map_file=file))
 
 
 ENDLESS = """create view tiles as with recursive n(k) as (select 1 union all select k + 1 from n)

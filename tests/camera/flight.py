@@ -1,19 +1,15 @@
-"""Flights with the vehicle of :mod:`sidelong.sitl` in one loop: with laser and gimbal, and from pixels alone.
-
-From pixels alone the rendered world, the camera and the core work in turn, on the simulation's clock.
-"""
+"""A flight from pixels alone: the rendered world of :mod:`sidelong.sitl`, the camera, and the core in one loop."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from sidelong.app.analysis.score import Samples, Score, judge, score
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.camera.camera import TargetCamera
@@ -24,7 +20,7 @@ from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
-from sidelong.sitl.settings import CameraSettings, Flavour, PayloadSettings, Settings, TargetSettings
+from sidelong.sitl.settings import CameraSettings, Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
 from tests.sitl_vehicle import RATES_HZ, SitlVehicle
 
@@ -34,92 +30,56 @@ _POINT_EVERY_S, _REPORT_EVERY_S, _VIEW_EVERY_S = 0.1, 0.4, 1.0
 _DO_GIMBAL_MANAGER_PITCHYAW, _YAW_LOCK = 1000, 16
 _ON_CIRCLE_WITHIN_S = 300.0
 _CLICK_ABOVE_M = 40.0
-_CHI2_95, _JUDGED_EVERY_S = 5.991, 0.5
+_CHI2_95 = 5.991
 
 
 @dataclass(slots=True)
 class Pixels:
-    """What was recorded, once a picture; inside: once for each with an estimate."""
+    """What was recorded, once a picture, or once a judged position."""
 
     in_picture: list[bool] = field(default_factory=list)
     in_middle: list[bool] = field(default_factory=list)
     off_m: list[float] = field(default_factory=list)  # of what is tracked from the target, nan: lost
     inside: list[bool] = field(default_factory=list)  # of the 95 % ellipse
+    range_m: list[float] = field(default_factory=list)
+    on_side: list[bool] = field(default_factory=list)
+    in_band: list[bool] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
     cost_s: list[float] = field(default_factory=list)
 
 
-class WatchFlight(ClosedLoop[bytes]):
-    """Fly it with :meth:`fly`.
+class PixelFlight(ClosedLoop[bytes]):
+    """Fly it with :meth:`fly`."""
 
-    Args:
-        ground_m: Height of the flat ground above home, which the configuration takes to be 0.
-    """
-
-    def __init__(self, config: Config, settings: Settings, ground_m: float = 0.0) -> None:
-        self.simulation = simulation = Simulation(settings)
-        simulation.hills.height_m = lambda _east_m, _north_m: ground_m
-        if simulation.camera is not None:
-            simulation.camera.scenery.height_m = simulation.hills.height_m
-        super().__init__(SitlVehicle(simulation, {**RATES_HZ, 2: 1.0}))
-        self.has_control = False
-        self.connect()
-        vehicle = simulation.vehicle
-        home = Home(vehicle.home.latitude_deg, vehicle.home.longitude_deg, vehicle.home.altitude_m)
-        self.controller = controller_of(config, self.telemetry.plane, (home.latitude_deg, home.longitude_deg))
-        dialect = autopilot_by_mav_autopilot(vehicle.autopilot_id)
-        self.core = mission_controller_of(config, self.controller, dialect, self.telemetry.plane, home)
-        self.listeners.append(self._follow_events)
-        self.requirement = config.requirement.requirement()
-
-    def _follow_events(self, event: object, outputs: tuple[object, ...]) -> None:
-        self.has_control |= any(isinstance(output, ControlAcquired) for output in outputs)
-
-    def target_m(self) -> tuple[float, float]:
-        """Return where the target is (east, north)."""
-        return self.simulation.motions[0].at(self.simulation.time_s)
-
-    def acquire(self) -> None:
-        """Take off, and fly until the target's position is known."""
-        self.take_over()
-        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.has_control)
-        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.controller.estimate is not None)
-
-    def fly(self, duration_s: float) -> Score:
-        """Take off, watch for a time, and return what it came to, by the truth."""
-        self.acquire()
-        rows, end_s = [], self.simulation.time_s + duration_s
-        while self.simulation.time_s < end_s:
-            self.run(_JUDGED_EVERY_S)
-            craft = self.simulation.vehicle.craft
-            rows.append((self.simulation.time_s, craft.east_m, craft.north_m, *self.target_m()))
-        log = np.array(rows)
-        velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
-        samples = Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
-        return score(judge(samples, ((-math.inf, self.requirement),)), "truth")
-
-
-class PixelFlight(WatchFlight):
-    """The same from pixels alone; what the camera made of its pictures is in ``pixels``."""
-
-    def __init__(self, config: Config, settings: Settings, ground_m: float = 0.0) -> None:
-        super().__init__(config, settings, ground_m)
+    def __init__(self, config: Config, settings: Settings, rate_hz: float = 15.0) -> None:
+        self.simulation = Simulation(settings)
+        super().__init__(SitlVehicle(self.simulation, {**RATES_HZ, 2: 1.0}))
         self.pixels = Pixels()
-        self._clicked = False
+        self.has_control = self._clicked = False
         self._point_s = self._report_s = self._view_s = 0.0
         self._pictures: deque[tuple[float, Any]] = deque()
-        ground, vehicle = self.controller.surroundings.ground, self.simulation.vehicle
+        self.connect()
+        vehicle = self.simulation.vehicle
+        home = Home(vehicle.home.latitude_deg, vehicle.home.longitude_deg, vehicle.home.altitude_m)
+        home_deg = home.latitude_deg, home.longitude_deg
+        controller = controller_of(config, self.telemetry.plane, home_deg)
+        self.controller = controller
+        dialect = autopilot_by_mav_autopilot(vehicle.autopilot_id)
+        self.core = mission_controller_of(config, controller, dialect, self.telemetry.plane, home)
+        ground = controller.surroundings.ground
         height = (lambda e, n: 0.0) if ground is None else ground.height_m
         view_rad = math.radians(settings.camera.view_deg)
         self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
         self.simulation.camera.on_picture = lambda _time_s, picture: self._pictures.append((vehicle.now_s, picture))
+        self.listeners.append(self._follow_events)
+        self.requirement = config.requirement.requirement()
 
     def _estimate(self, time_s: float):
         return self.controller.tracker.estimate(time_s)
 
     def _follow_events(self, event: object, outputs: tuple[object, ...]) -> None:
         self.camera.event(event)
-        super()._follow_events(event, outputs)
+        self.has_control |= any(isinstance(output, ControlAcquired) for output in outputs)
 
     def step(self) -> None:
         """Move the clock by one tick, and let the camera work."""
@@ -188,21 +148,25 @@ class PixelFlight(WatchFlight):
             off = np.array(estimate.position_m(taken_s)) - target
             pixels.inside.append(bool(off @ np.linalg.solve(estimate.covariance[:2, :2], off) <= _CHI2_95))
 
-    def acquire(self) -> None:
-        """Take off, and fly until the target's position is known; what was recorded before is dropped."""
-        super().acquire()
-        self.pixels = Pixels()
+    def fly(self, duration_s: float) -> Pixels:
+        """Take off, and watch for a time."""
+        self.take_over()
+        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.has_control)
+        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.controller.estimate is not None)
+        for name in ("in_picture", "in_middle", "off_m", "inside", "times_s", "cost_s"):
+            getattr(self.pixels, name).clear()
+        end_s = self.simulation.time_s + duration_s
+        while self.simulation.time_s < end_s:
+            self.run(0.5)
+            craft = self.simulation.vehicle.craft
+            target = self.simulation.camera.scenery.target_m(self.simulation.time_s)
+            range_m = math.dist((craft.east_m, craft.north_m), target)
+            self.pixels.range_m.append(range_m)
+            requirement = self.requirement
+            self.pixels.in_band.append(requirement.range_min_m <= range_m <= requirement.range_max_m)
+        return self.pixels
 
 
-def settings_of(
-    flavour: str, motion: str, seed: int, *, yaw_bias_deg: float = 0.0, pitch_bias_deg: float = 0.0, **camera: Any
-) -> Settings:
-    """Return the simulator's settings of a camera that watches a motion or a track; the biases are the gimbal's."""
-    own = CameraSettings(yaw_bias_deg=yaw_bias_deg, pitch_bias_deg=pitch_bias_deg, **camera)
-    return Settings(Flavour(flavour), seed=seed, targets=(TargetSettings(motion),), camera=own)
-
-
-def with_laser(settings: Settings) -> Settings:
-    """Return the same with laser and gimbal in place of the camera."""
-    payload = PayloadSettings(gimbal_yaw_bias_deg=settings.camera.yaw_bias_deg)
-    return replace(settings, payload=payload, camera=None)
+def settings_of(flavour: str, motion: str, seed: int, **camera: Any) -> Settings:
+    """Return the simulator's settings of a camera that watches a motion or a track."""
+    return Settings(Flavour(flavour), seed=seed, targets=(TargetSettings(motion),), camera=CameraSettings(**camera))

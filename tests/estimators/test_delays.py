@@ -7,6 +7,7 @@ from itertools import takewhile
 import numpy as np
 import pytest
 
+from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.payload_fit import PayloadFit
@@ -261,3 +262,19 @@ def test_bound_on_a_drift_is_about_its_size_and_zero_without_one():
         taken(drifting, replace(one, slant_range_m=one.slant_range_m + longer_m) if is_range else one)
     assert steady.wander_m(120.0) == 0.0
     assert 15.0 < drifting.wander_m(120.0) < 60.0
+
+
+@pytest.mark.parametrize("drift", ["range", "yaw"])
+def test_where_something_drifts_the_place_without_the_drift_is_known(drift):
+    fit = PayloadFit(TrackerSettings(), LEVEL)
+    for one in takewhile(lambda one: one.time_s <= 150.0, readings(0.0, 0.0, yaw_rad=0.0)):
+        since_s = max(one.time_s - 50.0, 0.0)
+        if drift == "range" and isinstance(one, RangeReading):
+            one = replace(one, slant_range_m=one.slant_range_m + 0.4 * since_s)  # noqa: PLW2901
+        if drift == "yaw" and isinstance(one, GimbalReading):
+            turn = from_roll_pitch_yaw(0.0, 0.0, 0.003 * since_s)
+            one = replace(one, quaternion_wxyz=multiply(turn, one.quaternion_wxyz))  # noqa: PLW2901
+        taken(fit, one)
+    time_s, east_m, north_m, sigma_m = fit.place
+    assert time_s > 130.0
+    assert math.dist((east_m, north_m), target_m(np.array(time_s))) < min(2.5 * sigma_m, 25.0)

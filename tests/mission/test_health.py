@@ -516,7 +516,7 @@ def test_large_error_of_the_payload_is_reported_and_corrected(name):
     assert found[-1] == pytest.approx(error, rel=0.2)
     assert min(flown.range_m) > 80.0
     later_m = [one.target_error_m for one in flown.decided if one.time_s > BEGIN_S + 120.0]
-    assert np.median(later_m) < 10.0  # without the correction 30 to 100 m
+    assert np.median(later_m) < 15.0  # without the correction 30 to 100 m
 
 
 DRIFTS = {  # the time within which they are reported
