@@ -616,16 +616,21 @@ class StandoffController:
         if later is not None:
             ways.append(retreats(start, later, requirement.side.clockwise, own, requirement.range_min_m))
         best: tuple[Plan | None, float] = None, -math.inf
+        refused, in_vain = best, self.changes.in_vain
         for plan in chain.from_iterable(ways):
             kept_m = clear_m(plan)
             if kept_m <= best[1]:
                 continue
             cleared = self.surroundings.cleared(plan)
-            if isinstance(cleared, Plan):
-                best = cleared, kept_m
-                if kept_m >= needed_m:
-                    break
-        return best
+            if not isinstance(cleared, Plan):
+                continue
+            if kept_m >= needed_m and in_vain:  # the autopilot did not take the first ones
+                refused, in_vain = (cleared, kept_m), in_vain - 1
+                continue
+            best = cleared, kept_m
+            if kept_m >= needed_m:
+                break
+        return best if best[0] is not None else refused
 
     def _way_out(self, aircraft: AircraftState, present: Plan, reason: str) -> tuple[StepOutput, ...]:
         """Return what brings the aircraft to the present circle, or to another one, from where it is."""

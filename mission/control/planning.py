@@ -301,7 +301,7 @@ class PlanChanges:
         self.under_way: PlanChange | None = None
         self.flown_since_s = -math.inf  # when the change to it was decided
         self.home_m = 0.0  # of home above that of the takeover, against which it was sent
-        self._in_vain, self._in_vain_since_s, self._why = 0, math.inf, ""  # plans in a row that failed
+        self.in_vain, self._in_vain_since_s, self._why = 0, math.inf, ""  # plans in a row that failed
         self.moves = self.uploads = self.failures = 0
         self._door, self._latency = door, latency
         self._not_taken: PlanChange | None = None  # the last departure that failed: should it be flown after all
@@ -311,7 +311,7 @@ class PlanChanges:
 
     def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
         """Begin with a circle that is flown already and was sent to the autopilot as ``commanded``."""
-        self.present, self._commanded, self._not_taken, self._in_vain = plan, commanded, None, 0
+        self.present, self._commanded, self._not_taken, self.in_vain = plan, commanded, None, 0
         self.home_m = self._door.home_m
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
@@ -339,10 +339,10 @@ class PlanChanges:
 
     def stuck(self, now_s: float) -> str:
         """Return why plans do not get through: several in a row, or all of some time, have failed; '' if they do."""
-        is_tried = self._in_vain > 1 and self.under_way is not None
-        if self._in_vain < _STUCK and not (is_tried and now_s - self._in_vain_since_s >= _STUCK_S):
+        is_tried = self.in_vain > 1 and self.under_way is not None
+        if self.in_vain < _STUCK and not (is_tried and now_s - self._in_vain_since_s >= _STUCK_S):
             return ""
-        return f"{self._in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"
+        return f"{self.in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"
 
     def activate_due(self, now_s: float, *, watching: bool) -> tuple[StepOutput, ...]:
         """Activate the plan that is ready, at its time of departure, while control of the aircraft is confirmed."""
@@ -407,9 +407,9 @@ class PlanChanges:
             self._latency.note(took_s, by_command=change.by_command)
         self.under_way = None
         self.failures += 1
-        if not self._in_vain:
+        if not self.in_vain:
             self._in_vain_since_s = change.command.time_s
-        self._in_vain, self._why = self._in_vain + 1, event.detail
+        self.in_vain, self._why = self.in_vain + 1, event.detail
         return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)
 
     def _departed(self, change: PlanChange, time_s: float) -> None:
@@ -418,7 +418,7 @@ class PlanChanges:
         self.moves += change.command.plan.circle != self.present.circle
         self.present, self._commanded = change.command.plan, change.command.commanded
         self.under_way = self._not_taken = None
-        self.flown_since_s, self.home_m, self._in_vain = change.command.time_s, change.command.home_m, 0
+        self.flown_since_s, self.home_m, self.in_vain = change.command.time_s, change.command.home_m, 0
         self._on_line_s = time_s
 
     # -- how the present plan is flown ---------------------------------------------------------------------
