@@ -196,7 +196,7 @@ class PlannerSection(Section):
     """How the next circle is chosen."""
 
     name: PlannerName = Field(
-        PLANNER_NAMES[0], description="; ".join(f"{one.name}: {one.about}" for one in PLANNERS) + "."
+        PLANNER_NAMES[0], description="; ".join(f"{kind.name}: {kind.about}" for kind in PLANNERS) + "."
     )
     guidance: Literal["mission", "command"] = "mission"
     """mission: plans are uploaded as mission items; command (not on PX4): the circle is moved by single commands."""

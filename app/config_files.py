@@ -66,16 +66,17 @@ def _checks(config: Config, targets: Sequence[NamedTarget]) -> Iterator[tuple[st
         yield "camera.source", partial(_check_camera, config, config.camera.source)
     if config.terrain.folder is not None:
         yield "terrain.folder", partial(elevation_data, Path(config.terrain.folder))
-    for field, route in (("route", config.route), *((f"target {one.name!r}: route", one.route) for one in targets)):
+    routes_of_targets = ((f"target {target.name!r}: route", target.route) for target in targets)
+    for field, route in (("route", config.route), *routes_of_targets):
         if route is not None and route.file is not None:
             yield f"{field}.file", partial(read_flight_route, route.file)
     if config.is_simulated:
         if isinstance(config.simulation.autopilot, str):  # a fleet has several
             yield "planner.guidance", partial(_check_guidance, config.simulation.autopilot, config.planner.guidance)
         yield "simulation.target", partial(_check_motion, config.simulation.target)
-        for one in targets:
-            if one.motion is not None:
-                yield f"target {one.name!r}: motion", partial(_check_motion, one.motion)
+        for target in targets:
+            if target.motion is not None:
+                yield f"target {target.name!r}: motion", partial(_check_motion, target.motion)
 
 
 def _check_camera(config: Config, source: str) -> None:

@@ -209,9 +209,9 @@ def companions_of(settings: Sequence[Settings], vehicle_id: int | None) -> list[
     first = settings[0]
     shared = SharedTarget(target_motion(first.targets[0], first.seed))
     companions = []
-    for one in settings:
-        own, seen = one.payload or PayloadSettings(), shared.seen_from(one.home_east_m)
-        companions.append(Companion(own, seen, one.seed, one.terrain, vehicle_id, device_of(one)))
+    for vehicle in settings:
+        payload, seen = vehicle.payload or PayloadSettings(), shared.seen_from(vehicle.home_east_m)
+        companions.append(Companion(payload, seen, vehicle.seed, vehicle.terrain, vehicle_id, device_of(vehicle)))
     return companions
 
 

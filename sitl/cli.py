@@ -51,7 +51,7 @@ _LINK, _RUN, _TARGET, _VEHICLE = (
     partial(typer.Option, rich_help_panel=name) for name in ("Link", "Run", "Target", "Vehicle")
 )
 _LINE_MAX = 100  # characters of a reported time
-_OF_RUN = {one.name for one in fields(RunSettings)}
+_OF_RUN = {field.name for field in fields(RunSettings)}
 _HOME = "latitude_deg", "longitude_deg", "altitude_m"
 _OPTION_OF_KEY = {
     "speed": "--speed",
@@ -190,7 +190,7 @@ def _fly(
     wanted: RunSettings, programs: Sequence[Path], payload_for: str | None, while_input: bool, stack: ExitStack
 ) -> None:
     each, pace = wanted.vehicles, Pace(wanted.speed) if while_input else None
-    addresses = [[_address("--to", text) for text in one.stations] for one in each]
+    addresses = [[_address("--to", text) for text in own.stations] for own in each]
     device = _device_address(each)
     stopped = _stop_signal(pace)
     if programs or payload_for is not None:

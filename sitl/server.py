@@ -186,6 +186,6 @@ def serve(
             next_step_s = begin_s + (clock.time_s + STEP_S) / speed
             next_s = min(max(next_step_s, now_s + _WAKE_MIN_S), *(port.next_s for port in ports.values()))
             wake_s = max(0.0, next_s - time.monotonic())
-            of_devices = {one: device for device in devices for one in device.sockets}
+            of_devices = {listening: device for device in devices for listening in device.sockets}
             for ready in select.select([*ports, *of_devices], [], [], wake_s)[0]:
                 (ports[ready] if ready in ports else of_devices[ready]).receive()

@@ -221,8 +221,8 @@ class Simulation(Wired):
 
 def target_motions(targets: Sequence[TargetSettings], seed: int, home_east_m: float) -> list[Motion]:
     """Return the targets' motions, drawn separately, in the plane of a home this far east of the first one."""
-    shifted = (replace(one, start_m=(one.start_m[0] - home_east_m, one.start_m[1])) for one in targets)
-    return [target_motion(one, (seed, number) if number else seed) for number, one in enumerate(shifted)]
+    shifted = (replace(target, start_m=(target.start_m[0] - home_east_m, target.start_m[1])) for target in targets)
+    return [target_motion(target, (seed, number) if number else seed) for number, target in enumerate(shifted)]
 
 
 def target_motion(settings: TargetSettings, seed: int | Sequence[int]) -> Motion:

@@ -96,7 +96,8 @@ def check(
         flown = run(_with_fences(flown, connect))
     print_notes(setting_notes(flown))
     found, refused = [], []
-    for name, own in {"": flown}.items() if fleet is None else ((one.name, one.config) for one in fleet.members):
+    checked = [("", flown)] if fleet is None else [(member.name, member.config) for member in fleet.members]
+    for name, own in checked:
         if name:
             console.print(f"{name}, at {own.aircraft.height_m:g} m:")
         values, reasons = _checked(own)

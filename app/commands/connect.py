@@ -69,7 +69,7 @@ def connect(
             except InputError as error:
                 missing.append(f"{member.name}: {error}")
                 console.print(str(error))
-        write_json(json, {"ready": not missing and all(one["ready"] for one in reports), "aircraft": reports})
+        write_json(json, {"ready": not missing and all(report["ready"] for report in reports), "aircraft": reports})
     else:
         settings = load_config(config, overrides)
         for url in _links(settings):

@@ -77,8 +77,8 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         if wanted in MISSIONS or wanted is Format.KLV:
             if out is not None:
                 raise InputError(f"{wanted} is of one aircraft: leave out --out, or give one's folder.")
-            for one in sources.values():
-                write_export(one, wanted)
+            for folder in sources.values():
+                write_export(folder, wanted)
             return
         if not sources:
             raise InputError(f"{fleet.path} holds no flight of an aircraft.")
@@ -91,7 +91,7 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         elif wanted is Format.KLV:
             _write_klv(aircraft[0], partial)
         else:
-            write([_flight(one) for one in aircraft], wanted, partial)
+            write([_flight(craft) for craft in aircraft], wanted, partial)
     say(f"{wanted}: {out}")
     if wanted is Format.MCAP and not fleet.journal.is_file():
         say(f"a layout for Foxglove (Import from file...): {LAYOUT}")
@@ -124,9 +124,9 @@ def _context(run: RunFolder) -> LogContext:
 
 def _write_mcap(aircraft: list[_Aircraft], out: Path) -> None:
     with contextlib.closing(McapWriter(out)) as writer:
-        for one in aircraft:
-            tracker, plane = tracker_of(one.flown.config), one.flown.history.plane
-            one.feed(McapLog(writer, plane, tracker, one.context.booted, one.context.home_altitude_m, one.name))
+        for craft in aircraft:
+            tracker, plane, context = tracker_of(craft.flown.config), craft.flown.history.plane, craft.context
+            craft.feed(McapLog(writer, plane, tracker, context.booted, context.home_altitude_m, craft.name))
 
 
 def _write_klv(one: _Aircraft, out: Path) -> None:

@@ -64,18 +64,18 @@ async def _recorded(
             for (name, config), reserve in zip(configs.items(), reserves, strict=True):
                 own = folder.make(name) if isinstance(folder, FleetFolder) else folder
                 aircraft.append(_aircraft(config, own, displays[name], name, reserve))
-            life = Life(lambda: any(one.recording.begun for one in aircraft), note)
+            life = Life(lambda: any(craft.recording.begun for craft in aircraft), note)
             with life.heeding_signals():
                 try:
                     ended = await Shell(aircraft, duration_s, life, note, coordinator).fly()
                 finally:
-                    for one in aircraft:
-                        one.recording.close()
+                    for craft in aircraft:
+                        craft.recording.close()
                 if view is not None:
                     view.show_end(ended.summary.rows(), ended.folder.path)
                 if ended.is_internal:
                     warn(f"this is a fault of the program; {ended.aircraft}.")
-                return _with_records_lost(ended, {one.name: one.recording.lost for one in aircraft})
+                return _with_records_lost(ended, {craft.name: craft.recording.lost for craft in aircraft})
     except BaseException as error:
         if life is None or not life.was_armed:
             shutil.rmtree(folder.path, ignore_errors=True)

@@ -58,8 +58,8 @@ SetOption = Annotated[
 def changed_keys(given: Sequence[str] | None, *overrides: Overrides) -> Overrides:
     """Return values by section and key: ``overrides``, then ``--set``, whose values are TOML, else text."""
     changes: Overrides = {}
-    for one in overrides:
-        for section, keys in one.items():
+    for override in overrides:
+        for section, keys in override.items():
             changes.setdefault(section, {}).update((key, value) for key, value in keys.items() if value is not None)
     for words in given or ():
         key, equals, text = words.partition("=")

@@ -377,7 +377,7 @@ class _Judged:
     def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
         if truth is not None and plane is not None:
             moments, _ = self.collector.moments(None, None, -math.inf)
-            places = [(one.time_s, one.aircraft_east_m, one.aircraft_north_m) for one in moments]
+            places = [(moment.time_s, moment.aircraft_east_m, moment.aircraft_north_m) for moment in moments]
             truth.require_same_flight(places, plane)
         return summarise(
             self.collector,

@@ -64,9 +64,9 @@ def _write_fleet(folder: FleetFolder, out: Path) -> None:
 
     with share_progress(f"reading {folder.path.name}") as progress:
         flown = read_fleet(folder, progress)
-    pages = {one.name: folder.path / one.name / "report.html" for one in flown.aircraft}
-    for one in flown.aircraft:
-        _write(pages[one.name], report_page(one.flown))
+    pages = {craft.name: folder.path / craft.name / "report.html" for craft in flown.aircraft}
+    for craft in flown.aircraft:
+        _write(pages[craft.name], report_page(craft.flown))
     links = {name: os.path.relpath(page, out.parent) for name, page in pages.items()}
     _write(out, fleet_page(flown, links))
 

@@ -117,7 +117,7 @@ class ServicePage:
         """Show what the service does now; while a watch lasts the page follows that itself."""
         if self._resident is None or (status := self._resident.status).state in ("watching", "yielded"):
             return
-        checks = [(one.name, one.ready, one.words) for one in self._resident.checks]
+        checks = [(check.name, check.ready, check.words) for check in self._resident.checks]
         last = self._resident.last
         summary = () if last is None else list(last.summary.rows())
         commands = () if last is None else (f"sidelong report {last.folder.path}",)

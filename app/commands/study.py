@@ -188,8 +188,8 @@ def study(
         with writing(export, "--export"):
             export_runs(results, export)
     if report is not None:
-        again = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
-        words = ["sidelong", "study", *(one for own in given.values() for one in own)]
+        again = ["sidelong", "study", *(word for name, own in given.items() if name not in _OF_WHOLE for word in own)]
+        words = ["sidelong", "study", *(word for own in given.values() for word in own)]
         with writing(report, "--report"):
             write_page(results, shlex.join(words), shlex.join(again), report)
 
@@ -197,13 +197,13 @@ def study(
 def _given(context: typer.Context) -> dict[str, list[str]]:
     """Return the words of each argument and option that was given, by its name."""
     found: dict[str, list[str]] = {}
-    for one in context.command.params:
-        value, name = context.params.get(one.name or ""), one.opts[0]
-        if one.name is None or getattr(context.get_parameter_source(one.name), "name", "") != "COMMANDLINE":
+    for option in context.command.params:
+        value, name = context.params.get(option.name or ""), option.opts[0]
+        if option.name is None or getattr(context.get_parameter_source(option.name), "name", "") != "COMMANDLINE":
             continue
         words = [name] if name.startswith("--") else []
         values = value if isinstance(value, list | tuple) else [value]
-        found[one.name] = words if value is True else [word for of in values for word in (*words, str(of))]
+        found[option.name] = words if value is True else [word for of in values for word in (*words, str(of))]
     return found
 
 
@@ -280,7 +280,7 @@ def _recorded(
 ) -> tuple[Design, ...]:
     if targets is None:
         return found
-    slowest_m_s = min(one.settings.requirement().target_speed_max_m_s for one in found)
+    slowest_m_s = min(design.settings.requirement().target_speed_max_m_s for design in found)
     read = recorded_targets(targets, slowest_m_s, *((route_next_to,) if routes else ()))
     for note in read.notes:
         console.print(f"note: {note}")
@@ -293,7 +293,7 @@ def _recorded(
         "skipped": read.skipped,
         "duration_s": duration_s,
     }
-    return tuple(replace(one, settings=replace(one.settings, **of_targets)) for one in found)
+    return tuple(replace(design, settings=replace(design.settings, **of_targets)) for design in found)
 
 
 def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design, ...]:
@@ -377,7 +377,7 @@ def _check_options(given: dict[str, list[str]], fleet: int) -> None:
         ("sweep", fleet > 1, "--fleet flies one design; leave it out"),
         ("jobs", "scheduler" in given, "the workers of --scheduler compute; leave it out"),
         ("scheduler", not _SCHEDULER.fullmatch(scheduler), f"{scheduler!r} is no address such as tcp://HOST:8786"),
-        *((one, fleet > 1, "--fleet prints a table; give --json instead") for one in ("export", "report", "store")),
+        *((file, fleet > 1, "--fleet prints a table; give --json instead") for file in ("export", "report", "store")),
     )
     for name, applies, words in wrong:
         if applies and name in given:

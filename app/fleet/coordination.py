@@ -230,7 +230,7 @@ class Coordination:
     @property
     def now_s(self) -> float:
         """Mission time: the latest of any aircraft; -inf before the first whose clock is known."""
-        return max(self._ticked_s, *(self._mission_s(one) for one in self._participants.values()))
+        return max(self._ticked_s, *(self._mission_s(participant) for participant in self._participants.values()))
 
     def reported_by_others_s(self, name: str) -> float:
         """Return mission time by the clocks of the others, s; NaN where none of them advances.
@@ -243,7 +243,7 @@ class Coordination:
             for other, participant in self._participants.items()
             if other != name and participant.clock.reports_time and participant.received_s >= since_s
         ]
-        return max((one for one in known if math.isfinite(one)), default=math.nan)
+        return max((time_s for time_s in known if math.isfinite(time_s)), default=math.nan)
 
     def mission_s(self, source: Literal["utc", "host"], time_s: float) -> float:
         """Return mission time for the present time of a source: the first one is it, a new one moves nothing."""

@@ -84,8 +84,8 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     if folder.summary.exists():
         summary = _written(folder)
     else:
-        outcome = "; ".join(sorted({one.summary.outcome for one in aircraft}))
-        by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
+        outcome = "; ".join(sorted({craft.summary.outcome for craft in aircraft}))
+        by_truth = all(craft.flown.history.judged_by_truth for craft in aircraft)
         summary = summarise_fleet(aircraft, asked, outcome, "truth" if by_truth else "estimate")
     name = folder.path.resolve().name
     return FleetFlown(name, journal.header.program, asked, tuple(aircraft), tuple(announced), summary)
@@ -96,10 +96,10 @@ def _written(folder: FleetFolder) -> FleetSummary:
     try:
         parts = ("targets", "aircraft")
         plain = {field.name: values[field.name] for field in fields(FleetSummary) if field.name not in parts}
-        targets = tuple(TargetSummary(**one) for one in values.get("targets", ()))
+        targets = tuple(TargetSummary(**target) for target in values.get("targets", ()))
         aircraft = tuple(
-            AircraftSummary(one["name"], read_summary(one, name), one.get("time_on_wanted_side"))
-            for one in values["aircraft"]
+            AircraftSummary(craft["name"], read_summary(craft, name), craft.get("time_on_wanted_side"))
+            for craft in values["aircraft"]
         )
     except (KeyError, TypeError) as error:
         raise InputError(f"{name}: a figure is missing or wrong; delete it to have it written again.") from error
@@ -108,20 +108,20 @@ def _written(folder: FleetFolder) -> FleetSummary:
 
 def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     """Return the page. pages: where each aircraft's own is, as seen from it."""
-    begin_s = max(one.flown.history.start_s + one.offset_s for one in flown.aircraft)  # all are watching
+    begin_s = max(craft.flown.history.start_s + craft.offset_s for craft in flown.aircraft)  # all are watching
     words = {name: _asked_words(asked, begin_s) for name, asked in flown.asked.items()}
     wanted = "; ".join(f"{name} {own}" for name, own in words.items())
     links = ", ".join(f'<a href="{escape(page)}">{escape(name)}</a>' for name, page in pages.items())
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
 <p>Asked: watch {escape(wanted)}.
 Recorded by {escape(flown.program)}. Each aircraft: {links}.</p>
-{html.table(("", "all", *(one.name for one in flown.summary.aircraft)), flown.summary.rows(), "Summary")}
+{html.table(("", "all", *(craft.name for craft in flown.summary.aircraft)), flown.summary.rows(), "Summary")}
 {_announced(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
 
 
 def _asked_words(asked: Asked, begin_s: float) -> str:
-    words = [f"from the {side_words(one)} at {one.range_min_m:g} to {one.range_max_m:g} m" for _, one in asked]
+    words = [f"from the {side_words(own)} at {own.range_min_m:g} to {own.range_max_m:g} m" for _, own in asked]
     later = zip((at_s - begin_s for at_s, _ in asked[1:]), words[1:], strict=True)
     return words[0] + "".join(f", after {at_s:.0f} s {changed}" for at_s, changed in later)
 
@@ -129,7 +129,7 @@ def _asked_words(asked: Asked, begin_s: float) -> str:
 def _announced(flown: FleetFlown) -> str:
     if not flown.announced:
         return ""
-    start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
-    rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.announced)
+    start_s = min(craft.flown.history.start_s + craft.offset_s for craft in flown.aircraft)
+    rows = ((f"{said.mission_time_s - start_s:.0f} s", said.name, said.text) for said in flown.announced)
     words = f"Announcements of the coordinator ({len(flown.announced)})"
     return html.folded(words, html.table(("time", "aircraft", "what"), rows, words))

@@ -244,7 +244,7 @@ class Flight:
         core = mission_controller_of(self._config, self.controller, self._autopilot, plane, home)
         shared = contextlib.ExitStack()
         observers = self._observers(plane, home, shared)
-        own_values = {one.name: one.value for one in ready.parameters}
+        own_values = {required.name: required.value for required in ready.parameters}
         bytewise = self._autopilot.packs_integers_bytewise
         watch = ParameterWatch(ready.table, bytewise, own_values, self._display.note, self._limits_changed)
         self._vehicle.listeners.append(watch.take)

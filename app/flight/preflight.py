@@ -213,7 +213,7 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
     if autopilot is None:
         raise InputError(
             f"system {vehicle.system_id} runs an autopilot of MAV_AUTOPILOT {heartbeat['autopilot']}; "
-            f"{' and '.join(one.name for one in AUTOPILOTS)} are supported."
+            f"{' and '.join(known.name for known in AUTOPILOTS)} are supported."
         )
     return autopilot
 

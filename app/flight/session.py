@@ -76,7 +76,7 @@ class Session:
                 task.cancel()
             await asyncio.gather(*ended, return_exceptions=True)
             for listeners, kept in zip(lists, before, strict=True):
-                listeners[:] = [one for one in listeners if one in kept]
+                listeners[:] = [listener for listener in listeners if listener in kept]
             self.inputs = outer
             self.senders.judge(outer)
             outer.listen()

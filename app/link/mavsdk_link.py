@@ -146,7 +146,7 @@ class MavsdkLink:
                 role = "companion" if local and has_station else "ground"
             own, mav_type = _STATION
             if role == "companion":
-                free = (one for one in _COMPANION_IDS if (chosen, one) not in raw.heartbeats)
+                free = (own_id for own_id in _COMPANION_IDS if (chosen, own_id) not in raw.heartbeats)
                 own, mav_type = (chosen, next(free, _COMPANION_IDS[0])), _COMPANION_TYPE
             raw.speak_as(own, mav_type)
             instance = Mavsdk(Configuration.create_manual(*own, True))
@@ -175,7 +175,7 @@ class MavsdkLink:
     async def _hear_others(self) -> None:
         """Subscribe to other systems as they appear: a subscription of MAVSDK is for one system."""
         while not self._closed:
-            systems = [(await one.get_system_id(), one) for one in await self._instance.get_systems()]
+            systems = [(await system.get_system_id(), system) for system in await self._instance.get_systems()]
             for system_id, system in systems:
                 if system_id != self.system_id and system_id not in self._others:
                     self._others[system_id] = direct = MavlinkDirectAsync(system)

@@ -114,14 +114,14 @@ class LinkQuality:
 
     def _measured(self, several: Sequence[_Counts], now_s: float) -> Measured:
         span_s = max(1.0, now_s - several[0].begin_s)
-        received, missed = sum(one.received for one in several), sum(one.missed for one in several)
+        received, missed = sum(counts.received for counts in several), sum(counts.missed for counts in several)
         round_trips_s = sorted(self._round_trips_s)
         return Measured(
             silent_s=now_s - (self.received_s if self.received_s is not None else self.whole.begin_s),
             loss=missed / (received + missed) if received else None,
             round_trip_s=round_trips_s[len(round_trips_s) // 2] if round_trips_s else None,
-            received_bytes_s=sum(one.received_bytes for one in several) / span_s,
-            sent_bytes_s=sum(one.sent_bytes for one in several) / span_s,
+            received_bytes_s=sum(counts.received_bytes for counts in several) / span_s,
+            sent_bytes_s=sum(counts.sent_bytes for counts in several) / span_s,
             rssi=self._rssi[0],
             remote_rssi=self._rssi[1],
             unanswered_s=0.0 if self._answered_s is None else now_s - self._answered_s,

@@ -301,7 +301,7 @@ class RawLinks:
     @property
     def received_since_s(self) -> float | None:
         received_s = (link.quality.received_since_s for link in self._links)
-        return min((one for one in received_s if one is not None), default=None)
+        return min((since_s for since_s in received_s if since_s is not None), default=None)
 
     def reports(self) -> tuple[LinkReport, ...]:
         return self._reports(LinkQuality.total)

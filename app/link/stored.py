@@ -81,10 +81,10 @@ async def read_items(
 
         async def asked(request: str, answers: tuple[str, ...], **fields: int) -> Message:
             def is_answer(message: Message) -> bool:
-                got = message.fields
-                addressee = got.get("target_system"), got.get("target_component")
-                same = all(got.get(name) == value for name, value in fields.items())
-                of_type = (got.get("mission_type") or 0) == mission_type
+                answer = message.fields
+                addressee = answer.get("target_system"), answer.get("target_component")
+                same = all(answer.get(name) == value for name, value in fields.items())
+                of_type = (answer.get("mission_type") or 0) == mission_type
                 return message.name in answers and addressee == vehicle.link.own_id and same and of_type
 
             for _ in range(_TRIES):
@@ -125,7 +125,7 @@ class VehicleFences:
 async def read_fences(vehicle: Vehicle, answer_s: float = _ANSWER_S) -> VehicleFences:
     """Read fences and rally points of a vehicle. Raises LookupError and LinkError as ``read_items``."""
     types = mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY
-    fences, rally = [await read_items(vehicle, vehicle.system_id, one, answer_s) for one in types]
+    fences, rally = [await read_items(vehicle, vehicle.system_id, mission_type, answer_s) for mission_type in types]
     return fences_of(fences, rally)
 
 
@@ -141,7 +141,7 @@ def fences_of(fences: Sequence[Mapping[str, Any]], rally: Sequence[Mapping[str, 
             outlines[_CIRCLES[command]].append(_circle(_corner(item), size, _CIRCLES[command]))
         elif command in _VERTICES:
             corners = [item, *itertools.islice(items, max(int(size) - 1, 0))]
-            if len(corners) < size or any(one["command"] != command for one in corners):
+            if len(corners) < size or any(corner["command"] != command for corner in corners):
                 raise LookupError(f"the vehicle's fence has a polygon with fewer than its {size:g} corners")
             outlines[_VERTICES[command]].append(tuple(map(_corner, corners)))
     return VehicleFences(tuple(outlines[True]), tuple(outlines[False]), tuple(map(_corner, rally)))
@@ -196,10 +196,10 @@ async def read_table(vehicle: Vehicle, autopilot: Autopilot, release: Release | 
 
     A parameter that does not answer under its name in ``release`` is requested under the names of other releases too.
     """
-    names = [one.name for one in autopilot.parameters if one.is_in(release)]
+    names = [known.name for known in autopilot.parameters if known.is_in(release)]
     read = await read_parameters(vehicle, names)
-    lacking = {one.known_as for one in autopilot.parameters if one.name in names and one.name not in read}
-    others = [one.name for one in autopilot.parameters if one.known_as in lacking and one.name not in names]
+    lacking = {known.known_as for known in autopilot.parameters if known.name in names and known.name not in read}
+    others = [known.name for known in autopilot.parameters if known.known_as in lacking and known.name not in names]
     if others:
         read |= await read_parameters(vehicle, others)
     return ParameterTable(autopilot.parameters, release, read)
@@ -238,8 +238,8 @@ async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, f
             if (idle_s >= _IDLE_S and idle_rounds >= _IDLE_ROUNDS) or silent_s >= _SILENT_S:
                 break
     # Some of PX4's integers are NaN in the float field; they are read one by one through MAVSDK.
-    found = {name: await vehicle.link.parameter(name) if value is None else value for name, value in values.items()}
-    return {name: found[name] for name in wanted if found.get(name) is not None}  # type: ignore[misc]  # none is None
+    whole = {name: await vehicle.link.parameter(name) if value is None else value for name, value in values.items()}
+    return {name: whole[name] for name in wanted if whole.get(name) is not None}  # type: ignore[misc]  # none is None
 
 
 def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:

@@ -72,14 +72,14 @@ class StatusTexts:
         return self._complete(self._arriving.pop(number))
 
     def matching(self, pattern: re.Pattern[str], since_s: float) -> tuple[str, ...]:
-        texts = (one.text for one in self._texts if one.received_s >= since_s and pattern.search(one.text))
+        texts = (said.text for said in self._texts if said.received_s >= since_s and pattern.search(said.text))
         return tuple(dict.fromkeys(texts))
 
     def warnings(self, since_s: float) -> tuple[str, ...]:
         """Return the warnings since then, each once, in the order in which they came last."""
         for number in list(self._arriving):
             self._complete(self._arriving.pop(number))
-        texts = [one.text for one in self._texts if one.is_warning and one.received_s >= since_s]
+        texts = [said.text for said in self._texts if said.is_warning and said.received_s >= since_s]
         return tuple(reversed(dict.fromkeys(reversed(texts))))
 
     def _complete(self, arriving: _Arriving) -> StatusText | None:
@@ -87,11 +87,11 @@ class StatusTexts:
         text = plain("".join(parts))  # PX4 ends a text with a tab where it is also sent as an event
         if not text:
             return None
-        found = StatusText(text, arriving.severity, arriving.received_s)
-        self._texts.append(found)
+        completed = StatusText(text, arriving.severity, arriving.received_s)
+        self._texts.append(completed)
         for listener in self.listeners:
-            listener(found)
-        return found
+            listener(completed)
+        return completed
 
 
 class Link(Protocol):
@@ -196,7 +196,7 @@ class Vehicle(VehicleMessages):
     @property
     def only_mavlink_1(self) -> bool:
         """Whether the link in use has no MAVLink 2: messages above number 255 cannot arrive."""
-        return any(one.in_use and one.only_mavlink_1 for one in self.link.reports())
+        return any(report.in_use and report.only_mavlink_1 for report in self.link.reports())
 
     @property
     def round_trip_s(self) -> float | None:

@@ -198,7 +198,7 @@ def _whole_entries(data: mmap | bytes, kinds: dict[int, _Kind]) -> Iterator[tupl
     while found := _HEADERS.search(data, at):
         begin = found.start()
         end, at = end_of(begin), begin + 1
-        if end <= size and not any(is_followed(one.start()) for one in _HEADERS.finditer(data, begin + 1, end)):
+        if end <= size and not any(is_followed(header.start()) for header in _HEADERS.finditer(data, begin + 1, end)):
             yield begin, data[begin + 2]
             at = end
 

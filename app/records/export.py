@@ -83,20 +83,20 @@ class FlownTrack:
         return f"{self.label} {what}" if self.label else what
 
     def of_targets(self) -> dict[str, list[TargetEstimate]]:
-        found: dict[str, list[TargetEstimate]] = {}
+        by_name: dict[str, list[TargetEstimate]] = {}
         for estimate, name in zip(self.estimates, self.targets or [""] * len(self.estimates), strict=True):
-            found.setdefault(name or "target", []).append(estimate)
-        return found
+            by_name.setdefault(name or "target", []).append(estimate)
+        return by_name
 
     def tracks(self) -> Iterator[PositionTrack]:
         base_m = self.home_altitude_m or 0.0
         flown = [
-            TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), (round(base_m + one.height_m, 3),))
-            for one in self.aircraft
+            TrackPoint(at.time_s, *self.degrees(at.east_m, at.north_m), (round(base_m + at.height_m, 3),))
+            for at in self.aircraft
         ]
         yield PositionTrack("aircraft", self.named("aircraft"), flown)
         for name, estimates in self.of_targets().items():
-            places = [TrackPoint(one.time_s, *self.degrees(one.east_m, one.north_m), ()) for one in estimates]
+            places = [TrackPoint(at.time_s, *self.degrees(at.east_m, at.north_m), ()) for at in estimates]
             yield PositionTrack("target", self.named(name), places)
 
     def at(self, time_s: float) -> datetime | None:
@@ -173,7 +173,7 @@ def animated_svg(flights: Sequence[FlownTrack]) -> str:
 
 def _at(times_s: np.ndarray, moments: Sequence[object]) -> np.ndarray:
     """Return (east, north) at each time, m: (n, 2)."""
-    known = np.array([(one.time_s, one.east_m, one.north_m) for one in moments])  # type: ignore[attr-defined]
+    known = np.array([(moment.time_s, moment.east_m, moment.north_m) for moment in moments])  # type: ignore[attr-defined]
     return np.column_stack([np.interp(times_s, known[:, 0], known[:, axis]) for axis in (1, 2)])
 
 
@@ -202,15 +202,15 @@ def _sight(aircraft: np.ndarray, target: np.ndarray, seconds: float) -> Iterator
 
 def _circles(flight: FlownTrack, times_s: np.ndarray, seconds: float, placed: Placed, scale: float) -> Iterator[str]:
     """Draw the circle that is commanded at each moment: one shape that jumps."""
-    begun = [(max(since_s, times_s[0]), one) for since_s, one in flight.circles if since_s < times_s[-1]]
+    begun = [(max(since_s, times_s[0]), circle) for since_s, circle in flight.circles if since_s < times_s[-1]]
     circles = dict(begun)  # of those from before the first moment, the last
     if not circles:
         return
-    centres = placed(np.array([(one.east_m, one.north_m) for one in circles.values()]))
+    centres = placed(np.array([(circle.east_m, circle.north_m) for circle in circles.values()]))
     moments = [f"{(since_s - times_s[0]) / (len(times_s) * _STEP_S):.4f}" for since_s in circles]
     timing = f' calcMode="discrete" keyTimes="{";".join(["0", *moments[1:]])}"'
     yield '<circle class="now" stroke-width="2">'
-    radii = [scale * one.radius_m for one in circles.values()]
+    radii = [scale * circle.radius_m for circle in circles.values()]
     yield from _animated(seconds, timing, cx=centres[:, 0], cy=centres[:, 1], r=radii)
     yield "</circle>"
 

@@ -233,9 +233,9 @@ def _translated(
     translator: Callable[[], Translator], entries: Callable[[Path, Collection[str], Progress], Iterator[Entry]]
 ) -> MessageReader:
     def messages(path: Path, wanted: Collection[str], progress: Progress) -> Iterator[Message]:
-        one = translator()
-        every = one.messages(entries(path, one.names, progress))
-        return (message for message in every if message.name in wanted)
+        source = translator()
+        translated = source.messages(entries(path, source.names, progress))
+        return (message for message in translated if message.name in wanted)
 
     return messages
 

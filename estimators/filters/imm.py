@@ -138,7 +138,7 @@ class TargetImm:
     def without_errors(self, sightings: Iterable[AnySighting]) -> list[AnySighting]:
         """Return sightings without the payload's errors."""
         biases = self.biases()
-        return [one.without(*biases.mean[_errors_in(biases, one)].tolist()) for one in sightings]
+        return [sighting.without(*biases.mean[_errors_in(biases, sighting)].tolist()) for sighting in sightings]
 
     def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
         mean, covariance = np.empty(size), np.empty((size, size))
@@ -169,7 +169,7 @@ def steadier(densities: kernel.Densities) -> kernel.Densities:
 
 def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float]) -> Biases:
     """Return the prior of the errors of several payloads, each with its clock."""
-    sigmas = [(*prior_sigmas(one), clock_s) for one, clock_s in zip(payloads, clock_sigmas_s, strict=True)]
+    sigmas = [(*prior_sigmas(payload), clock_s) for payload, clock_s in zip(payloads, clock_sigmas_s, strict=True)]
     return Biases(np.zeros(4 * len(sigmas)), np.diag(np.square(sigmas).ravel()))
 
 

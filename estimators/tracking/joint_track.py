@@ -95,8 +95,8 @@ class JointTrack:
         if not settings:
             raise ValueError("a joint track needs a payload")
         self._names = tuple(settings)
-        self._settings = [replace(one, filter="imm") for one in settings.values()]
-        self._own = [Track(one) for one in self._settings]
+        self._settings = [replace(own, filter="imm") for own in settings.values()]
+        self._own = [Track(own) for own in self._settings]
         self._clock_sigmas_s = [0.0] * len(self._names)
         self._track = self._new()
         self._faults = [""] * len(self._names)  # as the aircraft report them
@@ -156,8 +156,8 @@ class JointTrack:
         """
         payload = self._names.index(name)
         self._faults[payload] = fault
-        for holds, those in ((jumped, self._jumped), (confirmed, self._confirmed)):
-            (those.add if holds else those.discard)(payload)
+        for holds, payloads in ((jumped, self._jumped), (confirmed, self._confirmed)):
+            (payloads.add if holds else payloads.discard)(payload)
         if confirmed or corrected is not None:
             self._doubted.discard(payload)
         if corrected is not None:
@@ -166,7 +166,7 @@ class JointTrack:
             own = replace(self._settings[payload], yaw_bias_sigma_rad=yaw_rad, range_bias_sigma_m=range_m)
             self._settings[payload], self._own[payload] = own, Track(own)
             if payload in self._fed:
-                self._begin([one for one in self._alive if one != payload and one not in self._refused])
+                self._begin([other for other in self._alive if other != payload and other not in self._refused])
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
         """Return the estimate at a time; None before the first sighting."""
@@ -205,8 +205,8 @@ class JointTrack:
         self._alive = tuple(alive)
         self._find_parted(alive, agreeing(alive), time_s)
         group = agreeing(alive, self._trust)
-        rest = {payload: estimate for payload, estimate in alive.items() if payload not in group}
-        rivals = agreeing(rest, self._trust)
+        outside = {payload: estimate for payload, estimate in alive.items() if payload not in group}
+        rivals = agreeing(outside, self._trust)
         leads = self._weight(group) > self._weight(rivals)
         for payload in alive:
             agrees = leads and payload in group
@@ -272,15 +272,15 @@ class JointTrack:
             self._track.add(self._latest[payload])
 
     def _covering(self, time_s: float) -> TargetEstimate | None:
-        every = (track.estimate(time_s) for track in self._own)
-        seen = [one for one in every if one is not None and one.quality is not TrackQuality.LOST]
+        estimates = (track.estimate(time_s) for track in self._own)
+        seen = [own for own in estimates if own is not None and own.quality is not TrackQuality.LOST]
         if not seen:
             return None
-        states = np.array([state_of(one) for one in seen])
+        states = np.array([state_of(estimate) for estimate in seen])
         spread = states.var(axis=0)
         spread[:2] = spread[:2].sum()  # a payload that errs may do so in every direction
-        last = max(seen, key=lambda one: one.last_sighting_s)
-        covariance = np.mean([one.covariance for one in seen], axis=0) + np.diag(spread)
+        last = max(seen, key=lambda estimate: estimate.last_sighting_s)
+        covariance = np.mean([estimate.covariance for estimate in seen], axis=0) + np.diag(spread)
         east_m, north_m, velocity_e, velocity_n = states.mean(axis=0).tolist()
         place = last.time_s, east_m, north_m, velocity_e, velocity_n
         return TargetEstimate(*place, covariance, last.quality, last.last_sighting_s, last.reason)

@@ -207,9 +207,9 @@ class Track:
         # Three sigma of a difference of two, along the longer axis.
         reach_m = 3.0 * math.sqrt(2.0 * float(last.covariance.trace()))
         return all(
-            math.hypot(one.east_m - last.east_m, one.north_m - last.north_m)
-            < reach_m + self._speed_max_m_s * abs(last.time_s - one.time_s)
-            for one in sightings
+            math.hypot(sighting.east_m - last.east_m, sighting.north_m - last.north_m)
+            < reach_m + self._speed_max_m_s * abs(last.time_s - sighting.time_s)
+            for sighting in sightings
         )
 
     def estimate(self, now_s: float) -> TargetEstimate | None:

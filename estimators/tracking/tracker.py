@@ -115,7 +115,7 @@ class Pairing:
 
     def completed(self) -> list[Sighting]:
         """Return the sightings that can be made now, oldest first."""
-        made: list[Sighting] = []
+        sightings: list[Sighting] = []
         position_s, gimbal_s = self._poses.positions.newest_s, self._gimbals.newest_s
         newest_s = max(position_s, gimbal_s, self._ranges.newest_s)
         known_s = min(position_s, gimbal_s - self.gimbal_delay_s)
@@ -128,13 +128,13 @@ class Pairing:
             reading = self.waiting.pop(0)
             sighting = self._sighting(reading.time_s - self.range_delay_s, reading)
             if sighting is not None:
-                made.append(sighting)
+                sightings.append(sighting)
         known_s += self.gimbal_delay_s - self.range_delay_s
         while self.alone and known_s >= self.alone[0]:
             sighting = self._sighting(self.alone.pop(0) - self.gimbal_delay_s)
             if sighting is not None:
-                made.append(sighting)
-        return made
+                sightings.append(sighting)
+        return sightings
 
     def set_delays(self, delays: Delays | None) -> None:
         """Use other delays, or the configured ones; whole milliseconds, so that a replay computes the same."""
@@ -149,8 +149,8 @@ class Pairing:
         self._paired_s = -math.inf
         waiting = {reading.time_s for reading in self.waiting}
         readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]
-        made = (self._sighting(reading.time_s - self.range_delay_s, reading) for reading in readings)
-        return [sighting for sighting in made if sighting is not None]
+        sightings = (self._sighting(reading.time_s - self.range_delay_s, reading) for reading in readings)
+        return [sighting for sighting in sightings if sighting is not None]
 
     @property
     def _needs_attitude(self) -> bool:
@@ -161,10 +161,10 @@ class Pairing:
         """Return the sighting at a time, with a range or where the line of sight meets the ground."""
         settings = self._settings
         position = self._poses.position_at(time_s)
-        found = gimbal_at(self._gimbals, time_s + self.gimbal_delay_s)
-        if position is None or found is None:
+        between = gimbal_at(self._gimbals, time_s + self.gimbal_delay_s)
+        if position is None or between is None:
             return None
-        gimbal, gap_s = found
+        gimbal, gap_s = between
         needs_attitude = self._needs_attitude or gimbal.frame != "earth"  # the newest may be of another frame
         attitude = self._poses.attitude_at(time_s) if needs_attitude else None
         if attitude is None and needs_attitude:
@@ -251,7 +251,7 @@ class Tracker:
 
     def add(self, reading: Reading) -> tuple[SightingOutcome, ...]:
         """Process a reading; return the outcome of each sighting that it completed."""
-        made: list[AnySighting] = []
+        sightings: list[AnySighting] = []
         match reading:
             case PositionReading():
                 self._poses.positions.add(reading)
@@ -264,17 +264,17 @@ class Tracker:
                 self._poses.attitudes.add(reading)
                 self.payload.attitude(reading)
             case TargetFixReading():
-                made += self._usable_fix(reading)
+                sightings += self._usable_fix(reading)
         if self._pairing.waiting or self._pairing.alone:
-            made += self._pairing.completed()
-            for one in made:  # ends of lines of sight on the ground take the place of ranges
-                if isinstance(one, Sighting) and not one.has_range:
-                    self.payload.ground_range(one.time_s + self._pairing.gimbal_delay_s, one.slant_range_m)
-        if not made:
+            sightings += self._pairing.completed()
+            for sighting in sightings:  # ends of lines of sight on the ground take the place of ranges
+                if isinstance(sighting, Sighting) and not sighting.has_range:
+                    self.payload.ground_range(sighting.time_s + self._pairing.gimbal_delay_s, sighting.slant_range_m)
+        if not sightings:
             return ()
-        outcomes = tuple([self._track.add(one) for one in made])
+        outcomes = tuple([self._track.add(sighting) for sighting in sightings])
         self.sightings += len(outcomes)
-        self.rejected += sum([not one.accepted for one in outcomes])
+        self.rejected += sum([not outcome.accepted for outcome in outcomes])
         return outcomes
 
     def _follow_payload(self, now_s: float) -> None:

@@ -189,10 +189,10 @@ class MissionController:
             self._outputs += outbox.sent
             outbox.sent.clear()
             derived, outbox.derived = outbox.derived, []
-            for one in derived:
-                event = one
-                if isinstance(one, TakeoverFailed) and self.controller.resuming:
-                    event = ExternalControl(one.time_s, f"not resumed, {one.reason}")
+            for derivation in derived:
+                event = derivation
+                if isinstance(derivation, TakeoverFailed) and self.controller.resuming:
+                    event = ExternalControl(derivation.time_s, f"not resumed, {derivation.reason}")
                 self._outputs.append(event)
                 if isinstance(event, DERIVED) and not self._closing:
                     self._route(self.controller.step(event))

@@ -208,7 +208,7 @@ class Takeover:
                 Circle.tangent_to(here.east_m, here.north_m, here.course_rad, radius_m, sense)
                 for sense in (clockwise, not clockwise)
             ]
-            free = (one for one in either if not isinstance(self._settings.cleared(Plan(one)), str))
+            free = (candidate for candidate in either if not isinstance(self._settings.cleared(Plan(candidate)), str))
             circle = next(free, either[0])
             self._first(circle)
             return circle, circle

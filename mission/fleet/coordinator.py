@@ -270,8 +270,8 @@ class RoleJudges:
         """Judge by this requirement of a target from now on."""
         self._wanted[target] = wanted
         self._courses.setdefault(target, WatchedCourse(wanted))
-        for one in fleet:
-            self._judges[one.member.name, target] = self._make_judge(one.member.name, one.member.aircraft, wanted)
+        for member in (vehicle.member for vehicle in fleet):
+            self._judges[member.name, target] = self._make_judge(member.name, member.aircraft, wanted)
         self._expect_on_route(target)
 
     def expect(self, target: str, given: RouteGiven) -> None:
@@ -292,8 +292,8 @@ class RoleJudges:
         """Take the targets' estimates, in the order of time."""
         for name, estimate in estimates.items():
             if estimate is not None and estimate.quality is not TrackQuality.LOST:
-                watching = [one for one in fleet if one.takes_part and one.target == name]
-                first = min(watching, key=lambda one: one.since_s).report if watching else None
+                watching = [vehicle for vehicle in fleet if vehicle.takes_part and vehicle.target == name]
+                first = min(watching, key=lambda vehicle: vehicle.since_s).report if watching else None
                 self._courses[name].update(estimate, None if first is None else first.state)
                 if name in self._followers:
                     self._followers[name].update(estimate)
@@ -599,7 +599,7 @@ class FleetCoordinator:
         self._relieve(estimates)
         too_near = self._proximity.watch(self._now_s, self._vehicles.values(), self._foreign.values())
         now_s, foreign = self._now_s, self._foreign.items()
-        self._foreign = {key: one for key, one in foreign if now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S}
+        self._foreign = {key: craft for key, craft in foreign if now_s - craft.mission_time_s < _FOREIGN_FORGOTTEN_S}
         for vehicle in self._vehicles.values():
             if vehicle.report is not None:
                 advice = self._advice_to(vehicle, estimates[vehicle.target], too_near.get(vehicle.member.name, ""))
@@ -664,7 +664,8 @@ class FleetCoordinator:
             for name, estimate in estimates.items()
             if estimate is not None and estimate.quality is not TrackQuality.LOST
         }
-        free = [one for one in self._vehicles.values() if one.takes_part and estimates[one.target] is not None]
+        taking_part = (vehicle for vehicle in self._vehicles.values() if vehicle.takes_part)
+        free = [vehicle for vehicle in taking_part if estimates[vehicle.target] is not None]
         if len(self._targets) < 2 or not known or not free:
             return
         costs = [

@@ -100,7 +100,7 @@ class TeamPlanner:
             raise ValueError("several aircraft share the sides of a target: side has to be left or right")
         self._alone, self._side = alone, requirement.side
         self._wanted = 1.0 if self._side is Side.LEFT else -1.0
-        self._teams = [team_of(one, self._side) for one in alone.tables]
+        self._teams = [team_of(table, self._side) for table in alone.tables]
         alone.price_share = self._teams[0].price
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
@@ -128,20 +128,20 @@ class TeamPlanner:
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`sidelong.mission.core.plan.WindPlanner`."""
         self._alone.prepare(wind_speed_m_s)
-        self._teams += [team_of(one, self._side) for one in self._alone.tables[len(self._teams) :]]
+        self._teams += [team_of(table, self._side) for table in self._alone.tables[len(self._teams) :]]
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
         """Return what this aircraft would pay alone in each role, from its next departure on."""
         question, team = self._for(wind)
-        held, found = question.context.watcher.memory[0].side, []
+        held, costs_s = question.context.watcher.memory[0].side, []
         for side in (team.wanted, -team.wanted):
             question.context.watcher.memory[0].side = side
             scene = scene_at(aircraft, target, present, wind, latency_s, question)
-            found.append(kernel.role_value(scene, question))
+            costs_s.append(kernel.role_value(scene, question))
         question.context.watcher.memory[0].side = held
-        return RoleCosts(*found)
+        return RoleCosts(*costs_s)
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
@@ -158,8 +158,8 @@ class TeamPlanner:
         scene, costs = scene_at(aircraft, target, present, wind, latency_s, question), np.empty(MOVES)
         stay_cost, bar = kernel.team_decide(
             scene,
-            np.stack([self._predicted(one, wind) for one in others]),
-            np.array([one.state.time_s for one in others]),
+            np.stack([self._predicted(other, wind) for other in others]),
+            np.array([other.state.time_s for other in others]),
             question,
             team,
             self._alone.sight_in(scene),
@@ -186,13 +186,13 @@ class TeamPlanner:
         if advice is None or time_s - advice.time_s > _ADVICE_S:
             return []
         return [
-            one
-            for one in advice.neighbours
-            if one.ours
-            and one.target == advice.target
-            and one.role is not Role.LEAVE
-            and time_s - one.state.time_s <= _ADVICE_S
-            and (news := self._plans.get(one.name)) is not None
+            neighbour
+            for neighbour in advice.neighbours
+            if neighbour.ours
+            and neighbour.target == advice.target
+            and neighbour.role is not Role.LEAVE
+            and time_s - neighbour.state.time_s <= _ADVICE_S
+            and (news := self._plans.get(neighbour.name)) is not None
             and news.present is not None
         ]
 
@@ -204,4 +204,4 @@ class TeamPlanner:
 
 
 def _names(others: Sequence[Neighbour]) -> str:
-    return " and ".join(one.name for one in others)
+    return " and ".join(other.name for other in others)

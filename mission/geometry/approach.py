@@ -65,8 +65,8 @@ def _plan_to(
         nearest_m = least_range_m(path, target, airframe.airspeed_m_s)
         return max(0.0, requirement.range_min_m - nearest_m), path.length_m
 
-    found = (turn_straight_turn(aircraft, circle, turn * airframe.radius_m) for turn in (1.0, -1.0))
-    paths = [path for path in found if path is not None]
+    candidates = (turn_straight_turn(aircraft, circle, turn * airframe.radius_m) for turn in (1.0, -1.0))
+    paths = [path for path in candidates if path is not None]
     # A wanted circle that overlaps both turning circles is joined by a straight to where the aircraft's course meets
     # it best; the autopilot captures it.
     straight = (circle.radius_m, 0.0), (_SAMPLE_M, circle.curvature_per_m)
@@ -233,7 +233,7 @@ def retreats(
     plans = [plan for circle in circles for plan in paths_to(circle, start, airframe)]
 
     def rank(plan: Plan) -> tuple[float, float, float]:
-        clear_m = min(one.clearance_m(plan, airspeed_m_s) for one in (reach, *others))
+        clear_m = min(disk.clearance_m(plan, airspeed_m_s) for disk in (reach, *others))
         away_m = math.hypot(plan.circle.east_m - reach.east_m, plan.circle.north_m - reach.north_m)
         return max(keep_m - clear_m, 0.0), round(away_m), plan.transition_m
 

@@ -81,10 +81,10 @@ class SightingsCheck:
         if is_new:
             self._rejected.append([second, *(2 * _OF_KINDS * [0])])
         counts = self._rejected[-1]
-        for one in outcomes:
-            kind = _kind(one.sighting)
+        for outcome in outcomes:
+            kind = _kind(outcome.sighting)
             counts[1 + kind] += 1
-            counts[1 + _OF_KINDS + kind] += not one.accepted or (kind != _RANGED and one.nis > _POOR_NIS)
+            counts[1 + _OF_KINDS + kind] += not outcome.accepted or (kind != _RANGED and outcome.nis > _POOR_NIS)
         if not is_new:
             return
         while self._rejected[0][0] < second - _WINDOW_S or self._rejected[0][0] > second:
@@ -188,8 +188,8 @@ class Health:
 
     def __init__(self, payload: PayloadFit) -> None:
         self.payload, self.sightings = payload, SightingsCheck()
-        self._inputs = {one: _Received() for one in _WORDS}
-        self._by_kind = {kind: self._inputs[one] for kind, one in _KINDS.items()}
+        self._inputs = {kind: _Received() for kind in _WORDS}
+        self._by_kind = {event: self._inputs[kind] for event, kind in _KINDS.items()}
         self.reports: tuple[InputReport, ...] = ()  # of every input that was ever received
         self.unknown = ""  # why it is not known how well the target is watched; '' while it is
         self._now_s = -math.inf
@@ -204,15 +204,15 @@ class Health:
         goes_on = self._ticks > self._moved_tick + _TICKS_MARGIN and now_s != self._now_s
         if goes_on:
             self._moved_tick, self._now_s = self._ticks, now_s
-        one = self._by_kind.get(type(event))
-        if one is not None and now_s > -math.inf:
-            if one.source is None:
+        seen = self._by_kind.get(type(event))
+        if seen is not None and now_s > -math.inf:
+            if seen.source is None:
                 is_input = not isinstance(event, RangeReading) or lasers is None or lasers.may_use(event.source)
             else:
-                is_input = event.source is one.source or event.source == one.source  # type: ignore[union-attr]
+                is_input = event.source is seen.source or event.source == seen.source  # type: ignore[union-attr]
             if is_input:
-                one.last_s, one.tick = now_s, self._ticks
-                one.count += 1
+                seen.last_s, seen.tick = now_s, self._ticks
+                seen.count += 1
         elif isinstance(event, ClockTick):
             self._ticks += 1
             if now_s == self._now_s:
@@ -225,8 +225,8 @@ class Health:
         self._connected = event.connected
         if event.connected:
             change = self._good_again(Input.LINK, now_s, "the link is back")
-            for each in self._inputs.values():  # ages begin again
-                each.last_s, each.tick = now_s, self._ticks
+            for seen in self._inputs.values():  # ages begin again
+                seen.last_s, seen.tick = now_s, self._ticks
         else:
             change = self._set(Input.LINK, InputState.STALE, now_s, _LINK_LOST)
         self.reports = self._made_reports()
@@ -237,23 +237,23 @@ class Health:
         """For how many seconds of this computer the vehicle's clock has stood still."""
         return float(max(self._ticks - self._moved_tick - _TICKS_MARGIN, 0))
 
-    def is_usable(self, one: Input) -> bool:
-        """Return whether an input is neither stale nor inconsistent; one never received is not judged."""
-        return self._inputs[one].state not in (InputState.STALE, InputState.INCONSISTENT)
+    def is_usable(self, kind: Input) -> bool:
+        """Return whether an input is neither stale nor inconsistent; one never seen is not judged."""
+        return self._inputs[kind].state not in (InputState.STALE, InputState.INCONSISTENT)
 
     @property
     def payload_fault(self) -> str:
         """What is wrong with laser or gimbal so that their readings are not used, in words; empty: nothing."""
-        for one in (Input.LASER, Input.GIMBAL):
-            if self._inputs[one].state is InputState.INCONSISTENT:
-                return self._inputs[one].text
+        for kind in (Input.LASER, Input.GIMBAL):
+            if self._inputs[kind].state is InputState.INCONSISTENT:
+                return self._inputs[kind].text
         return ""
 
     def _made_unknown(self) -> str:
-        for one in (Input.POSITION, Input.CLOCK, Input.LASER, Input.GIMBAL, Input.SIGHTINGS, Input.SPEED):
-            state = self._inputs[one].state
-            if state is InputState.INCONSISTENT or (one is Input.POSITION and state is InputState.STALE):
-                return self._inputs[one].text
+        for kind in (Input.POSITION, Input.CLOCK, Input.LASER, Input.GIMBAL, Input.SIGHTINGS, Input.SPEED):
+            state = self._inputs[kind].state
+            if state is InputState.INCONSISTENT or (kind is Input.POSITION and state is InputState.STALE):
+                return self._inputs[kind].text
         return ""
 
     def changes(
@@ -297,32 +297,32 @@ class Health:
 
     def _made_reports(self) -> tuple[InputReport, ...]:
         return tuple(
-            InputReport(kind, one.state, one.since_s, one.rate_hz, one.text)
-            for kind, one in self._inputs.items()
-            if one.state is not InputState.MISSING
+            InputReport(kind, seen.state, seen.since_s, seen.rate_hz, seen.text)
+            for kind, seen in self._inputs.items()
+            if seen.state is not InputState.MISSING
         )
 
-    def _rate(self, one: _Received, now_s: float) -> None:
-        passed_s = now_s - one.rated_s
+    def _rate(self, seen: _Received, now_s: float) -> None:
+        passed_s = now_s - seen.rated_s
         if not 0.0 <= passed_s < _RATE_OVER_S:
-            one.rate_hz = (one.count - one.rated_count) / passed_s if 0.0 < passed_s < math.inf else math.nan
-            one.rated_s, one.rated_count = now_s, one.count
+            seen.rate_hz = (seen.count - seen.rated_count) / passed_s if 0.0 < passed_s < math.inf else math.nan
+            seen.rated_s, seen.rated_count = now_s, seen.count
             self._is_news = True
 
     def _judge_age(self, kind: Input, now_s: float, changed: list[HealthChanged]) -> None:
-        one, limit_s = self._inputs[kind], _AGE_MAX_S[kind]
-        ticks = self._ticks - one.tick
-        age_s = now_s - one.last_s
+        seen, limit_s = self._inputs[kind], _AGE_MAX_S[kind]
+        ticks = self._ticks - seen.tick
+        age_s = now_s - seen.last_s
         # On a vehicle's clock that runs faster than ours a tick is long, so that both have to be over the limit,
         # unless the vehicle's clock stands still.
         stands = self.silent_s >= limit_s
         if (age_s > limit_s and ticks > _TICKS_MARGIN) or (stands and ticks > limit_s + _TICKS_MARGIN):
-            if one.state is not InputState.STALE:
+            if seen.state is not InputState.STALE:
                 text = _STALE[kind].format(age=max(age_s, float(ticks) if stands else 0.0))
                 changed.append(self._set(kind, InputState.STALE, now_s, text))
-        elif one.state is InputState.MISSING:
+        elif seen.state is InputState.MISSING:
             self._set(kind, InputState.OK, now_s, "")  # the first reading is no news
-        elif one.state is InputState.STALE:
+        elif seen.state is InputState.STALE:
             changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} is received again"))
 
     def _judge_fault(self, kind: Input, fault: str, now_s: float, changed: list[HealthChanged]) -> None:
@@ -340,24 +340,24 @@ class Health:
             changed.append(self._good_again(kind, now_s, f"{_WORDS[kind]} {agree} again"))
 
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
-        one = self._inputs[kind]
-        before, one.source = one.source, source
+        seen = self._inputs[kind]
+        before, seen.source = seen.source, source
         if before == source:
             return
-        given, one.of_source = one.count - one.of_source, one.count
+        given, seen.of_source = seen.count - seen.of_source, seen.count
         self._is_news |= source is not None
         if before is None or source is None or given < _IN_USE_AFTER:
             return
         self._refused.discard(source)
         text = f"{_WORDS[kind]} in use is now {_device(source)}, before it was {_device(before)}"
-        one.last_s, one.tick = now_s, self._ticks
-        state = one.state if one.state is InputState.INCONSISTENT else InputState.SWITCHED
+        seen.last_s, seen.tick = now_s, self._ticks
+        state = seen.state if seen.state is InputState.INCONSISTENT else InputState.SWITCHED
         changed.append(self._set(kind, state, now_s, text))
 
     def _set(self, kind: Input, state: InputState, now_s: float, text: str) -> HealthChanged:
-        one = self._inputs[kind]
-        lasted_s = self._lasted_s(one, now_s)
-        one.state, one.since_s, one.since_tick, one.text = state, now_s, self._ticks, text
+        seen = self._inputs[kind]
+        lasted_s = self._lasted_s(seen, now_s)
+        seen.state, seen.since_s, seen.since_tick, seen.text = state, now_s, self._ticks, text
         self._is_news = True
         return HealthChanged(now_s, kind, state, text, lasted_s)
 
@@ -365,9 +365,9 @@ class Health:
         lasted_s = self._lasted_s(self._inputs[kind], now_s)
         return self._set(kind, InputState.OK, now_s, f"{text}, after {lasted_s:.0f} s")
 
-    def _lasted_s(self, one: _Received, now_s: float) -> float:
+    def _lasted_s(self, seen: _Received, now_s: float) -> float:
         """Return how long an input has been in its state; the vehicle's clock may have stood still since."""
-        return max(now_s - one.since_s, float(self._ticks - one.since_tick)) if one.since_s > -math.inf else 0.0
+        return max(now_s - seen.since_s, float(self._ticks - seen.since_tick)) if seen.since_s > -math.inf else 0.0
 
 
 def _device(source: Source | None) -> str:

@@ -136,7 +136,7 @@ def phased(
 
     constant_speed: the circular formation in place of the phased field.
     """
-    found = []
+    orders = []
     for state, behind_rad in zip(aircraft, behind(aircraft, target, clockwise), strict=True):
         radius_m, speed_m_s = _RADIUS_M, airspeed_m_s
         if constant_speed:
@@ -144,8 +144,8 @@ def phased(
         else:
             share = _SPEED_GAIN_PER_S * behind_rad * radius_m / airspeed_m_s
             speed_m_s *= 1.0 + min(max(share, -_SPEED_SHARE), _SPEED_SHARE)
-        found.append((VectorField(radius_m, clockwise, _GAIN_PER_S).curvature_per_m(state, target), speed_m_s))
-    return found
+        orders.append((VectorField(radius_m, clockwise, _GAIN_PER_S).curvature_per_m(state, target), speed_m_s))
+    return orders
 
 
 def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise: bool) -> list[float]:
@@ -154,13 +154,13 @@ def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise:
     Alone, no aircraft is behind.
     """
     n, sense = len(aircraft), 1.0 if clockwise else -1.0
-    phase_rad = [sense * math.atan2(one.east_m - target.east_m, one.north_m - target.north_m) for one in aircraft]
+    phase_rad = [sense * math.atan2(own.east_m - target.east_m, own.north_m - target.north_m) for own in aircraft]
     order = sorted(range(n), key=lambda k: phase_rad[k] % math.tau)
-    found = [0.0] * n
+    behind_rad = [0.0] * n
     for place, k in enumerate(order):
         before, after = order[place - 1], order[(place + 1) % n]
         if before != k:
             gap_back_rad = (phase_rad[k] - phase_rad[before]) % math.tau
             gap_ahead_rad = (phase_rad[after] - phase_rad[k]) % math.tau
-            found[k] = 0.5 * (gap_ahead_rad - gap_back_rad)
-    return found
+            behind_rad[k] = 0.5 * (gap_ahead_rad - gap_back_rad)
+    return behind_rad

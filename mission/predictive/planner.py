@@ -109,10 +109,10 @@ def route_values(route: Route | None, own: Table, c: TableConfiguration, progres
     values = np.zeros((classes + layers, HEADINGS, SIZE, SIZE), np.float32)
     after_turn = np.zeros((classes + HEADINGS, HEADINGS, SIZE, SIZE), np.float32)
     share = np.array([[[1.0, 0.0, 0.0, 0.0]]])
-    for one in range(classes):
-        mixed = np.array([[[one, 0, 0, 0]]])
-        resample(own.values, own.cell_m, mixed, share, 0, cell_m, 0.0, values[one])
-        resample(own.after_turn, own.cell_m, mixed, share, 0, cell_m, 0.0, after_turn[one])
+    for k in range(classes):
+        mixed = np.array([[[k, 0, 0, 0]]])
+        resample(own.values, own.cell_m, mixed, share, 0, cell_m, 0.0, values[k])
+        resample(own.after_turn, own.cell_m, mixed, share, 0, cell_m, 0.0, after_turn[k])
     least = values.min(axis=(1, 2, 3)).astype(np.float64)
     state = new_record(LAYERS)
     state[0].computed_s = -np.inf
@@ -226,7 +226,7 @@ class PredictivePlanner:
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
         self._line_cache, self._second_moves = new_line_cache(), new_second_moves()
         self._route, self._progress = route, fresh_progress(0 if route is None else route.east_m.size)
-        self.questions = [self._question(one) for one in self.tables]
+        self.questions = [self._question(own) for own in self.tables]
         if settings.beam > 0:  # else the first decisions would wait for it
             kernel.lay_out(self.questions[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
 
@@ -257,7 +257,7 @@ class PredictivePlanner:
 
         Nothing to do for a sector, whose table knows no wind.
         """
-        prepared = any(one.configuration.wind_speed_m_s == wind_speed_m_s for one in self.tables)
+        prepared = any(own.configuration.wind_speed_m_s == wind_speed_m_s for own in self.tables)
         if self._table_at is not None and self.requirement.sector is None and not prepared:
             self.tables.append(self._table_at(wind_speed_m_s))
             self.questions.append(self._question(self.tables[-1]))
@@ -286,7 +286,7 @@ class PredictivePlanner:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
             reason = f"holding the circle: {words} for an airspeed of {self.aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
-        question = min(self.questions, key=lambda one: abs(one.context.motions.wind_speed_m_s - wind.speed_m_s))
+        question = min(self.questions, key=lambda own: abs(own.context.motions.wind_speed_m_s - wind.speed_m_s))
         full, share = question.prices, self.price_share
         prices = full._replace(leave=share * full.leave, change=share * full.change)
         scene = scene_at(aircraft, target, present, wind, latency_s, question)

@@ -103,9 +103,9 @@ class WatchCost:
         It is the chance of being off the side, 0..1, and the walls at the edges of the band. widened_m moves both
         edges inwards, never beyond a half of the band's width; the sides' border is blurred over +-side_blur_m (> 0).
         """
-        every = np.broadcast_arrays(x_m, y_m, widened_m, side_blur_m)
-        rate = np.empty(every[0].shape)
-        x, y, widened, blur = (a.astype(np.float64).ravel() for a in every)
+        arrays = np.broadcast_arrays(x_m, y_m, widened_m, side_blur_m)
+        rate = np.empty(arrays[0].shape)
+        x, y, widened, blur = (a.astype(np.float64).ravel() for a in arrays)
         cost_rates(x, y, widened, blur, self.terms, rate.ravel())
         return rate
 

@@ -71,9 +71,9 @@ class FlightHeights:
 
     def at(self, height_m: float) -> FlightHeights:
         """See :class:`sidelong.mission.core.plan.Heights`."""
-        other = copy(self)
-        other._rules, other._carried = replace(self._rules, height_m=height_m), True
-        return other
+        copied = copy(self)
+        copied._rules, copied._carried = replace(self._rules, height_m=height_m), True
+        return copied
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
         """See :class:`sidelong.mission.core.plan.Heights`.
@@ -190,7 +190,7 @@ def _highest_about(ground: Ground, margin_m: float) -> Raster:
     np.maximum(cells, posts[1:, 1:], out=cells)
     for axis, step_m in ((0, ground.step_north_m), (1, ground.step_east_m)):
         reach = math.ceil(margin_m / step_m)
-        beyond = [(reach, reach) if one == axis else (0, 0) for one in (0, 1)]
+        beyond = [(reach, reach) if other_axis == axis else (0, 0) for other_axis in (0, 1)]
         padded = np.pad(cells, beyond, constant_values=np.inf)
         cells = sliding_window_view(padded, 2 * reach + 1, axis=axis).max(axis=-1)
     return cells
@@ -235,7 +235,7 @@ class SightField:
     def _compute_needed_m(self, column: int, row: int) -> npt.NDArray[np.float32]:
         place_m = column * _APART_M, row * _APART_M
         height_m = self._ground.height_m(*place_m) + _TARGET_M
-        found = self._ground.horizon_m(*place_m, height_m, _AZIMUTHS, self._rings, _RING_M)
+        visible_from_m = self._ground.horizon_m(*place_m, height_m, _AZIMUTHS, self._rings, _RING_M)
         if math.isnan(height_m):
-            found[:] = -math.inf
-        return found
+            visible_from_m[:] = -math.inf
+        return visible_from_m

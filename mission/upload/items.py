@@ -106,7 +106,7 @@ def first_to_fly(
     """
     start = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m)
     stricter = replace(tracking, switch_s=_REACHED_SHARE * tracking.switch_s)
-    problems = [_Problem(transition, circle, one, start) for one in (tracking, stricter)]
+    problems = [_Problem(transition, circle, model, start) for model in (tracking, stricter)]
     places = np.array(waypoints, float).reshape(-1, 2)
     apart_m = math.hypot(start.east_m - transition.east_m[0], start.north_m - transition.north_m[0])
     deviations_m = []

@@ -195,10 +195,11 @@ class Transfer:
         return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
 
     def _is_written_by(self, station: Station) -> bool:
-        return any(one.upload is not None and one.upload.station is station for one in self._transfers.values())
+        uploads = (transfer.upload for transfer in self._transfers.values())
+        return any(upload is not None and upload.station is station for upload in uploads)
 
     def _read_by(self, station: Station) -> Transfer | None:
-        return next((one for one in self._transfers.values() if station in one.downloads), None)
+        return next((transfer for transfer in self._transfers.values() if station in transfer.downloads), None)
 
     def step(self, now_s: float) -> None:
         for station, download in list(self.downloads.items()):

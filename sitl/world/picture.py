@@ -136,11 +136,11 @@ class Scenery:
         view = _View(focal_px, camera @ pose.image_from_plane, np.array(pose.position_m))
         image = self._ground_seen(view, pose, size_px)
         target = self._target(time_s)
-        near = [one for one in (*self.standing, target) if self._is_near(one, view, size_px)]
-        for one in near:
-            self._draw_shadow(image, view, one)
-        for one in sorted(near, key=lambda one: -math.dist(pose.position_m[:2], (one.east_m, one.north_m))):
-            self._draw(image, view, one)
+        near = [thing for thing in (*self.standing, target) if self._is_near(thing, view, size_px)]
+        for thing in near:
+            self._draw_shadow(image, view, thing)
+        for thing in sorted(near, key=lambda thing: -math.dist(pose.position_m[:2], (thing.east_m, thing.north_m))):
+            self._draw(image, view, thing)
         if any(begin_s <= time_s < end_s for begin_s, end_s in self.hidden_s):
             self._draw(image, view, _Tree(target.east_m, target.north_m, 9.0, 9.0))
         return self._exposed(image, time_s, focal_px * abs(turn_rad_s) * _EXPOSURE_S)
@@ -150,7 +150,7 @@ class Scenery:
         level_m = [
             self._height_m(east_m + e, north_m + n) for e, n in ((0, 0), (_SLOPE_OVER_M, 0), (0, _SLOPE_OVER_M))
         ]
-        here_m, east, north = (0.0 if math.isnan(one) else one for one in level_m)
+        here_m, east, north = (0.0 if math.isnan(height_m) else height_m for height_m in level_m)
         return here_m, (east - here_m) / _SLOPE_OVER_M, (north - here_m) / _SLOPE_OVER_M
 
     def _ground_seen(self, view: _View, pose: CameraPose, size_px: tuple[int, int]) -> Image:
