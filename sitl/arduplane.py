@@ -186,7 +186,7 @@ class ArduPlaneNavigator:
         return self.guidance.towards_line(craft, start_m, goal.ground_m, NAVIGATION_PERIOD_S)
 
     def fly_circle(self, radius_m: float, now_s: float, by_line: bool) -> float:
-        """by_line: a far circle is approached along its leg."""
+        """Return the lateral acceleration onto the circle of the goal. by_line: approach a far one along its leg."""
         loiter, craft, goal, guidance = self.loiter, self._craft, self.goal, self.guidance
         radius_m *= self._thin_air_factor
         approaches = by_line and self._on_track and loiter.reached_s is None

@@ -217,7 +217,7 @@ def companions_of(settings: Sequence[Settings], vehicle_id: int | None) -> list[
 
 @contextlib.contextmanager
 def served_device(companion: Companion, kind: str, address: Address | None) -> Iterator[Callable[[], None]]:
-    """Open the port of a companion's device; yields a function that exchanges what is due."""
+    """Open the port of a companion's device; yield a function that receives and sends what is due."""
     if address is None:
         yield lambda: None
         return
@@ -230,11 +230,11 @@ def served_device(companion: Companion, kind: str, address: Address | None) -> I
         yield exchange
 
 
-def ready(vehicle_id: int, url: str) -> None:
+def print_ready(vehicle_id: int, url: str) -> None:
     print(f"ready system {vehicle_id} component 154 payload -> {url}", flush=True)
 
 
-def waits(reason: str) -> None:
+def print_waiting(reason: str) -> None:
     print(reason, file=sys.stderr, flush=True)
 
 
@@ -271,15 +271,15 @@ def run_binaries(
                     url,
                     key=key,
                     straight_to=binary.run.signed_payload if key is not None else None,
-                    on_ready=lambda vehicle_id: ready(vehicle_id, url),
-                    on_wait=waits,
+                    on_ready=lambda vehicle_id: print_ready(vehicle_id, url),
+                    on_wait=print_waiting,
                     on_turn=on_turn,
                     stopped=lambda: stopped() or binary.ended or bool(failed),
                 )
             except (CompanionError, HillsError) as error:
                 failed.append(error)
             if binary.ended and not stopped() and len(running) > 1:
-                waits(f"{binary.run.command[0]}: {binary.last_words}")
+                print_waiting(f"{binary.run.command[0]}: {binary.last_words}")
 
         threads = [
             threading.Thread(target=accompanied, args=(companion, binary, own.signing_key))

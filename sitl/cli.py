@@ -21,7 +21,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from pydantic import ValidationError
 
-from sidelong.sitl.binary import BinaryError, companions_of, ready, run_binaries, served_device, waits
+from sidelong.sitl.binary import BinaryError, companions_of, print_ready, print_waiting, run_binaries, served_device
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.devices import DEVICES, Address
 from sidelong.sitl.protocol.radio import KeyFileError, read_key
@@ -213,8 +213,8 @@ def _fly(
                 companions[0],
                 url,
                 key=each[0].signing_key,
-                on_ready=lambda vehicle_id: ready(vehicle_id, url),
-                on_wait=waits,
+                on_ready=lambda vehicle_id: print_ready(vehicle_id, url),
+                on_wait=print_waiting,
                 on_turn=exchange,
                 stopped=stopped,
             )
@@ -340,7 +340,7 @@ def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], ea
             opened = stack.enter_context(open(own.truth, "w", encoding="utf-8", opener=_opened_at_once))  # noqa: SIM115
         except OSError as error:
             refuse("--truth", f"{own.truth} cannot be written: {error.strerror}")
-        writer.on_truth = TruthFile(opened, waits).write
+        writer.on_truth = TruthFile(opened, print_waiting).write
 
 
 def _opened_at_once(path: str, flags: int) -> int:

@@ -127,7 +127,7 @@ async def _report(config: Config, listen_s: float) -> dict[str, Any]:
             fences = Check("fences", True, str((await with_fences(vehicle, config, parameters))[1]))
         except InputError as error:
             fences = Check("fences", False, str(error))
-        one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
+        one = Check("one vehicle", session.senders.two_vehicles is None, session.senders.two_vehicles or "yes")
         flyable = checks(config, vehicle, autopilot, parameters, home, rates, required)
         found = [one, fences, *flyable, *inputs.checks()]
         found += [] if status is None else [_payload_check(status)]

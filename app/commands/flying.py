@@ -65,7 +65,7 @@ async def _recorded(
                 own = folder.make(name) if isinstance(folder, FleetFolder) else folder
                 aircraft.append(_aircraft(config, own, displays[name], name, reserve))
             life = Life(lambda: any(craft.recording.begun for craft in aircraft), note)
-            with life.heeding_signals():
+            with life.handling_signals():
                 try:
                     ended = await Shell(aircraft, duration_s, life, note, coordinator).fly()
                 finally:

@@ -115,7 +115,7 @@ class VehicleClockReader:
         ahead_s = self._utc_offset_s - offset_s
         return ahead_s - unknown_s - _AGREES_S, ahead_s + unknown_s + _AGREES_S
 
-    def doubt_utc(self) -> None:
+    def reject_utc(self) -> None:
         """Use the answers to TIMESYNC from now on, even where UTC is reported."""
         self._utc_rejected = self._restarted = True
 
@@ -246,7 +246,7 @@ class Coordination:
         return max((time_s for time_s in known if math.isfinite(time_s)), default=math.nan)
 
     def mission_s(self, source: Literal["utc", "host"], time_s: float) -> float:
-        """Return mission time for the present time of a source: the first one is it, a new one moves nothing."""
+        """Return mission time at the present time of a source; a new source continues at the mission time so far."""
         if source not in self._ahead_s:
             now_s = self.now_s
             self._ahead_s[source] = now_s - time_s if math.isfinite(now_s) else 0.0
@@ -261,10 +261,10 @@ class Coordination:
         """Send clock events to the coordinator until cancelled."""
         while True:
             await asyncio.sleep(_POLL_S)
-            self.keep_up(time.monotonic())
+            self.advance(time.monotonic())
 
-    def keep_up(self, wall_s: float) -> None:
-        """Let the coordinator know how time has gone on; wall_s is the clock of this computer."""
+    def advance(self, wall_s: float) -> None:
+        """Send a ``Tick`` if one is due; wall_s: this computer's monotonic clock."""
         now_s = self.now_s
         if now_s < self._ticked_s + _TICK_S:
             if wall_s - self._moved_s < _STANDING_S:
@@ -277,6 +277,7 @@ class Coordination:
     # -- what the aircraft report --------------------------------------------------------------------------
 
     def stepped(self, name: str) -> Stepped:
+        """Return what to call after each step of a named aircraft's core, with its event and outputs."""
         participant = self._participants[name]
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
@@ -307,7 +308,7 @@ class Coordination:
             return
         self._utc_rejected = True
         for participant in self._participants.values():
-            participant.clock.doubt_utc()
+            participant.clock.reject_utc()
         apart_s = (latest[0] + latest[1] - earliest[0] - earliest[1]) / 2.0
         text = f"its UTC is {apart_s:.1f} s ahead of {earliest[2]}'s: all clocks are compared with this computer's"
         self._note(latest[2], text)

@@ -16,7 +16,7 @@ from sidelong.app.fleet.coordination import Coordination, Participant, VehicleCl
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.flight.loop import FlightDisplay, Stepped
 from sidelong.app.flight.payload_input import check_route, give_route
-from sidelong.app.flight.recording import beginning
+from sidelong.app.flight.recording import opening_records
 from sidelong.app.flight.shell import FlyingAircraft
 from sidelong.app.link.message import Message
 from sidelong.app.link.traffic import TrafficReader
@@ -103,7 +103,7 @@ class FleetFlight:
         first = self._aircraft[0]
         config, seeds = self._fleet.model_dump(mode="json"), {"simulation": self._fleet.simulation.seed}
         header = Header(f"sidelong {version('sidelong')}", config, first.flight.plane, seeds)
-        with beginning(self.folder.path):
+        with opening_records(self.folder.path):
             journal = JournalWriter(self.folder.journal, header, first.trouble)
         with journal:
             yield journal

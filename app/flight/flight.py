@@ -212,8 +212,8 @@ class Flight:
         return self._ready.home
 
     @property
-    def come_to_s(self) -> float:
-        """Vehicle time up to which all is processed, s; -inf while output is still to be sent, inf: not known.
+    def processed_to_s(self) -> float:
+        """Vehicle time up to which all input is processed, s; -inf while output is still to be sent, inf: not known.
 
         Before the control step runs, this is the latest time reported by the vehicle.
         """
@@ -526,8 +526,8 @@ class Flight:
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
             rates = await sources.received(_LISTEN_S, self._config.sharing)
-            if self._senders.two is not None:
-                raise InputError(f"{self._senders.two}.")
+            if self._senders.two_vehicles is not None:
+                raise InputError(f"{self._senders.two_vehicles}.")
             home = await home_of(self._vehicle)
             unmet = () if self._config.link.set_parameters else required_parameters
             found = checks(self._config, self._vehicle, self._autopilot, parameters, home, rates, unmet)

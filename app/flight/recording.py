@@ -48,8 +48,8 @@ def journalled_config(journal: JournalReader) -> Config:
 
 
 @contextlib.contextmanager
-def beginning(folder: Path) -> Iterator[None]:
-    """Turn what keeps a record from being begun into InputError: nothing has been commanded yet."""
+def opening_records(folder: Path) -> Iterator[None]:
+    """Raise InputError in place of an OSError while records in ``folder`` are opened: nothing is commanded yet."""
     try:
         yield
     except OSError as error:
@@ -84,7 +84,7 @@ class Recording:
 
     def _opened(self, make: Callable[[], T]) -> T | None:
         try:
-            with beginning(self._folder.path):
+            with opening_records(self._folder.path):
                 return make()
         except InputError as error:
             if self._required:

@@ -60,7 +60,7 @@ class Session:
 
     @contextlib.asynccontextmanager
     async def for_a_flight(self) -> AsyncIterator[None]:
-        """Let one of several flights over this connection begin without what is left of the one before."""
+        """Remove, at the end of one of several flights over this connection, its tasks, listeners and inputs."""
         vehicle, outer = self.vehicle, self.inputs
         outer.close()
         lists: tuple[list[Any], ...] = (vehicle.listeners, vehicle.bystanders, vehicle.texts.listeners)
@@ -215,8 +215,8 @@ class SenderCheck:
                 self._kinds.append(kind)
 
     @property
-    def two(self) -> str | None:
-        """Why there are two vehicles, and the way out, or None."""
+    def two_vehicles(self) -> str | None:
+        """Why two vehicles seem to send with one system id, and the way out; None while they do not."""
         inputs = self._inputs
         reason = None if inputs is None else inputs.plausibility.two_vehicles
         if reason is None and len(self._kinds) > 1:

@@ -234,7 +234,7 @@ class Life:
         self._winding_up = contextlib.ExitStack()
 
     @contextlib.contextmanager
-    def heeding_signals(self) -> Iterator[None]:
+    def handling_signals(self) -> Iterator[None]:
         """Handle signals according to the table above.
 
         asyncio's own handler loses a signal when the loop is so late that its wake-up socket is full.
@@ -453,15 +453,15 @@ class Shell:
         truths = [craft.folder.truth for craft in self._aircraft]
         vehicles = self._simulated = SimulatedVehicles(configs, truths, self._life.fail, targets, looks_at)
         await stack.enter_async_context(vehicles)
-        pace = asyncio.create_task(vehicles.keep_pace(self._come_to_s))
+        pace = asyncio.create_task(vehicles.keep_pace(self._processed_to_s))
         stack.callback(pace.cancel)
         return [(url,) for url in vehicles.urls]
 
-    def _come_to_s(self) -> float:
+    def _processed_to_s(self) -> float:
         """Return the time of the simulation that all aircraft have reached that are received and still fly."""
         alone = len(self._aircraft) == 1
         flying = [craft for craft in self._aircraft if craft.flight is not None and not craft.outcome]
-        return min((craft.flight.come_to_s for craft in flying if alone or craft.is_received), default=math.inf)
+        return min((craft.flight.processed_to_s for craft in flying if alone or craft.is_received), default=math.inf)
 
     async def _connect(self, stack: contextlib.AsyncExitStack, prepared: Sequence[Prepared]) -> None:
         urls = await self._links(stack)

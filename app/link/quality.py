@@ -140,7 +140,7 @@ class RoundTripWatch:
     _announced_s: float | None = None
 
     def news(self, links: Sequence[LinkReport], rate: float = 1.0) -> float | None:
-        """Return the round trip of the link in use, in the vehicle's time, if it differs from the last one returned.
+        """Return the round trip of the link in use, s of the vehicle's clock, if it differs from the last one.
 
         rate: how much faster the vehicle's clock runs than the link's.
         """

@@ -110,6 +110,7 @@ class LinkMerger:
         self._passed: dict[tuple[tuple[int, int], int, bytes], list[tuple[float, set[int]]]] = {}
 
     def passes(self, link: int, frame: Frame, now_s: float) -> bool:
+        """Process a frame of a link, by its index; return whether to deliver it, False for copies and late frames."""
         if self._links == 1:
             return True
         if frame.component_id == AUTOPILOT_COMPONENT:

@@ -45,7 +45,7 @@ def signing_time(unix_s: float) -> int:
 
 
 def latest_time(now: int) -> int:
-    """Return the latest time that is accepted of anyone; without it one broken clock would end all sending."""
+    """Return the latest accepted time stamp, 10 us units: a later one of a broken clock would end all sending."""
     return max(now, _WRITTEN) + _AHEAD_MAX
 
 
@@ -132,7 +132,7 @@ class LinkSigning:
         return frame.signed and hmac.compare_digest(self._key.signature(frame.data[:-6]), frame.data[-6:])
 
     def refusal(self, frame: Frame, now: int) -> Refusal | None:
-        """Return why a frame is refused; None lets it in, and then never again."""
+        """Return why a frame is refused; None: it is accepted, a replay of it will be refused. now: 10 us units."""
         if not frame.signed:
             return Refusal.UNSIGNED
         if not self.genuine(frame):

@@ -56,7 +56,7 @@ async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSW
     Raises LookupError if it is not received, does not answer, or has fewer than two way points, LinkError if a
     message cannot be sent.
     """
-    with vehicle.hearing(*_NAMES, system_id=system_id) as received:
+    with vehicle.collecting(*_NAMES, system_id=system_id) as received:
         wait_s = max(_HEARTBEAT_S, answer_s)
         heartbeat = await _next(received, lambda message: message.name == "HEARTBEAT", wait_s)
     if heartbeat is None:
@@ -77,7 +77,7 @@ async def read_items(
     Raises LookupError if it does not answer, LinkError if a message cannot be sent.
     """
     address = {"target_system": system_id, "target_component": AUTOPILOT_COMPONENT, "mission_type": mission_type}
-    with vehicle.hearing(*_NAMES, system_id=system_id) as received:
+    with vehicle.collecting(*_NAMES, system_id=system_id) as received:
 
         async def asked(request: str, answers: tuple[str, ...], **fields: int) -> Message:
             def is_answer(message: Message) -> bool:
@@ -215,7 +215,7 @@ async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, f
     values: dict[str, float | None] = {}
     autopilot = autopilot_by_mav_autopilot(int(vehicle.latest["HEARTBEAT"].fields["autopilot"]))
     bytewise = autopilot is not None and autopilot.packs_integers_bytewise
-    with vehicle.hearing("PARAM_VALUE") as answers:
+    with vehicle.collecting("PARAM_VALUE") as answers:
         idle_s, idle_rounds, silent_s = 0.0, 0, 0.0
         while missing := [name for name in wanted if name not in values]:
             before, answered, answer_s, witness = len(values), False, _VALUE_S, list(values)[:1]

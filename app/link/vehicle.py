@@ -140,7 +140,7 @@ class VehicleMessages:
         self.bystanders: list[Listener] = []  # receive the messages of other systems, too
 
     def take(self, message: Message) -> None:
-        """Hand a message to whoever waits or listens, if it is of this vehicle; to bystanders in any case."""
+        """Pass a message to bystanders, and one of this vehicle to all listeners, too."""
         for bystander in self.bystanders:
             bystander(message)
         if message.system_id != self.system_id:
@@ -153,7 +153,7 @@ class VehicleMessages:
             listener(message)
 
     def listen(self, listener: Listener, *known: str) -> None:
-        """Hand a listener the latest messages of these names, if they have come, and each message from now on."""
+        """Pass a listener the latest messages of the ``known`` names, if any, and each message from now on."""
         for name in known:
             if name in self.latest:
                 listener(self.latest[name])
@@ -184,7 +184,7 @@ class Vehicle(VehicleMessages):
         self.link = link
 
     async def run(self) -> None:
-        """Hand every message of this vehicle to whoever waits or listens, until the link is closed."""
+        """Pass on every message of the link, until it is closed."""
         async for message in self.link.messages():
             self.take(message)
 
@@ -204,7 +204,7 @@ class Vehicle(VehicleMessages):
         return next((link.measured.round_trip_s for link in self.link.recent() if link.in_use), None)
 
     @contextlib.contextmanager
-    def hearing(self, *names: str, system_id: int | None = None) -> Iterator[asyncio.Queue[Message]]:
+    def collecting(self, *names: str, system_id: int | None = None) -> Iterator[asyncio.Queue[Message]]:
         """Collect the messages of these names of the autopilot, or of another system's, inside the context."""
         queue: asyncio.Queue[Message] = asyncio.Queue()
         sender = self.system_id if system_id is None else system_id, AUTOPILOT_COMPONENT
@@ -225,7 +225,7 @@ class Vehicle(VehicleMessages):
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""
         if name in self.latest:
             return self.latest[name]
-        with self.hearing(name) as messages, contextlib.suppress(TimeoutError):
+        with self.collecting(name) as messages, contextlib.suppress(TimeoutError):
             return await asyncio.wait_for(messages.get(), timeout_s)
         return None
 
@@ -255,7 +255,7 @@ class Vehicle(VehicleMessages):
         fields |= {f"param{i}": value for i, value in enumerate(params, 1)}
         fields |= {"command": command, "frame": frame, "current": 0, "autocontinue": 0, "x": x, "y": y, "z": z}
         for _ in range(_TRIES):
-            with self.hearing("COMMAND_ACK") as answers:
+            with self.collecting("COMMAND_ACK") as answers:
                 await self.transmit("COMMAND_INT", fields)
                 answer_s = _ANSWER_S
                 with contextlib.suppress(TimeoutError):
@@ -275,7 +275,7 @@ class Vehicle(VehicleMessages):
         answer is awaited.
         """
         for round_ in range(rounds):
-            with self.hearing("COMMAND_ACK") as answers:
+            with self.collecting("COMMAND_ACK") as answers:
                 for message_id, rate_hz in rates_hz.items():
                     values = {"param1": float(message_id), "param2": 1e6 / rate_hz if rate_hz else -1.0}
                     rest = {f"param{i}": 0.0 for i in range(3, 8)}

@@ -83,6 +83,7 @@ class FlownTrack:
         return f"{self.label} {what}" if self.label else what
 
     def of_targets(self) -> dict[str, list[TargetEstimate]]:
+        """Return the estimates of each target by its name."""
         by_name: dict[str, list[TargetEstimate]] = {}
         for estimate, name in zip(self.estimates, self.targets or [""] * len(self.estimates), strict=True):
             by_name.setdefault(name or "target", []).append(estimate)

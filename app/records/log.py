@@ -186,7 +186,7 @@ class RecordedLog:
             raise _unreadable(self.path, error) from error
 
     def looked_for(self) -> str:
-        """Return what a sighting of the target needs and what the log has instead, as an end of a sentence."""
+        """Return which messages sightings need and which ones the log has instead, as the end of a sentence."""
         counts = self.contents().most_common()
         named = ", ".join(f"{name} ({count})" for name, count in counts[:_NAMED_AT_MOST])
         others = f" and {len(counts) - _NAMED_AT_MOST} others" if len(counts) > _NAMED_AT_MOST else ""

@@ -64,14 +64,14 @@ class VehicleClock:
 
     @property
     def in_question_s(self) -> float | None:
-        """How far ahead (behind: negative) another line is that speaks while the clock's own is silent, else None."""
+        """Offset, s, of other stamps that arrive while the clock's own is silent; None: there is none."""
         if not self.in_question or self._own is None or self._other is None:
             return None
         return self._other.last_s - self._own.last_s
 
     @property
     def questioned_for_s(self) -> float:
-        """How long that other line has gone on."""
+        """How long that other sequence has lasted, s."""
         return self._other.last_s - self._other.first_s if self.in_question and self._other is not None else 0.0
 
     def goes_on(self, stamp_s: float) -> bool:

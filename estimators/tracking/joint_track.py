@@ -35,7 +35,7 @@ Name = TypeVar("Name", int, str)
 def agreeing(tracks: Mapping[Name, TargetEstimate], trust: Callable[[Name], int] = lambda _name: 0) -> list[Name]:
     """Return the largest group of tracks that agree with one of them, by increasing covariance.
 
-    Tracks of one target share its motion noise, how much is not known. Treated as independent, a few too many agree.
+    Tracks of one target share its motion noise to an unknown extent. Treated as independent, slightly too many agree.
     Of equal groups the one with the most trusted track is chosen, then that around the track with the least
     covariance.
 
@@ -122,7 +122,7 @@ class JointTrack:
         return Track(self._settings[0], start)
 
     def add(self, name: str, sighting: AnySighting, clock_sigma_s: float = 0.0) -> SightingOutcome:
-        """Update the track with a sighting of an aircraft's payload; the first one's clock sigma counts."""
+        """Update the track with a sighting of an aircraft's payload; its first sighting sets the clock sigma, s."""
         payload = self._names.index(name)
         self._own[payload].add(sighting)
         self._latest[payload] = sighting if sighting.payload == payload else replace(sighting, payload=payload)
@@ -145,7 +145,7 @@ class JointTrack:
         confirmed: bool = False,
         corrected: tuple[float, float] | None = None,
     ) -> None:
-        """Take what an aircraft knows of its payload.
+        """Process an aircraft's report on its own payload.
 
         Args:
             fault: Why its sightings are not to be trusted, in words; empty while they are.

@@ -85,7 +85,7 @@ class Track:
         self._begins_again = True
 
     def restart(self, biases: Biases, sightings: Sequence[AnySighting]) -> None:
-        """Start again with other errors of the payload, and sightings that replace all earlier ones."""
+        """Restart with other errors of the payload and with sightings that replace all earlier ones."""
         self._filter = self._coasted = None
         self._steps.clear()
         self._gated_out.clear()
@@ -99,7 +99,7 @@ class Track:
         self._ground = ground
 
     def resume(self, last: TargetImm, last_sighting_s: float, gated_out: list[AnySighting]) -> None:
-        """Go on from a filter as of the last sighting; earlier ones are not available."""
+        """Continue from the filter as of the last sighting, without history; gated_out: sightings beyond the gate."""
         self._filter, self._coasted = last, None
         self._steps.clear()
         self._last_sighting_s, self._gated_out = last_sighting_s, gated_out

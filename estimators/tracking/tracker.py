@@ -413,13 +413,13 @@ class Tracker:
             self.corrections += 1
         self._track.restart(biases, self._pairing.repeated(now_s - _REPEATED_S))
 
-    def without_found(self, sighting: AnySighting) -> AnySighting:
+    def without_known_errors(self, sighting: AnySighting) -> AnySighting:
         """Return a sighting without the errors that were found, for a filter that does not know them."""
         return sighting.without(*self._found_errors.mean.tolist())
 
     @property
     def remaining_sigmas(self) -> tuple[float, float]:
-        """Standard deviations of the errors of yaw, rad, and range, m, that ``without_found`` leaves."""
+        """Standard deviations of the errors of yaw, rad, and range, m, that ``without_known_errors`` leaves."""
         left, seen = self._found_errors.calibration, self._expected(self._poses.positions.newest_s)
         corrected_m = 0.0 if seen is None else (1.0 - self._pairing.range_factor) * seen[1]
         return left.yaw_sigma_rad, math.hypot(left.range_sigma_m, _RANGE_SIGMA_SHARE * corrected_m)

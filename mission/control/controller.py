@@ -91,7 +91,7 @@ from sidelong.mission.core.plan import (
     OneHeight,
     Plan,
     PlannerFactory,
-    settled_m,
+    settled_height_m,
 )
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, escapes, paths_to, retreats
@@ -263,7 +263,7 @@ class StandoffController:
     @property
     def flown_height_m(self) -> float | None:
         """The aircraft's height above home, that of its plan where it is about there; None before it is known."""
-        return None if self._height_m is None else settled_m(self._height_m, self.present)
+        return None if self._height_m is None else settled_height_m(self._height_m, self.present)
 
     @property
     def breach(self) -> str:

@@ -37,7 +37,7 @@ class WindReported:
 
 @dataclass(frozen=True, slots=True)
 class WindPrepared:
-    """What a planner has to know of winds of this speed is at hand: from now on it may use it."""
+    """The value tables for winds of this speed are in memory: from now on the planner may use them."""
 
     time_s: float
     speed_m_s: float
@@ -62,7 +62,7 @@ class RouteGiven:
 
 @dataclass(frozen=True, slots=True)
 class NavigationReported:
-    """What GPS or EKF say of the vehicle's own position: ``fault`` in words, empty where it is good."""
+    """The state of the vehicle's own position by GPS or EKF: ``fault`` in words, '' while there is none."""
 
     time_s: float
     source: Literal["GPS", "EKF"]
@@ -144,7 +144,7 @@ class ClockTick:
 
 @dataclass(frozen=True, slots=True)
 class RoundTripReported:
-    """A question to the vehicle and its answer now take ``round_trip_s`` of the vehicle's clock."""
+    """A request to the vehicle and its answer now take ``round_trip_s`` of the vehicle's clock."""
 
     time_s: float
     round_trip_s: float
@@ -160,7 +160,7 @@ class YieldRequested:
 
 @dataclass(frozen=True, slots=True)
 class OperatorRequest:
-    """A person's wish; who: as the page knows the person, '' where it came from no page."""
+    """A request of the operator; who: the operator's name on the page, '' if it came from elsewhere."""
 
     time_s: float
     action: Literal["hold", "resume", "side", "confirm", "end"]

@@ -1,4 +1,4 @@
-"""What no planner can help: a requirement that the aircraft cannot meet, and which number to change.
+"""Requirements that the aircraft cannot meet with any planner, and which number to change.
 
 Source: Liao et al., Defence Technology 16(4), 2020, equation 19; Beard and McLain, *Small Unmanned Aircraft*, 2012,
 chapter 9 (coordinated turn).
@@ -79,5 +79,5 @@ def _changes(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
 
 
 def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
-    """Return whether the whole circle lies in the range band of a standing target (19)."""
+    """Return whether a circle that touches range_min_m stays within range_max_m of a stationary target (19)."""
     return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m

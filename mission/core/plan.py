@@ -87,8 +87,8 @@ class Plan:
         return configured_m if self.heights is None else self.heights.to_m
 
 
-def settled_m(height_m: float, plan: Plan | None) -> float:
-    """Return the height above home that an aircraft flies: that of its plan, once it is close to it."""
+def settled_height_m(height_m: float, plan: Plan | None) -> float:
+    """Return an aircraft's height above home, m: exactly that of its plan's circle, once it is close to that."""
     if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
         return height_m
     return plan.heights.to_m

@@ -101,7 +101,7 @@ class AutopilotDialect(Protocol):
         """Return the command to fly home."""
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
-        """Return the command to fly a circle without a mission."""
+        """Return the command to fly a circle without a mission; take_over: also from another flight mode."""
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
         """Return the circle that a report of ``circle_mode`` states, radius 0: none; None for other reports."""

@@ -284,7 +284,7 @@ class MissionItemBackend:
         return self._read is not None and not self._read.done
 
     def adopted(self) -> Circle | None:
-        """Take over the line that was read and is flown; return the lasting circle that it ends in, or None."""
+        """Accept the flown line of the mission that was read; return the unlimited loiter it ends in, or None."""
         read, self._read = self._read, None
         if read is None or read.items is None or self._current is None:
             return None

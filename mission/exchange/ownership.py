@@ -129,7 +129,7 @@ class MissionOwnership:
 
     @property
     def frozen(self) -> bool:
-        """Whether the latest report does not fit to what was commanded from here."""
+        """Whether to command nothing now: the latest report does not fit, or an upload ended in doubt."""
         return self._reports.active or self._contents.active or self._in_doubt
 
     @property
@@ -148,7 +148,7 @@ class MissionOwnership:
         return not all(whole for _, whole in self._written)
 
     def begin(self) -> None:
-        """Look out from now on."""
+        """Begin to detect missions of other stations."""
         self._begun = True
         self._reports.forget()
         if self._quirks.stores_items_one_by_one:
@@ -178,7 +178,7 @@ class MissionOwnership:
             self._identity.doubtful = {len(one) - self._quirks.home_at_zero for one, _ in self._written}
 
     def switched(self) -> None:
-        """Have switched to another line: what comes late belongs to the one before."""
+        """Note the switch to another line: late reports belong to the previous one."""
         self._reports.forget()
         self._flown = -1
 
@@ -191,7 +191,10 @@ class MissionOwnership:
     def current(
         self, report: MissionCurrentReported, present: MissionLayout | None, left: MissionLayout | None
     ) -> None:
-        """Take a MISSION_CURRENT; an item before one of the present line that was flown is another's choice."""
+        """Process a MISSION_CURRENT; present: the line that is flown, left: the previous one, for late reports.
+
+        Going back to an item before the farthest one flown of the present line is another station's choice.
+        """
         lines = (present, left)
         self._identified = self._identified or bool(report.total or report.mission_id)
         if not self._begun:
@@ -217,7 +220,7 @@ class MissionOwnership:
                 self._flown = report.seq
 
     def target(self, report: PositionTargetReported, lines: Iterable[MissionLayout | None]) -> None:
-        """Take where the autopilot flies to: the only evidence of the owner of a mission without identity."""
+        """Process the position that the autopilot flies to: the only evidence of who wrote a mission without id."""
         if not self._begun or self._identified:
             return
         items = [item for line in lines if line is not None for item in line.line()]

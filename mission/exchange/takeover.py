@@ -101,11 +101,11 @@ class Takeover:
         self._circle_reported = self._dialect.reported_circle(report) or self._circle_reported
 
     def stop(self) -> None:
-        """Leave off."""
+        """Stop: send nothing more."""
         self._script = self._command = None
 
     def step(self) -> None:
-        """Go on as far as what is known allows."""
+        """Continue until the takeover has to wait for a report or a timer."""
         if self._script is None:
             return
         if self._command is not None:

@@ -193,7 +193,7 @@ _SHARE_S = 1e6  # more than anything costs: that a target has less than its even
 _ELSEWHERE_S = 1e9
 
 
-def spread_over(
+def assign_evenly(
     targets: Sequence[str], costs: Sequence[Sequence[RoleCosts]], at: Sequence[str], change_s: float
 ) -> tuple[list[str], float]:
     """Return the assignment of the aircraft to the targets that costs least among the even ones.
@@ -220,7 +220,7 @@ def spread_over(
 
 
 def _cheapest(to_s: FloatArray) -> tuple[list[int], float]:
-    """Return the place of each aircraft, and what all cost together."""
+    """Return the column of each row's aircraft in the cheapest assignment, and its total cost."""
     rows, columns = linear_sum_assignment(to_s)
     return columns.tolist(), float(to_s[rows, columns].sum())
 
@@ -244,7 +244,7 @@ class WatchedCourse:
         self.course_rad: float | None = None
 
     def update(self, target: TargetEstimate, first: AircraftState | None) -> None:
-        """Take an estimate, in the order of time. first: the aircraft that began to watch first, None before."""
+        """Process an estimate, in the order of time. first: the aircraft that began to watch first, if any."""
         self._policy.viewpoint(target.east_m, target.north_m, target)
         if first is not None and self._presumed_rad is None:
             away_rad = math.atan2(first.east_m - target.east_m, first.north_m - target.north_m)
@@ -266,16 +266,16 @@ class RoleJudges:
         self._courses: dict[str, WatchedCourse] = {}
         self._followers: dict[str, RouteFollower] = {}
 
-    def ask(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
-        """Judge by this requirement of a target from now on."""
+    def set_requirement(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
+        """Compute the costs of all aircraft at a target by this requirement from now on."""
         self._wanted[target] = wanted
         self._courses.setdefault(target, WatchedCourse(wanted))
         for member in (vehicle.member for vehicle in fleet):
             self._judges[member.name, target] = self._make_judge(member.name, member.aircraft, wanted)
         self._expect_on_route(target)
 
-    def expect(self, target: str, given: RouteGiven) -> None:
-        """Expect a target on a route from now on, if its points are one."""
+    def set_route(self, target: str, given: RouteGiven) -> None:
+        """Expect a target on a route from now on; ignored if its points are not a route."""
         follower = follower_of(given)
         if follower is not None:
             self._followers[target] = follower
@@ -289,7 +289,7 @@ class RoleJudges:
                     judge.follow(follower.route, follower.progress)
 
     def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
-        """Take the targets' estimates, in the order of time."""
+        """Update the targets' courses and route progress by their estimates, in the order of time."""
         for name, estimate in estimates.items():
             if estimate is not None and estimate.quality is not TrackQuality.LOST:
                 watching = [vehicle for vehicle in fleet if vehicle.takes_part and vehicle.target == name]
@@ -299,11 +299,11 @@ class RoleJudges:
                     self._followers[name].update(estimate)
 
     def course_rad(self, target: str) -> float | None:
-        """Return the course of a target whose sides count."""
+        """Return the course that defines a target's sides, rad; None before there is an aircraft."""
         return self._courses[target].course_rad
 
     def costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
-        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
+        """Return an aircraft's expected costs in each role from its next departure; None: its plan is not known."""
         report = vehicle.report
         present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
         if report is None or present is None:
@@ -313,17 +313,17 @@ class RoleJudges:
             judge.presume(course_rad)
         return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
 
-    def way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
-        """Return how long an aircraft needs to a target, 0 where it is at it."""
+    def flight_time_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
+        """Return the flight time of an aircraft to a target, s; 0 within its range band."""
         range_m = vehicle.range_m(estimate)
         at_it = range_m <= self._wanted[target].range_max_m
         return 0.0 if at_it else range_m / vehicle.member.aircraft.airspeed_m_s
 
-    def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
-        """Return what an aircraft would pay in each role at a target, the flight there included."""
+    def costs_with_flight(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
+        """Return an aircraft's expected costs in each role at a target, with the flight there, s off the side."""
         costs = self.costs(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
-        way_s = self.way_s(vehicle, target, estimate)
-        return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)
+        flight_time_s = self.flight_time_s(vehicle, target, estimate)
+        return RoleCosts(costs.wanted_s + flight_time_s, costs.opposite_s + flight_time_s)
 
 
 _PERIOD_S = 1.0
@@ -549,7 +549,7 @@ class FleetCoordinator:
                 self._requirement_reported(event)
             case TargetRouteGiven():
                 self._routes[event.target] = event.route
-                self._judges.expect(event.target, event.route)
+                self._judges.set_route(event.target, event.route)
 
     def _side_requested(self, event: SideRequested) -> None:
         for name, target in self._targets.items():
@@ -573,7 +573,7 @@ class FleetCoordinator:
 
     def _ask(self, target: str, wanted: Requirement) -> None:
         self._targets[target] = FleetTarget(target, wanted)
-        self._judges.ask(target, wanted, self._vehicles.values())
+        self._judges.set_requirement(target, wanted, self._vehicles.values())
 
     def _say(self, name: str, text: str) -> None:
         self._out.append(FleetAnnounce(self._now_s, name, text))
@@ -669,11 +669,11 @@ class FleetCoordinator:
         if len(self._targets) < 2 or not known or not free:
             return
         costs = [
-            [self._judges.costs_from_afar(vehicle, name, estimate) for name, estimate in known.items()]
+            [self._judges.costs_with_flight(vehicle, name, estimate) for name, estimate in known.items()]
             for vehicle in free
         ]
         at = [vehicle.target for vehicle in free]
-        given, gained_s = spread_over(list(known), costs, at, _REASSIGN_COST_S)
+        given, gained_s = assign_evenly(list(known), costs, at, _REASSIGN_COST_S)
         self._gains_since_s = min(self._gains_since_s, self._now_s) if gained_s > 0.0 else math.inf
         if math.isfinite(gained_s) and self._now_s - self._gains_since_s < _REASSIGN_AFTER_S:
             return
@@ -695,8 +695,12 @@ class FleetCoordinator:
             if costs is None:
                 continue
             # An aircraft that has to get there first does not take the side of one already there.
-            way_s = math.inf if self._is_to_be_relieved(vehicle) else self._judges.way_s(vehicle, target, estimate)
-            costs = replace(costs, wanted_s=costs.wanted_s + way_s)
+            flight_time_s = (
+                math.inf
+                if self._is_to_be_relieved(vehicle)
+                else self._judges.flight_time_s(vehicle, target, estimate)
+            )
+            costs = replace(costs, wanted_s=costs.wanted_s + flight_time_s)
             on_station = is_on_station(report.state, estimate, wanted, self._judges.course_rad(target))
             under_way = vehicle.plans is not None and vehicle.plans.coming is not None
             candidates[name] = Candidate(costs, on_station, under_way)

@@ -54,7 +54,8 @@ class FleetReporter:
             self._payload = payload
             found.append(PayloadReported(self._name, *payload, *tracker.remaining_sigmas))
         found += [
-            SightingReported(self._name, tracker.without_found(outcome.sighting)) for outcome in controller.sighted
+            SightingReported(self._name, tracker.without_known_errors(outcome.sighting))
+            for outcome in controller.sighted
         ]
         external = any(isinstance(output, ExternalControl) for output in outputs)
         for output in outputs:

@@ -48,7 +48,7 @@ _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 
 def team_of(table: ValueTable, wanted: Side) -> Team:
-    """Return what the loops decide with.
+    """Return the settings of joint decisions for the compiled functions.
 
     Fast targets lower ``price`` and raise ``opposite``; wide circles raise ``own``.
 
@@ -73,8 +73,8 @@ def team_of(table: ValueTable, wanted: Side) -> Team:
     )
 
 
-def next_to_standing(team: Team) -> Team:
-    """Return what to decide with while the target stands: it may set out into any direction."""
+def for_standing_target(team: Team) -> Team:
+    """Return these settings for a stationary target, which may set out into any direction."""
     return team._replace(turns_rad=_DIRECTIONS_RAD, chances=np.full(_DIRECTIONS_RAD.size, 1.0 / _DIRECTIONS_RAD.size))
 
 
@@ -118,7 +118,7 @@ class TeamPlanner:
                 self.presume(news.course_rad)
 
     def presume(self, course_rad: float) -> None:
-        """Take the target's course as the fleet knows it: it counts until this one has seen the target move."""
+        """Use the fleet's course of the target until this planner has seen the target move."""
         self._alone.questions[0].context.watcher.memory[0].presumed_course_rad = course_rad  # of all questions
 
     def follow(self, route: Route | None, progress: Progress) -> None:
@@ -133,7 +133,7 @@ class TeamPlanner:
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
-        """Return what this aircraft would pay alone in each role, from its next departure on."""
+        """Return this aircraft's expected costs alone in each role, from its next departure on, s off the side."""
         question, team = self._for(wind)
         held, costs_s = question.context.watcher.memory[0].side, []
         for side in (team.wanted, -team.wanted):
@@ -154,7 +154,7 @@ class TeamPlanner:
             return self._alone.decide(aircraft, target, present, wind, latency_s)
         question, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
-            team = next_to_standing(team)
+            team = for_standing_target(team)
         scene, costs = scene_at(aircraft, target, present, wind, latency_s, question), np.empty(MOVES)
         stay_cost, bar = kernel.team_decide(
             scene,

@@ -42,7 +42,7 @@ class VehicleTime:
     _step_sigma_s: float = math.inf
 
     def note(self, time_s: float, mission_time_s: float, sigma_s: float, *, discard: bool = False) -> None:
-        """Take a report by a scalar Kalman filter, or keep it aside as a step; discard: the source has changed."""
+        """Process a report by a scalar Kalman filter, or keep it aside as a step; discard: forget earlier reports."""
         offset_s, sigma_s = mission_time_s - time_s, max(sigma_s, 1e-6)
         known_s, restarted = self.sigma_at(time_s), time_s < self.at_s - _RESTARTED_S
         self.at_s = time_s
@@ -76,26 +76,26 @@ class VehicleTime:
         return math.isfinite(self.offset_s)
 
     def sigma_at(self, time_s: float) -> float:
-        """Return one standard deviation of the offset at the vehicle's time."""
+        """Return one standard deviation of the offset at a time of the vehicle's clock, s."""
         return self.sigma_s if not self.known else self.sigma_s + _DRIFT_S_PER_S * max(time_s - self.at_s, 0.0)
 
     def mission_s(self, time_s: float) -> float:
-        """Return the mission time of a vehicle's."""
+        """Return the mission time at a time of the vehicle's clock, s."""
         return time_s + self.offset_s
 
 
 def shifted_state(state: AircraftState, by_s: float) -> AircraftState:
-    """Return the state on another clock."""
+    """Return the state with ``by_s`` added to its time."""
     return replace(state, time_s=state.time_s + by_s)
 
 
 def shifted_plan(plan: Plan | None, by_s: float) -> Plan | None:
-    """Return the plan on another clock."""
+    """Return the plan with ``by_s`` added to its departure."""
     return plan if plan is None else replace(plan, departure_s=plan.departure_s + by_s)
 
 
 def shifted_estimate(estimate: TargetEstimate | None, by_s: float) -> TargetEstimate | None:
-    """Return the estimate on another clock."""
+    """Return the estimate with ``by_s`` added to its times."""
     if estimate is None:
         return None
     time_s, sighted_s, as_seen = estimate.time_s, estimate.last_sighting_s, shifted_estimate(estimate.as_seen, by_s)

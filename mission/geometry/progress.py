@@ -22,12 +22,12 @@ _NO_LINE = np.empty((5, 0))
 
 
 def circling_of(circle: Circle) -> Circling:
-    """Return a circle as the loops see it."""
+    """Return a circle as the compiled functions take it."""
     return Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
 
 
 def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
-    """Return a plan as the loops see it."""
+    """Return a plan's transition (5, n) and circle as the compiled functions take them."""
     path, circle = plan.transition, plan.circle
     circling = circling_of(circle)
     if path is None:

@@ -71,7 +71,7 @@ class Separation:
         self._others = {one.name: one for one in neighbours}
 
     def planned(self, neighbour: NeighbourPlanned) -> None:
-        """Take what another one flies."""
+        """Store the plans of another aircraft of the fleet."""
         self._plans[neighbour.name] = neighbour
 
     def breach(

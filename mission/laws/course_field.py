@@ -132,7 +132,7 @@ def phased(
     airspeed_m_s: float,
     constant_speed: bool,
 ) -> list[tuple[float, float]]:
-    """Return the curvature, 1/m, and the airspeed, m/s, that each aircraft is to fly; changed by a fifth at most.
+    """Return the curvature, 1/m, and the airspeed, m/s, to fly for each aircraft; speeds change by a fifth at most.
 
     constant_speed: the circular formation in place of the phased field.
     """
@@ -149,9 +149,9 @@ def phased(
 
 
 def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise: bool) -> list[float]:
-    """Return by how much each is behind its place between those before and after it, rad; they keep their order.
+    """Return by how much each aircraft is behind the middle between those before and after it on the circle, rad.
 
-    Alone, no aircraft is behind.
+    The aircraft keep their order; a single one is never behind.
     """
     n, sense = len(aircraft), 1.0 if clockwise else -1.0
     phase_rad = [sense * math.atan2(own.east_m - target.east_m, own.north_m - target.north_m) for own in aircraft]

@@ -110,10 +110,10 @@ class Move:
 
 
 def next_move(situation: DepartureState, place: Callable[[Vector], Circle], lead_rad: float) -> Move:
-    """Return the next move to where ``place`` puts the circle for a target, leaving ``lead_rad`` before its bearing.
+    """Return the next move to the circle that ``place`` returns for the target's position (east, north).
 
-    Where the move leads depends on where the target is by then, and A on where it leads: found by repetition,
-    which converges as the target is much slower than the aircraft.
+    The aircraft leaves its circle ``lead_rad`` before the bearing of the move. That bearing depends on where the
+    target is by then: found by iteration, which converges as the target is much slower than the aircraft.
     """
     circle, clock = situation.circle, situation.clock
     sense = 1.0 if circle.clockwise else -1.0

@@ -96,7 +96,7 @@ _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 
 
 def route_values(route: Route | None, own: Table, c: TableConfiguration, progress: Progress) -> RouteValues:
-    """Return room for the layers along a route, if there is one, and the table's classes on their grid.
+    """Return arrays for the value layers along a route, if any, with the table's classes on their coarse grid.
 
     progress: state of the progress filter, which tables for several winds share.
     """
@@ -163,7 +163,7 @@ USUAL = PredictiveSettings()
 
 
 def price_s(aircraft: Aircraft, requirement: Requirement, settings: PredictiveSettings = USUAL) -> float:
-    """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free."""
+    """Return the switching cost of a move, s off the side: a move has to gain more, as uploads are not free."""
     share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
     if settings.keeps_pan_limits and aircraft.has_pan_limit:
         share = _MIN_SHARE
@@ -231,7 +231,7 @@ class PredictivePlanner:
             kernel.lay_out(self.questions[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
 
     def _question(self, table: ValueTable) -> Question:
-        """Return what looks ahead with a table; all remember the same."""
+        """Return the question that decisions answer with a table; all share one memory."""
         own, price = self.settings, table.configuration.leave_cost
         least_of_class = table.values.min(axis=(1, 2, 3)).astype(np.float64)
         change = price if own.change_cost is None else own.change_cost
@@ -317,7 +317,7 @@ class PredictivePlanner:
         return Decision(aircraft.time_s, plan, reason, values)
 
     def sight_in(self, scene: Scene) -> Sight:
-        """Return from where the target of a scene is seen."""
+        """Return from where the ground lets the target of a scene be seen."""
         sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
         across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
         velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
@@ -327,7 +327,7 @@ class PredictivePlanner:
 def scene_at(
     aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float, question: Question
 ) -> Scene:
-    """Return what is to be decided about."""
+    """Return the scene of a decision: aircraft and plan at the departure, and the target as predicted from there."""
     return scene_of(
         aircraft.time_s,
         LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, aircraft.curvature_per_m),

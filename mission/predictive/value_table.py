@@ -111,7 +111,7 @@ class WatchCost:
 
     @property
     def terms(self) -> CostTerms:
-        """The same as the loops see it."""
+        """The cost as the compiled functions take it."""
         walls = _OUTSIDE, _OUTSIDE_PER_M, _WALL_WIDTH_M, _WALL
         blind = _BLIND if self.pan_limit_rad < math.pi else 0.0
         side, pan = math.cos(self.half_width_rad), math.cos(self.pan_limit_rad)
@@ -217,14 +217,14 @@ class ValueTable:
 
     @property
     def arrays(self) -> Table:
-        """The table as the loops see it."""
+        """The table as the compiled functions take it."""
         c = self.configuration
         cell_m = 2.0 * c.half_width_m / (self.values.shape[-1] - 1)
         return Table(self.values, self.after_turn, cell_m, c.discount_per_s, c.habits.mean_leg_s)
 
     @property
     def motions(self) -> Motions:
-        """How its classes are arranged."""
+        """The arrangement of the table's classes by the motions of target and wind."""
         c = self.configuration
         return Motions(
             c.follows_course, c.wind_speed_m_s, c.target_speed_max_m_s, _WIND_DIRECTIONS, _TARGET_DIRECTIONS

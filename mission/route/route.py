@@ -156,7 +156,7 @@ class RoutePlanner(Planner, Protocol):
 
 
 def way_of(route: Route) -> RouteArrays:
-    """Return a route as the loops see it."""
+    """Return a route as the compiled functions take it."""
     points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
     direction = _DIRECTIONS[route.direction]
     return RouteArrays(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
@@ -187,7 +187,7 @@ def follower_of(given: RouteGiven) -> RouteFollower | None:
 
 
 def progress_of(route: Route, progress: Progress) -> RouteProgress:
-    """Return what the filter knows: off route before the first update."""
+    """Return the target's progress by the state of the filter; off route before the first update."""
     state = progress.state[0]
     on_route = bool(state.on_route)
     along_m = speed_m_s = to_end_s = math.nan

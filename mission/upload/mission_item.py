@@ -42,7 +42,7 @@ def e7(latitude_longitude_deg: tuple[float, float]) -> tuple[int, int]:
 
 
 def at_place(x: int, y: int, item: MissionItem) -> bool:
-    """Return whether an item's position is in units of 1e-7 degrees."""
+    """Return whether an item is at a position (latitude, longitude) in 1e-7 degrees, up to the vehicle's rounding."""
     return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
 
 
@@ -60,7 +60,7 @@ def same_item(a: MissionItem, b: MissionItem) -> bool:
 
 
 def difference(sent: Sequence[MissionItem], onboard: Sequence[MissionItem]) -> str:
-    """Return how the first item differs that the vehicle stores otherwise than sent; '' if there is none."""
+    """Return in words how the first item that the vehicle stores differently differs; '' if all are equal."""
     for a, b in zip(sent, onboard, strict=False):
         if not same_item(a, b):
             if abs(a.z - b.z) > _COMPARED_PARAM:

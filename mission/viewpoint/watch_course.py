@@ -27,13 +27,13 @@ STANDING_M_S = 0.3
 
 
 def known(target: TargetEstimate) -> TargetState:
-    """Return an estimate as the loops see it."""
+    """Return an estimate as the compiled functions take it."""
     place_m, velocity_m_s = (target.east_m, target.north_m), (target.velocity_east_m_s, target.velocity_north_m_s)
     return TargetState(target.time_s, *place_m, *velocity_m_s, np.ascontiguousarray(target.covariance, np.float64))
 
 
 def estimates_of(target: TargetEstimate) -> Estimates:
-    """Return an estimate as the loops see it, with that of the last sighting."""
+    """Return an estimate as the compiled functions take it, with that of the last sighting."""
     now = known(target)
     return Estimates(now, now if target.as_seen is None else known(target.as_seen))
 
@@ -121,7 +121,7 @@ class SidePolicy:
         self.memory = kernel.fresh_memory(1.0 if side is Side.LEFT else -1.0)
 
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:
-        """Return from where an aircraft watches.
+        """Return the frame in which an aircraft at a position (east, north) watches the target.
 
         Until the target has moved, its course is assumed to put the aircraft's first position exactly on the side.
         """

@@ -80,7 +80,7 @@ class SimulatedPayload:
         self._dropout_begin_s, self._dropout_end_s = self._next_dropout(0.0)
 
     def measure(self, time_s: float, boot_ms: int, sight: TargetGeometry, heading_rad: float) -> Measurement:
-        """heading_rad is the aircraft's, for gimbals that report their yaw relative to it."""
+        """Return what is measured along a sight; heading_rad: the aircraft's, for a yaw that is relative to it."""
         settings = self._settings
         while time_s >= self._dropout_end_s:
             self._dropout_begin_s, self._dropout_end_s = self._next_dropout(self._dropout_end_s)

@@ -38,7 +38,7 @@ class CameraPose:
 
     @property
     def image_from_plane(self) -> Vector:
-        """The rotation, shape (3, 3): rows are the image's right, its down, and the optical axis."""
+        """The rotation (3, 3) from east, north, up; its rows are the image's right and down and the optical axis."""
         sy, cy, sp, cp = (f(a) for a in (self.yaw_rad, self.pitch_rad) for f in (math.sin, math.cos))
         right, down, axis = np.array([[cy, -sy, 0.0], [sp * sy, sp * cy, -cp], [cp * sy, cp * cy, sp]])
         sr, cr = math.sin(self.roll_rad), math.cos(self.roll_rad)

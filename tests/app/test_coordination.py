@@ -229,17 +229,17 @@ def test_one_whose_utc_stands_still_goes_by_the_others_while_they_are_received_a
 
 def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_silent(pair):
     coordination, coordinator, _, _, _, clocks = pair
-    coordination.keep_up(0.0)
+    coordination.advance(0.0)
     assert coordinator.received == []  # no one's clock is known
     coordination.message("a", message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
     coordination.message("b", message("SYSTEM_TIME", time_unix_usec=int((UTC_S + 0.2) * 1e6), time_boot_ms=500_000))
     assert coordination.now_s == pytest.approx(UTC_S + 0.2)
-    coordination.keep_up(0.0)
-    coordination.keep_up(0.5)
+    coordination.advance(0.0)
+    coordination.advance(0.5)
     clocks["a"] += 2.0
-    coordination.keep_up(0.6)
-    coordination.keep_up(1.2)
-    coordination.keep_up(1.7)
+    coordination.advance(0.6)
+    coordination.advance(1.2)
+    coordination.advance(1.7)
     ticks = [event.mission_time_s - UTC_S for event in coordinator.received if isinstance(event, Tick)]
     assert ticks == pytest.approx([0.2, 2.0, 3.0], abs=1e-3)
 

@@ -39,7 +39,7 @@ def test_frame_numbers_that_take_turns_are_two(senders, version, burst):
         for sender in (one, other):
             for frame in itertools.islice(sender, burst):
                 senders.frame(frame)
-    assert "frame numbers take turns; give one of them another system id" in senders.two
+    assert "frame numbers take turns; give one of them another system id" in senders.two_vehicles
 
 
 def test_lost_frames_and_other_components_are_none(senders):
@@ -52,31 +52,31 @@ def test_lost_frames_and_other_components_are_none(senders):
         senders.frame(next(other))
     senders.frame(b"")
     senders.frame(b"\xfd\x00")
-    assert senders.two is None
+    assert senders.two_vehicles is None
 
 
 def test_clocks_that_take_turns_are_two(senders, vehicle):
     for time_ms in range(100_000, 103_000, 100):
         vehicle.take(position(time_ms))
         vehicle.take(position(time_ms + 400_000))
-    assert "its clocks take turns, 400 s apart" in senders.two
+    assert "its clocks take turns, 400 s apart" in senders.two_vehicles
 
 
 def test_places_that_take_turns_are_two(senders, vehicle):
     for time_ms in range(100_000, 105_000, 100):
         vehicle.take(position(time_ms))
         vehicle.take(position(time_ms + 30, 474_010_000))
-    assert "its positions take turns, 111 m apart" in senders.two
+    assert "its positions take turns, 111 m apart" in senders.two_vehicles
 
 
 def test_heartbeats_of_two_kinds_are_two(senders, vehicle):
     for kind in (1, 2, 1):
         vehicle.take(heartbeat(type=kind))
-    assert "different kinds" in senders.two
+    assert "different kinds" in senders.two_vehicles
 
 
 def test_a_vehicle_alone_is_one(senders, vehicle):
     for time_ms in range(100_000, 130_000, 100):
         vehicle.take(position(time_ms))
         vehicle.take(heartbeat())
-    assert senders.two is None
+    assert senders.two_vehicles is None

@@ -164,7 +164,7 @@ def test_sightings_are_shared_without_the_errors_that_were_found(yaw_deg, off_m,
     tracker, off = Tracker(TrackerSettings()), []
     for one in readings(0.0, 0.0, yaw_rad=math.radians(yaw_deg), off_m=off_m):
         for outcome in tracker.add(one):
-            shared = tracker.without_found(outcome.sighting)
+            shared = tracker.without_known_errors(outcome.sighting)
             off.append(math.dist((shared.east_m, shared.north_m), target_m(np.array(shared.time_s))))
     assert np.median(off[-100:]) < 8.0  # the errors alone: 70 m, 45 m
     assert tracker.payload.is_confirmed is (off_m == 0.0)

@@ -120,7 +120,7 @@ class Fleet:
                     craft.flight.put(craft.waiting.popleft())
                 if craft.flight.core.controller.snapshot().turn_payload:
                     self._turn_payload(craft)
-            self.coordination.keep_up(self.crafts[0].flight.simulation.time_s)
+            self.coordination.advance(self.crafts[0].flight.simulation.time_s)
             if until():
                 return True
         return False

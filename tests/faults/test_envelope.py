@@ -206,17 +206,17 @@ def test_home_that_is_set_elsewhere_does_not_move_the_aircraft(autopilot):
 def test_layers_of_a_fleet_stay_where_home_is_set_elsewhere():
     """The upper one of two, in layers of 100 and 160 m, gets a home that is 55 m lower."""
     described = undisturbed.Flown(6, "fleet")
-    crafts, keep_up = undisturbed._fleet(undisturbed._settings(6, np.random.default_rng(6)), described)
-    for _ in undisturbed._until(crafts, keep_up, 300.0):
+    crafts, advance = undisturbed._fleet(undisturbed._settings(6, np.random.default_rng(6)), described)
+    for _ in undisturbed._until(crafts, advance, 300.0):
         if all(one.has_control and one.core.controller.snapshot().height_m > 95.0 for one in crafts):
             break
-    for _ in undisturbed._until(crafts, keep_up, 30.0):
+    for _ in undisturbed._until(crafts, advance, 30.0):
         pass
     crafts = sorted(crafts, key=lambda one: one.core.controller.snapshot().height_m)
     lower, upper = (one.simulation.vehicle for one in crafts)
     gaps_m = []
     set_home_lower(upper, 55.0)
-    for tick, _ in enumerate(undisturbed._until(crafts, keep_up, 60.0)):
+    for tick, _ in enumerate(undisturbed._until(crafts, advance, 60.0)):
         if tick % 20 == 0:
             gaps_m.append(upper.craft.height_m - 55.0 - lower.craft.height_m)
     assert min(gaps_m) > 45.0

@@ -71,7 +71,7 @@ def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
 def test_the_error_of_a_library_that_was_broken_off_is_not_reported():
     async def flown() -> None:
         life = Life(lambda: False, print)
-        with life.heeding_signals(), life.computing():
+        with life.handling_signals(), life.computing():
             try:
                 signal.raise_signal(signal.SIGTERM)
             except KeyboardInterrupt:
@@ -89,7 +89,7 @@ def test_the_error_of_a_library_that_was_broken_off_is_not_reported():
 @pytest.mark.parametrize("begun", [True, False])
 def test_a_signal_that_comes_after_a_flight_does_not_take_its_summary_away(begun):
     async def flown() -> str:
-        with Life(lambda: begun, print).heeding_signals():
+        with Life(lambda: begun, print).handling_signals():
             pass
         signal.raise_signal(signal.SIGINT)
         return "summary"

@@ -153,20 +153,20 @@ def fly(number: int, duration_s: float, hills: Path, hills_home_deg: tuple[float
     flown, rng = Flown(number, kind), np.random.default_rng((number, 41))
     first = _settings(number, rng)
     if kind == "fleet":
-        crafts, keep_up = _fleet(first, flown)
+        crafts, advance = _fleet(first, flown)
     else:
         config = Config.model_validate({"requirement": {"target_speed_max_m_s": _speed_max_m_s(first)}})
         if kind == "hills":
             first, config = _over_hills(first, rng, hills, hills_home_deg)
-        crafts, keep_up = [Craft("aircraft", config, first, None, flown)], (lambda: None)
+        crafts, advance = [Craft("aircraft", config, first, None, flown)], (lambda: None)
         crafts[0].ready(in_fleet=False)
-    for _ in _until(crafts, keep_up, _ON_CIRCLE_WITHIN_S):
+    for _ in _until(crafts, advance, _ON_CIRCLE_WITHIN_S):
         if all(one.has_control for one in crafts):
             break
     else:
         flown.false.append("the aircraft did not reach its circle")
     begun_s = crafts[0].simulation.time_s
-    for _ in _until(crafts, keep_up, duration_s):
+    for _ in _until(crafts, advance, duration_s):
         pass
     flown.watched_s = crafts[0].simulation.time_s - begun_s
     ended = [one.name for one in crafts if one.core.controller.phase != "watching"]
@@ -174,7 +174,7 @@ def fly(number: int, duration_s: float, hills: Path, hills_home_deg: tuple[float
     return flown
 
 
-def _until(crafts: list[Craft], keep_up, seconds: float) -> Iterator[None]:
+def _until(crafts: list[Craft], advance, seconds: float) -> Iterator[None]:
     end_s = crafts[0].simulation.time_s + seconds
     while crafts[0].simulation.time_s < end_s:
         for craft in crafts:
@@ -185,7 +185,7 @@ def _until(crafts: list[Craft], keep_up, seconds: float) -> Iterator[None]:
             while craft.waiting:
                 craft.put(craft.waiting.popleft())
             craft.turn_payload()
-        keep_up()
+        advance()
         yield
 
 
@@ -263,4 +263,4 @@ def _fleet(first: Settings, flown: Flown) -> tuple[list[Craft], Callable[[], Non
             )
         )
         crafts.append(craft)
-    return crafts, lambda: coordination.keep_up(crafts[0].simulation.time_s)
+    return crafts, lambda: coordination.advance(crafts[0].simulation.time_s)

@@ -28,7 +28,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from sidelong.mission.exchange.outbox import ExternalControl
-from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget, spread_over
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget, assign_evenly
 from sidelong.mission.fleet.events import (
     ChargeReported,
     ClockReported,
@@ -662,17 +662,17 @@ def test_the_same_events_lead_to_the_same_commands():
 )
 def test_aircraft_are_spread_evenly_with_the_least_cost(at, costs_s, given, gained_s):
     costs = [[RoleCosts(each_s, each_s) for each_s in own] for own in costs_s]
-    assert spread_over(["x", "y"], costs, at, 0.0) == (given, gained_s)
+    assert assign_evenly(["x", "y"], costs, at, 0.0) == (given, gained_s)
 
 
 def test_each_goes_where_a_side_is_left_for_it():
     left, right = RoleCosts(5.0, 60.0), RoleCosts(60.0, 5.0)
     own = [[left, left], [right, left], [left, right], [right, right]]  # on which side of x and y each of them is
-    given, gained_s = spread_over(["x", "y"], own, ["x", "x", "y", "y"], 0.0)
+    given, gained_s = assign_evenly(["x", "y"], own, ["x", "x", "y", "y"], 0.0)
     assert gained_s == 55.0  # both next to y are on the same side of it
     assert given in (["x", "y", "y", "x"], ["y", "x", "x", "y"])
     two_left = [[left, left], [left, left], [right, right], [right, right]]
-    given, gained_s = spread_over(["x", "y"], two_left, ["x", "x", "y", "y"], 0.0)
+    given, gained_s = assign_evenly(["x", "y"], two_left, ["x", "x", "y", "y"], 0.0)
     assert sorted(given[:2]) == sorted(given[2:]) == ["x", "y"]
     assert gained_s == 110.0
 
@@ -682,11 +682,11 @@ def test_none_changes_its_target_for_less_than_a_change_costs():
         return [RoleCosts(one_s, one_s) for one_s in each_s]
 
     targets = ["x", "y"]
-    assert spread_over(targets, [alongside(30, 10), alongside(10, 30)], ["x", "y"], 15.0) == (["y", "x"], 10.0)
-    assert spread_over(targets, [alongside(24, 10), alongside(10, 24)], ["x", "y"], 15.0) == (["x", "y"], 0.0)
-    assert spread_over(targets, [alongside(5, 5)] * 4, ["y", "x", "x", "y"], 15.0) == (["y", "x", "x", "y"], 0.0)
+    assert assign_evenly(targets, [alongside(30, 10), alongside(10, 30)], ["x", "y"], 15.0) == (["y", "x"], 10.0)
+    assert assign_evenly(targets, [alongside(24, 10), alongside(10, 24)], ["x", "y"], 15.0) == (["x", "y"], 0.0)
+    assert assign_evenly(targets, [alongside(5, 5)] * 4, ["y", "x", "x", "y"], 15.0) == (["y", "x", "x", "y"], 0.0)
     # Also while another has to: of three next to x the one goes that is nearest to y, and the others stay.
     uneven = [alongside(10, 90), alongside(10, 60), alongside(10, 80), alongside(20, 14)]
-    assert spread_over(targets, uneven, ["x", "x", "x", "y"], 15.0) == (["x", "y", "x", "y"], math.inf)
+    assert assign_evenly(targets, uneven, ["x", "x", "x", "y"], 15.0) == (["x", "y", "x", "y"], math.inf)
     # A target that no one sees is none of these: whoever is with it is free, and goes where most is wanted.
-    assert spread_over(["x"], [alongside(10), alongside(90)], ["x", "z"], 15.0) == (["x", "x"], math.inf)
+    assert assign_evenly(["x"], [alongside(10), alongside(90)], ["x", "z"], 15.0) == (["x", "x"], math.inf)

@@ -14,7 +14,7 @@ from sidelong.app.flight.preflight import _ground_check
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.plan import AircraftState, ClimbRates, HeightProfile, Plan, settled_m
+from sidelong.mission.core.plan import AircraftState, ClimbRates, HeightProfile, Plan, settled_height_m
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.terrain.heights import FlightHeights, HeightRules
 from sidelong.mission.upload.items import plan_items
@@ -175,9 +175,9 @@ def test_items_carry_the_heights_of_the_plan() -> None:
 
 def test_an_aircraft_about_at_its_height_is_at_it() -> None:
     plan = Plan(Circle(0.0, 0.0, 50.0, True), heights=HeightProfile(100.0, 160.0, 0.1))
-    assert settled_m(155.0, plan) == 160.0
-    assert settled_m(130.0, plan) == 130.0
-    assert settled_m(155.0, None) == 155.0
+    assert settled_height_m(155.0, plan) == 160.0
+    assert settled_height_m(130.0, plan) == 130.0
+    assert settled_height_m(155.0, None) == 155.0
 
 
 def test_the_controller_asks_ground_and_fences(hills_folder, plane: LocalPlane, ground: Ground) -> None:
