@@ -43,8 +43,8 @@ def _kernel_digest() -> str:
         file = waiting.pop()
         for module, names in _IMPORTS.findall(file.read_text()):
             path = _ROOT / module.replace(".", "/")
-            candidates = {path.with_suffix(".py"), *(path / f"{name.strip()}.py" for name in names.split(","))}
-            new = {file_named for file_named in candidates if file_named.is_file()} - files
+            found = {path.with_suffix(".py"), *(path / f"{name.strip()}.py" for name in names.split(","))}
+            new = {one for one in found if one.is_file()} - files
             files |= new
             waiting += new
     for file in sorted(files):
@@ -81,7 +81,7 @@ def _chosen_folder() -> Path:
             continue
         # Code is loaded from here. Other users can create folders below the system's temporary folder: there, both
         # the folder and its base, whose owner could exchange it, must be our own.
-        owners = {path.stat().st_uid for path in ((base, folder) if base == private else (folder,))}
+        owners = {one.stat().st_uid for one in ((base, folder) if base == private else (folder,))}
         if os.access(folder, os.W_OK) and owners == {os.getuid()}:
             _remove_unused(base, folder.stat().st_mtime - _UNUSED_S)
             return folder
