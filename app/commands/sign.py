@@ -83,8 +83,7 @@ class KeySetup:
         system_id = self._checked(timeout_s)
         secret = ([0] * KEY_BYTES, 0) if remove else (self._key.key.for_setup(), signing_time(time.time()))
         setup = dialect.MAVLink_setup_signing_message(system_id, _AUTOPILOT, *secret)
-        proves = _is_unsigned if remove else self._fresh
-        if not self._announced(setup, system_id, signed=remove, proves=proves):
+        if not self._announced(setup, system_id, signed=remove, proves=self._unsigned if remove else self._fresh):
             question = "still signs; is this the key that it was given?"
             if not remove:
                 question = "does not sign with the key; does its firmware know signing?"
@@ -119,6 +118,10 @@ class KeySetup:
         answer = dialect.MAVLINK_MSG_ID_COMMAND_ACK
         return self._awaited(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
 
+    @staticmethod
+    def _unsigned(frame: Frame) -> bool:
+        return not frame.signed
+
     def _fresh(self, frame: Frame) -> bool:
         with self._key.locked:
             return self._signing.refusal(frame, signing_time(time.time())) is None
@@ -150,10 +153,6 @@ class KeySetup:
 def _is_autopilot(frame: Frame) -> bool:
     is_heartbeat = frame.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT and frame.component_id == _AUTOPILOT
     return bool(is_heartbeat and frame.payload.ljust(9, b"\0")[5] != AUTOPILOT_INVALID)
-
-
-def _is_unsigned(frame: Frame) -> bool:
-    return not frame.signed
 
 
 def sign(

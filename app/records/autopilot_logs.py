@@ -118,9 +118,8 @@ class Translator:
             if self._base_us is None:
                 self._base_us = entry.time_us - _FIRST_US if entry.time_us >= _WRAP_US else 0
             boot_ms = (entry.time_us - self._base_us) % _WRAP_US * 1e-3
-            with suppress(
-                KeyError, ValueError, ArithmeticError, TypeError
-            ):  # TypeError: text by a damaged definition
+            # TypeError: text by a damaged definition.
+            with suppress(KeyError, ValueError, ArithmeticError, TypeError):
                 for name, fields in self._makers[entry.name](entry) or ():
                     if any(_ABSURD < abs(value) < math.inf for value in fields.values() if isinstance(value, float)):
                         continue  # damaged: no unit here makes a flight's number that great
@@ -484,27 +483,21 @@ class Px4Messages(Translator):
     """
 
     def __init__(self) -> None:
-        positions: dict[str, Maker] = {
+        makers: dict[str, Maker] = {
             "home_position": self._home,
             "vehicle_gps_position": self._gps,
             "vehicle_global_position": self._global_position,
             "vehicle_local_position": self._local_position,
-        }
-        sensors: dict[str, Maker] = {
             "distance_sensor": self._distance_sensor,
             "gimbal_device_attitude_status": self._gimbal,
-        }
-        of_ekf: dict[str, Maker] = {
             "vehicle_attitude": self._attitude,
             "wind": self._wind,
             "wind_estimate": self._wind,
-        }
-        about: dict[str, Maker] = {
             "vehicle_status": self._status,
             TYPE_PARAMETER: self._parameter,
             FIRMWARE: self._firmware,
         }
-        super().__init__(positions | sensors | of_ekf | about)
+        super().__init__(makers)
         self._home_altitude_m = math.nan
         self._local: Mapping[str, Any] = {}
         self._global_us: int | None = None  # when the latest global position came, at first when one could have

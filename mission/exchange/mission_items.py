@@ -85,7 +85,7 @@ class Activation:
         self._outbox, self._command, self.layout, self.before = outbox, command, layout, before
         self._round_trip_s = round_trip_s
         self._target_was_on_line = target is not None and self._is_on_line(target)
-        self._sends = 0
+        self.sends = 0  # of the request
         self._sent_s = -math.inf
         self._settled = False
         self._reports_before = 0
@@ -94,11 +94,6 @@ class Activation:
         self.answer = Answer.OPEN
         self.unanswered = False  # it was asked for often enough; now only the answer is waited for
         self.index = layout.first  # the farthest item of the line that is known to be flown
-
-    @property
-    def repeated(self) -> bool:
-        """Whether the next request is not the first."""
-        return self._sends > 0
 
     @property
     def next_timer_s(self) -> float:
@@ -111,9 +106,9 @@ class Activation:
         if self.answer is not Answer.OPEN or now_s < self._due_s:
             return
         again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self._round_trip_s)
-        if self._sends < _SENDS:
-            self._sends, self._sent_s, self._due_s = self._sends + 1, now_s, now_s + again_s
-            if self._read_in_order and self._sends > 1:
+        if self.sends < _SENDS:
+            self.sends, self._sent_s, self._due_s = self.sends + 1, now_s, now_s + again_s
+            if self._read_in_order and self.sends > 1:
                 self._outbox.end_reading()
                 self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
             self._outbox.send("MISSION_SET_CURRENT", seq=first_ahead)
@@ -140,7 +135,7 @@ class Activation:
 
     def target(self, report: PositionTargetReported) -> None:
         """Process the reported position target; a new one is evidence of the switch."""
-        if self._sends and not self._target_was_on_line and self._is_on_line(report):
+        if self.sends and not self._target_was_on_line and self._is_on_line(report):
             self.answer = Answer.FLOWN
 
     def counted(self) -> None:
@@ -151,7 +146,7 @@ class Activation:
 
     def track(self, aircraft: AircraftState) -> None:
         """Process the aircraft's position: it is on the new plan, the old one, or neither."""
-        if not self._sends or self.answer is not Answer.OPEN:
+        if not self.sends or self.answer is not Answer.OPEN:
             return
         on_plan, off_plan = _flies(aircraft, self._command.plan)
         on_before, off_before = _flies(aircraft, self._command.present)
@@ -407,7 +402,7 @@ class MissionItemBackend:
             return layout.first
         late_s = self._outbox.time_s - plan.departure_s
         on_the_way_s = self._outbox.vehicle_s(self._round_trip_s)
-        if change.activation.repeated:  # the previous request may have arrived, and this one may be delayed
+        if change.activation.sends:  # the previous request may have arrived, and this one may be delayed
             late_s = max(late_s, 0.0) + _REPEAT_AHEAD_S + _REPEAT_ROUND_TRIPS * on_the_way_s
         elif on_the_way_s > _NEGLIGIBLE_S:
             late_s += on_the_way_s

@@ -247,7 +247,10 @@ class Takeover:
 
     def _take_off(self, circle: Circle) -> Script:
         first = self._first(circle)
-        yield from self._load(first, (self._take_off_item(),))
+        place = e7((self._settings.home.latitude_deg, self._settings.home.longitude_deg))
+        height_m = min(_TAKE_OFF_HEIGHT_M, self._settings.height_m)
+        take_off = MissionItem(_TAKE_OFF, _RELATIVE, 15.0, 0.0, 0.0, math.nan, *place, height_m)
+        yield from self._load(first, (take_off,))
         yield from self._arm()
         try:
             yield from self._start_mission()
@@ -264,11 +267,6 @@ class Takeover:
         result = self._missions.load_result
         if result is not WriteResult.ACCEPTED:
             raise _FailedError(f"the first mission was not taken ({result}); nothing was commanded")
-
-    def _take_off_item(self) -> MissionItem:
-        place = e7((self._settings.home.latitude_deg, self._settings.home.longitude_deg))
-        height_m = min(_TAKE_OFF_HEIGHT_M, self._settings.height_m)
-        return MissionItem(_TAKE_OFF, _RELATIVE, 15.0, 0.0, 0.0, math.nan, *place, height_m)
 
     def _arm(self) -> Script:
         self._note("arming")
@@ -313,7 +311,11 @@ class Takeover:
         deadline_s = self._outbox.time_s + _TAKE_OFF_WITHIN_S
 
         def circling() -> bool:
-            return self._circling(first)
+            index = self._missions.flown_index
+            at_item = index is not None and index >= self._missions.line_first
+            if first.heights is not None:  # over hills only its own height is high enough
+                return at_item and self._height_m > first.heights.to_m - _AT_HEIGHT_M
+            return at_item and self._height_m > _HIGH_ENOUGH * self._settings.height_m
 
         while not circling():
             if self._outbox.link_s > link_end_s or self._outbox.time_s > deadline_s:
@@ -323,10 +325,3 @@ class Takeover:
             is_elsewhere = index is not None and index < line_first
             if not circling() and again_s < _TAKE_OFF_WITHIN_S and is_elsewhere:
                 self._outbox.send("MISSION_SET_CURRENT", seq=self._missions.line_first)
-
-    def _circling(self, first: Plan) -> bool:
-        index = self._missions.flown_index
-        at_item = index is not None and index >= self._missions.line_first
-        if first.heights is not None:  # over hills only its own height is high enough
-            return at_item and self._height_m > first.heights.to_m - _AT_HEIGHT_M
-        return at_item and self._height_m > _HIGH_ENOUGH * self._settings.height_m

@@ -86,12 +86,6 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
     return None
 
 
-def describe_range(seen: Outlook) -> str:
-    """Return the ranges met along the line of ``seen``."""
-    nearest_m, farthest_m = seen.range_m.min(), seen.range_m.max()
-    return f"the target stays {nearest_m:.0f} to {farthest_m:.0f} m away for {seen.time_s[-1]:.0f} s"
-
-
 _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 
 
@@ -312,7 +306,8 @@ class PredictivePlanner:
         elif breach is not None:
             reason = f"staying until a better moment: {breach}"
         else:
-            reason = f"staying: {describe_range(ahead)}"
+            band = f"{ahead.range_m.min():.0f} to {ahead.range_m.max():.0f} m"
+            reason = f"staying: the target stays {band} away for {time_s[-1]:.0f} s"
         values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
         return Decision(aircraft.time_s, plan, reason, values)
 
