@@ -60,12 +60,8 @@ def apart_m(a: TargetEstimate, b: TargetEstimate) -> float:
     return float(np.hypot(a.east_m - b.east_m, a.north_m - b.north_m))
 
 
-def squared_distance(a: TargetEstimate, b: TargetEstimate) -> float:
-    """Return the squared Mahalanobis distance of two tracks, treated as independent."""
-    return _squared(a, b, 1e-9 * np.eye(4))
-
-
 def _squared(a: TargetEstimate, b: TargetEstimate, more: np.ndarray) -> float:
+    """Return the squared Mahalanobis distance of two tracks, treated as independent; more: covariance added."""
     off = state_of(a) - state_of(b)
     return float(off @ np.linalg.solve(a.covariance + b.covariance + more, off))
 
@@ -226,7 +222,8 @@ class JointTrack:
         self._apart_m2 = self._unexplained_m2([alive[payload] for payload in used], joint)
         if not used:
             return
-        if not was_led or (self._refused and joint and squared_distance(joint, alive[used[0]]) > _REJECTED):
+        off = 0.0 if joint is None else _squared(joint, alive[used[0]], 1e-9 * np.eye(4))
+        if not was_led or (self._refused and off > _REJECTED):
             self._begin(used)
 
     def _unexplained_m2(self, used: Sequence[TargetEstimate], joint: TargetEstimate | None) -> float:

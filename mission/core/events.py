@@ -27,31 +27,35 @@ from sidelong.mission.core.requirement import Side, Wind
 
 
 @dataclass(frozen=True, slots=True)
-class WindReported:
-    """The autopilot's own wind estimate: where the air moves to, over the ground."""
+class Timed:
+    """What happens at ``time_s`` of the vehicle's clock."""
 
     time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindReported(Timed):
+    """The autopilot's own wind estimate: where the air moves to, over the ground."""
+
     east_m_s: float
     north_m_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class WindPrepared:
+class WindPrepared(Timed):
     """The value tables for winds of this speed are in memory: from now on the planner may use them."""
 
-    time_s: float
     speed_m_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class RouteGiven:
+class RouteGiven(Timed):
     """The route that the target is expected to follow, as way points in the local plane; without any, none.
 
     lap: the last way point connects to the first one. tolerance_m: one standard deviation of the target's lateral
     offset. speed_m_s: expected along the route; None: unknown. direction: in which the target follows the way points.
     """
 
-    time_s: float
     east_m: tuple[float, ...]
     north_m: tuple[float, ...]
     lap: bool
@@ -61,56 +65,51 @@ class RouteGiven:
 
 
 @dataclass(frozen=True, slots=True)
-class NavigationReported:
+class NavigationReported(Timed):
     """The state of the vehicle's own position by GPS or EKF: ``fault`` in words, '' while there is none."""
 
-    time_s: float
     source: Literal["GPS", "EKF"]
     fault: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class HomeReported:
+class HomeReported(Timed):
     """Where the autopilot has its home, in the local plane."""
 
-    time_s: float
     east_m: float
     north_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class BankLimitReported:
+class BankLimitReported(Timed):
     """The autopilot's bank limit, as its parameters have it now."""
 
-    time_s: float
     bank_rad: float
 
 
 @dataclass(frozen=True, slots=True)
-class ModeReported:
+class ModeReported(Timed):
     """A heartbeat of the autopilot; failsafe: why it is in one, in its own words, '' if it is in none."""
 
-    time_s: float
     mode: str
     armed: bool
     failsafe: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class ControlAcquired:
+class ControlAcquired(Timed):
     """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
 
     commanded: the circle as it was commanded, where that differs.
     """
 
-    time_s: float
     circle: Circle
     mode: str
     commanded: Circle | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class PlanStatus:
+class PlanStatus(Timed):
     """How far the autopilot has followed plan ``number``; detail: the reason of a failure, in words.
 
     ready: the autopilot holds the plan and still flies the previous path. departed: it flies the plan. failed: it
@@ -119,7 +118,6 @@ class PlanStatus:
     departed follows when the command is obeyed.
     """
 
-    time_s: float
     number: int
     stage: Literal["ready", "departed", "failed", "unconfirmed"]
     detail: str = ""
@@ -127,49 +125,44 @@ class PlanStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkReported:
+class LinkReported(Timed):
     """The link to the autopilot was lost (no heartbeat) or is back."""
 
-    time_s: float
     connected: bool
 
 
 @dataclass(frozen=True, slots=True)
-class ClockTick:
+class ClockTick(Timed):
     """A second of this computer's clock, link_s, has passed: the vehicle's own may stand still."""
 
-    time_s: float
     link_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class RoundTripReported:
+class RoundTripReported(Timed):
     """A request to the vehicle and its answer now take ``round_trip_s`` of the vehicle's clock."""
 
-    time_s: float
     round_trip_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class YieldRequested:
+class YieldRequested(Timed):
     """An event outside the mode shows that another operator flies now (RC takeover, a foreign mission)."""
 
-    time_s: float
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class OperatorRequest:
+class OperatorRequest(Timed):
     """A request of the operator; who: the operator's name on the page, '' if it came from elsewhere."""
 
-    time_s: float
     action: Literal["hold", "resume", "side", "confirm", "end"]
     side: Side | None = None
     who: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class MissionChange:
+class MissionChange(Timed):
     """A change of what is flown and asked for, by a person or by the gimbal's report; None leaves a value as it is.
 
     It was checked as a configuration is, and what the planner needs for it is at hand. side: left, right, either, or
@@ -177,7 +170,6 @@ class MissionChange:
     the gimbal reports, degrees to each side of the nose.
     """
 
-    time_s: float
     radius_m: float | None = None
     range_min_m: float | None = None
     range_max_m: float | None = None
@@ -188,13 +180,12 @@ class MissionChange:
 
 
 @dataclass(frozen=True, slots=True)
-class AlarmReported:
+class AlarmReported(Timed):
     """An alarm of :mod:`sidelong.mission.control.alarms` was raised or cleared, or a person acknowledged it.
 
     text: what is wrong and what to do. who: as of ``OperatorRequest``.
     """
 
-    time_s: float
     key: str
     stage: Literal["raised", "cleared", "acknowledged"]
     text: str = ""
@@ -202,13 +193,12 @@ class AlarmReported:
 
 
 @dataclass(frozen=True, slots=True)
-class BatteryReported:
+class BatteryReported(Timed):
     """The battery's charge, the flight time until its reserve by the observed consumption, and the time to home.
 
     text: all that is known of it, in words. rejected: whether the charge is not to be acted on.
     """
 
-    time_s: float
     percent: float
     left_s: float
     home_s: float
@@ -217,10 +207,9 @@ class BatteryReported:
 
 
 @dataclass(frozen=True, slots=True)
-class TrafficReported:
+class TrafficReported(Timed):
     """All aircraft near a single flight, by their latest reports: whenever one reports, once a second at most."""
 
-    time_s: float
     aircraft: tuple[Neighbour, ...]
 
 
@@ -272,10 +261,9 @@ class UploadPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class ActivatePlan:
+class ActivatePlan(Timed):
     """Fly plan ``number`` now; report departed or failed."""
 
-    time_s: float
     number: int
 
 
@@ -290,10 +278,9 @@ class DecisionRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Announce:
+class Announce(Timed):
     """Announce something to the operator in plain words; ``kind`` lets a display colour or filter it."""
 
-    time_s: float
     kind: Literal[
         "decision",
         "track",
@@ -315,13 +302,12 @@ class Announce:
 
 
 @dataclass(frozen=True, slots=True)
-class HealthChanged:
+class HealthChanged(Timed):
     """The state of an input has changed; text: what has happened and what to do, in one sentence.
 
     lasted_s: of the previous state; 0 if there was none.
     """
 
-    time_s: float
     input: Input
     state: InputState
     text: str
@@ -334,18 +320,16 @@ class HealthChanged:
 
 
 @dataclass(frozen=True, slots=True)
-class Yield:
+class Yield(Timed):
     """Another operator flies: send nothing to the autopilot any more."""
 
-    time_s: float
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class End:
+class End(Timed):
     """The mission is over: stay on the circle (hold) or fly home (return)."""
 
-    time_s: float
     action: Literal["hold", "return"]
     reason: str
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from sidelong.mission.core.events import Announce, ControlAcquired, PlanStatus, YieldRequested
+from sidelong.mission.core.events import Announce, ControlAcquired, PlanStatus, Timed, YieldRequested
 from sidelong.mission.upload.mission_item import MissionItem
 
 MISSION = 0  # MAV_MISSION_TYPE_MISSION
@@ -17,19 +17,17 @@ INVALID_SEQUENCE, NO_SPACE = 13, 4
 
 
 @dataclass(frozen=True, slots=True)
-class SendMessage:
+class SendMessage(Timed):
     """Send a MAVLink message to the autopilot of our vehicle; NaN: unused."""
 
-    time_s: float
     name: str
     fields: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class TakeoverFailed:
+class TakeoverFailed(Timed):
     """The aircraft could not be brought onto a circle. wrong_input: the configuration is why, nothing was sent."""
 
-    time_s: float
     reason: str
     wrong_input: bool = False
 

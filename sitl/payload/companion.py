@@ -247,7 +247,7 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
             received.add(message.get_srcSystem())
         if len(received) > 1:
             names = " and ".join(map(str, sorted(received)))
-            raise CompanionError(f"leads to several vehicles, systems {names}; name one by --system-id")
+            raise CompanionError(f"leads to several vehicles, systems {names}; name one as ID@URL")
         if now_s >= settled_s:
             return received.pop()
     return None
