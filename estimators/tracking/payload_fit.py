@@ -157,6 +157,7 @@ _CALM_DRIFT_M = 0.05
 _WORTH = 4.0  # evidence in sight, without which a drift is not fitted
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER, _UNSEEMING_COUNT = 2, 3, 2  # judgements in a row
+_SUDDEN_RAD, _BEYOND_DOUBT = math.radians(1.0), 60.0
 _SEEN_AGAIN = 0.6  # of the evidence, for a yaw that drifted a judgement before
 _LONG_COUNT = 1  # of a range error that lasts, and that no fit of constant errors finds
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
@@ -293,6 +294,7 @@ class PayloadFit:
         self._frame_fault = self._unit_fault = self._drift_fault = ""
         self._drift = self._drift_seen = ""
         self._drifting = self._long = self._unseeming = 0
+        self._yaw_fitted, self._is_sudden = (-math.inf, 0.0), False  # time s and yaw error rad of the last judgement
         self.yaw_error_rad = self._turn_rad = 0.0  # the first one is large, and to be corrected
         self._sound: Fit | None = None
         self._erring: Fit | None = None  # while that explains the readings far better
@@ -921,7 +923,8 @@ class PayloadFit:
         self._drifting = self._drifting + 1 if found == self._drift_seen else 1
         self._drift_seen = found
         # A sector has been visited twice already, and may leave the window before the next judgement.
-        if found and not self._drift and (found == "sector" or self._drifting >= _DRIFT_FOUND_AFTER):
+        needed = 1 if found == "sector" else _DRIFT_FOUND_AFTER + 2 * (found == "yaw" and self._is_sudden)
+        if found and not self._drift and self._drifting >= needed:
             self._drift, self._drift_fault = found, text
         elif self._drift and not found and self._drifting >= _DRIFT_CLEARED_AFTER:
             self._drift = self._drift_fault = ""
@@ -1007,6 +1010,11 @@ class PayloadFit:
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
         span_s = min(float(readings.ranges[-1, 0] - readings.ranges[0, 0]), _GROWS_S)
         again = min(eased, _SEEN_AGAIN if self._drift_seen == "yaw" else 1.0)
+        (before_s, before_rad), now_s = self._yaw_fitted, float(readings.ranges[-1, 0])
+        self._yaw_fitted = now_s, yaw_rad
+        if self._drift_seen != "yaw":  # a turn of the target looks like a drift all of a sudden
+            then_rad = yaw_rad - float(by_yaw.shared[4]) * min(now_s - before_s, _GROWS_S)
+            self._is_sudden = abs(then_rad - before_rad) > _SUDDEN_RAD
         yaw_grows = abs(by_yaw.shared[4]) * span_s > eased * _GROWN_YAW  # else it is constant, and corrected
         is_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
         self._long = self._long + 1 if is_long else 0
@@ -1022,6 +1030,7 @@ class PayloadFit:
             ("yaw", is_yaw, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad))),
         ):
             if is_it:
+                self._is_sudden &= yaw_gain < _BEYOND_DOUBT
                 return what, _DRIFTS[what].format(*numbers)
         return "", ""
 
