@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STEP_S = 0.02
 _OBSERVE_EVERY = round(PERIOD_S / STEP_S)
 _HEARTBEAT_EVERY = round(1.0 / STEP_S)
-_AIRFIELD_M = 500.0  # the ground around home is flat for takeoff and landing, whatever the tiles contain
+_AIRFIELD_M = 500.0  # the ground around home is flat for takeoff and landing, unless it is lower there
 _REBOOT_S = 2.0
 _SILENT_S = 60.0  # of the stations' clock: after this silence, a station that was not configured is removed
 _EXPIRE_EVERY = round(5.0 / STEP_S)
@@ -161,7 +161,8 @@ class Simulation(Wired):
         aircraft_m = (craft.east_m, craft.north_m, craft.height_m)
         target_m = self.hills.standing(self._target_seen())
         ground_m = self.hills.height_m(craft.east_m, craft.north_m)
-        craft.ground_m = 0.0 if math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M else ground_m
+        is_near = math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M
+        craft.ground_m = min(ground_m, 0.0) if is_near else ground_m
         in_sight = self.hills.sees_target(aircraft_m, target_m)
         # On the ground the payload measures nearby objects, so it always has data.
         clear = in_sight or not craft.flying
