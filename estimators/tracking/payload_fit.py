@@ -810,6 +810,8 @@ class PayloadFit:
             )  # a lesser minimum is strained
             best = self._fit_erring(readings, min(best, plain, key=_cost))
         tan_yaw, range_m = best.shared[2:4].tolist()
+        if self._erring is None and abs(tan_yaw) > _YAW_MIN_RAD:
+            return  # far beyond its prior, and yet not so likely as to be believed
         if self._erring is None or self._on_ground:
             range_m = 0.0  # it may be the target's height
         if self._erring is not None:  # of an error that is there, nothing is known before
