@@ -390,10 +390,6 @@ def _compile_part(part: str) -> None:
         _warm_up_planner(config, kind.factory(planner_needs(config, lambda _share: None)))
 
 
-if __name__ == "__main__":
-    _compile_part(*sys.argv[1:])
-
-
 _CIRCLE = Circle(-250.0, 0.0, 60.0, clockwise=True)
 _TARGET = TargetEstimate(1.0, 0.0, 0.0, 0.0, 0.0, np.eye(4), TrackQuality.GOOD, 1.0)
 _HERE = AircraftState(1.0, *_CIRCLE.position_at_course(0.0), 0.0, 15.0, _CIRCLE.curvature_per_m)
@@ -473,3 +469,7 @@ def warm_up_over(ground: Ground, track: Track, heights: FlightHeights, field: Si
 
 def _sighting(time_s: float) -> Sighting:
     return Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0)
+
+
+if __name__ == "__main__":
+    _compile_part(*sys.argv[1:])

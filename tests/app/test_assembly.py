@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sidelong.app import assembly
 from sidelong.app.assembly import controller_of, winds_m_s, with_vehicle_fences
-from sidelong.app.config import load_config
+from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import planner_in_fleet
 from sidelong.app.link.stored import VehicleFences
 from sidelong.app.planners import value_cache
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.process import helper_command, helper_environment
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
@@ -23,6 +28,14 @@ from sidelong.mission.fleet.team_planner import IN_TEAM, TeamPlanner
 from sidelong.mission.predictive import planner
 
 PLANE = LocalPlane(47.3, 8.5)
+
+
+def test_each_process_of_the_first_compilation_succeeds():
+    """If one fails, the flight's own process compiles that part afterwards, and nothing else shows it."""
+    given = pickle.dumps((Config(), planner_by_name("predictive")))
+    for part in assembly._PARTS:
+        command = helper_command(assembly.__name__, part)
+        subprocess.run(command, env=helper_environment(), input=given, check=True)
 
 
 def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
