@@ -12,6 +12,14 @@ from sidelong.app.cli import run
 
 SIDELONG = Path(sys.executable).parent / "sidelong"
 
+FEW_FLIGHTS = """
+from sidelong.app.__main__ import main
+from sidelong.app.study import prediction
+prediction.FLIGHTS = prediction.FLIGHTS_MAX = 3
+main()
+"""
+"""The commands as a program, whose ``check`` flies 3 simulated flights instead of 20 to 80."""
+
 
 def new_process(*arguments: object, timeout_s: float = 280.0) -> subprocess.CompletedProcess[str]:
     """Run a command in a new process, as a person does."""

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from sidelong.app.cli import app, run
 from sidelong.app.commands import connect, flying, replay
 from sidelong.app.errors import InputError
+from sidelong.app.study.prediction import Prediction, Share
 from tests.command_line import sidelong
 
 
@@ -177,7 +178,9 @@ def test_a_height_above_the_ceiling_is_refused_by_each_command(tmp_path, monkeyp
     assert "aircraft.height_m = 100 is above fences.ceiling_m = 50" in str(ended.exception)
 
 
-def test_keys_without_effect_are_noted(tmp_path):
+def test_keys_without_effect_are_noted(tmp_path, monkeypatch):
+    found = Prediction(3, Share.of([1.0, 1.0, 1.0]), None)
+    monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)  # tests/app/test_prediction.py flies
     (tmp_path / "mission.toml").write_text("[route]\nlap = true\n[fences]\nceiling_m = 50\n")
     ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
     assert "note: route.lap has no effect without route.file or route.system_id" in ended.output

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import FEW_FLIGHTS
+
 ROOT = Path(__file__).resolve().parents[2]
 NAMED = re.compile(r"`([\w.]+)`:\n\n```\w+\n(.*?)```", re.DOTALL)
 
@@ -33,7 +35,7 @@ def sidelong(tmp_path):
 
         def run(*arguments):
             path = os.pathsep.join((str(site), str(ROOT)))
-            command = [sys.executable, "-m", "sidelong.app", *arguments]
+            command = [sys.executable, "-c", FEW_FLIGHTS, *arguments]
             environment = os.environ | {"PYTHONPATH": path}
             return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=tmp_path)
 
@@ -45,7 +47,7 @@ def sidelong(tmp_path):
 def test_the_planner_of_the_how_to_is_installed_and_flies(sidelong):
     run = sidelong("own-planner.md")
     ran = run("check", "--planner", "far")
-    assert "predicted from 20 simulated flights" in ran.stdout, ran.stderr
+    assert "predicted from 3 simulated flights" in ran.stdout, ran.stderr
     assert "Traceback" not in ran.stderr
     assert "far" in run("launch", "--help").stdout
 

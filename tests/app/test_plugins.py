@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import FEW_FLIGHTS
+
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = """
 from sidelong.app.autopilots.arduplane import ArduPlane
@@ -70,9 +72,9 @@ def test_what_other_distributions_add_is_configured_like_our_own(python):
 
 
 def test_check_flies_a_planner_of_another_distribution(python):
-    ran = python(POINTS, "-m", "sidelong.app", "check", "--planner", "cautious")
+    ran = python(POINTS, "-c", FEW_FLIGHTS, "check", "--planner", "cautious")
     assert ran.returncode == 0, ran.stderr
-    assert "predicted from 20 simulated flights" in ran.stdout
+    assert "predicted from 3 simulated flights" in ran.stdout
     assert "feasible" in ran.stdout
 
 
