@@ -88,10 +88,13 @@ class L1Guidance:
         self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
     ) -> float:
         """Return the acceleration that captures the circle and then holds it."""
-        speed_m_s = max(1.0, craft.ground_speed_m_s)
+        # Comparisons in place of max(), as the airframe has them.
+        speed_m_s = craft.ground_speed_m_s
+        speed_m_s = speed_m_s if speed_m_s > 1.0 else 1.0
         self.length_m = self.damping * self.period_s * speed_m_s / math.pi
         east_m, north_m = craft.east_m - centre_m[0], craft.north_m - centre_m[1]
-        distance_m = max(0.1, math.hypot(east_m, north_m))
+        distance_m = math.hypot(east_m, north_m)
+        distance_m = distance_m if distance_m > 0.1 else 0.1
         out_east, out_north = east_m / distance_m, north_m / distance_m
         outward_m_s = craft.velocity_east_m_s * out_east + craft.velocity_north_m_s * out_north
         rightward_m_s = craft.velocity_east_m_s * out_north - craft.velocity_north_m_s * out_east
@@ -104,7 +107,8 @@ class L1Guidance:
         hold_m_s2 = natural_rad_s**2 * self.cross_track_m + 2.0 * self.damping * natural_rad_s * outward_m_s
         if outward_m_s > 0.0 and tangential_m_s < 0.0:  # the wrong way round: do not turn further outward
             hold_m_s2 = max(0.0, hold_m_s2)
-        circle_m_s2 = turn * (hold_m_s2 + tangential_m_s**2 / max(0.5 * radius_m, distance_m))
+        least_m = 0.5 * radius_m
+        circle_m_s2 = turn * (hold_m_s2 + tangential_m_s**2 / (distance_m if distance_m > least_m else least_m))
         self.on_circle = not (self.cross_track_m > 0.0 and turn * capture_m_s2 < turn * circle_m_s2)
         return circle_m_s2 if self.on_circle else capture_m_s2
 

@@ -303,7 +303,7 @@ class SimulatedAutopilot(ABC):
         if now_s >= self._navigate_s:
             self._navigate_s += self.navigation_period_s
             self.watch_links()
-            if self.home_known and not self._home_sent:
+            if not self._home_sent and self.home_known:
                 self._home_sent = True
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             lateral_m_s2 = self.navigate()

@@ -121,7 +121,7 @@ class ClosedLoop(Generic[P]):
             event = self.telemetry.event(message)
         else:
             event = message
-            if isinstance(message, PositionReading):
+            if type(message) is PositionReading:
                 self.telemetry.tick(message.time_s)
         if self.core is None:
             return

@@ -128,14 +128,16 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         )
         self.rows: list[tuple[float, float, float, float, float]] = []
         self.departed_s: list[float] = []
+        self._judged, self._within = controller.health.reports, 1.0
         vehicle.flown = self._flown
         self._flown()
         self.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
 
     def _flown(self) -> None:
-        vehicle, craft = self.vehicle_in_flight, self.vehicle_in_flight.craft
-        within = float(not self.controller.breach)
-        self.rows.append((vehicle.flown_s, craft.east_m, craft.north_m, craft.height_m, within))
+        vehicle, craft, reports = self.vehicle_in_flight, self.vehicle_in_flight.craft, self.controller.health.reports
+        if reports is not self._judged:  # they change seldom, and a study makes ten steps for each second
+            self._judged, self._within = reports, float(not self.controller.breach)
+        self.rows.append((vehicle.flown_s, craft.east_m, craft.north_m, craft.height_m, self._within))
         if self.controller.changes.moves > len(self.departed_s):
             self.departed_s.append(vehicle.time_s)
 

@@ -96,11 +96,11 @@ class TargetImm:
             return
         densities = steadier(self.densities) if self._averages else self.densities
         for _ in range(_STEPS_MAX):  # the motions switch by steps of at most 1 s; after a minute little changes
-            step_s = min(left_s, 1.0)
-            left_s = round(left_s - step_s, 6)
-            self._move(step_s, densities)
-            if left_s <= 0.0:
+            if left_s <= 1.0:
+                self._move(left_s, densities)
                 break
+            self._move(1.0, densities)
+            left_s = round(left_s - 1.0, 6)
 
     def _move(self, step_s: float, densities: kernel.Densities) -> None:
         ahead, ground = np.empty_like(self.state), self._ground

@@ -44,7 +44,7 @@ class ReadingHistory(Generic[T]):
                 return False
             insort(items, item, key=_time_s)
         # Cut rarely and much: the cost of a cut is spread over many readings.
-        if len(items) > 64 and items[0].time_s < self.newest_s - 2 * self._span_s:
+        if items[0].time_s < self.newest_s - 2 * self._span_s and len(items) > 64:
             del items[: bisect_right(items, self.newest_s - self._span_s, key=_time_s)]
         return True
 

@@ -253,9 +253,12 @@ class Envelope:
     def _judge(self, now: Present, watched: Input, kind: str, fault: str, lasts_s: float = _LASTS_S) -> None:
         """Raise a fault that lasts, and drop it when it is over. kind: what of the input is breached."""
         if not fault:
-            self._since_s.pop(watched, None)
-            if now.time_s - self._over_s.setdefault(watched, now.time_s) >= _OVER_S:
-                self.faults.pop(watched, None)
+            if watched in self._since_s:
+                del self._since_s[watched]
+            if watched not in self._over_s:
+                self._over_s[watched] = now.time_s
+            if watched in self.faults and now.time_s - self._over_s[watched] >= _OVER_S:
+                del self.faults[watched]
             return
         self._over_s.pop(watched, None)
         if now.time_s - self._since_s.setdefault(watched, now.time_s) < lasts_s:

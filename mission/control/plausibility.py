@@ -205,16 +205,17 @@ def _stayed(last: PositionReading, place: PositionReading, passed_s: float) -> b
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:
     """Return whether a position can be flown to from another, that was dead reckoned for ``reckoned_for_s``."""
     step_s = reading.time_s - last.time_s
+    passed_s = abs(step_s)
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
     off_m = math.hypot(
         reading.east_m - last.east_m - last.velocity_east_m_s * step_s,
         reading.north_m - last.north_m - last.velocity_north_m_s * step_s,
     )
-    turned_m = min(0.5 * _ACCELERATION_M_S2 * step_s**2, (2.0 * speed_m_s + _GUST_M_S) * abs(step_s))
+    turned_m = min(0.5 * _ACCELERATION_M_S2 * step_s**2, (2.0 * speed_m_s + _GUST_M_S) * passed_s)
     if off_m > _SLACK_M + turned_m + _RECKONING_DRIFT_M_S * reckoned_for_s:
         return False
     climbed_m = reading.height_m - last.height_m - last.velocity_up_m_s * step_s
-    if abs(climbed_m) > _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (abs(step_s) + reckoned_for_s):
+    if abs(climbed_m) > _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (passed_s + reckoned_for_s):
         return False
     return _velocity_follows(last, reading, speed_m_s, reckoned_for_s)
 
@@ -531,7 +532,7 @@ class Plausibility:
         # While the vehicle's clock stands still there is nothing to compare a payload's clock with.
         if clock.now_s == -math.inf or clock.in_question or self.vehicle_silent or not self._credible(reading):
             return None
-        if isinstance(reading, TargetFixReading) and reading.source.message in BEACON_MESSAGES:
+        if type(reading) is TargetFixReading and reading.source.message in BEACON_MESSAGES:
             if not self._is_of_first_beacon(reading.source):
                 return None
             self._note_repeated(reading)

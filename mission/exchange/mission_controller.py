@@ -172,12 +172,12 @@ class MissionController:
         self._takeover.begin(request)
 
     def _observe(self, event: Event) -> None:
-        if isinstance(event, PositionReading):
+        if type(event) is PositionReading:
             aircraft = self.controller.aircraft
             if aircraft is not None and not self._silent:
                 self._backend.observe(aircraft, self._mode)
                 self._takeover.observe(aircraft, event.height_m)
-        elif isinstance(event, ModeReported):
+        elif type(event) is ModeReported:
             self._mode = event.mode
             if not self._silent:
                 self._takeover.mode = event.mode

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,11 +29,12 @@ def circling_of(circle: Circle) -> Circling:
 
 def line_of(plan: Plan) -> tuple[FloatArray, Circling]:
     """Return a plan's transition (5, n) and circle as the compiled functions take them."""
-    path, circle = plan.transition, plan.circle
-    circling = circling_of(circle)
-    if path is None:
-        return _NO_LINE, circling
-    return np.array((path.arc_m, path.east_m, path.north_m, path.course_rad, path.curvature_per_m)), circling
+    return _NO_LINE if plan.transition is None else _rows_of(plan.transition), circling_of(plan.circle)
+
+
+@lru_cache(maxsize=8)  # each decision and position asks for those of the same few plans
+def _rows_of(path: Path) -> FloatArray:
+    return np.array((path.arc_m, path.east_m, path.north_m, path.course_rad, path.curvature_per_m))
 
 
 def end_circle(path: Path, radius_m: float) -> Circle:

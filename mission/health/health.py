@@ -213,7 +213,7 @@ class Health:
             if is_input:
                 seen.last_s, seen.tick = now_s, self._ticks
                 seen.count += 1
-        elif isinstance(event, ClockTick):
+        elif type(event) is ClockTick:
             self._ticks += 1
             if now_s == self._now_s:
                 return True
@@ -235,7 +235,8 @@ class Health:
     @property
     def silent_s(self) -> float:
         """For how many seconds of this computer the vehicle's clock has stood still."""
-        return float(max(self._ticks - self._moved_tick - _TICKS_MARGIN, 0))
+        ticks = self._ticks - self._moved_tick - _TICKS_MARGIN
+        return float(ticks) if ticks > 0 else 0.0
 
     def is_usable(self, kind: Input) -> bool:
         """Return whether an input is neither stale nor inconsistent; one never seen is not judged."""
@@ -280,7 +281,8 @@ class Health:
             Input.TERRAIN: self.payload.terrain_fault,
         }
         for kind, fault in {**of_payload, **faults}.items():
-            self._judge_fault(kind, fault, now_s, changed)
+            if fault or self._inputs[kind].state is InputState.INCONSISTENT:
+                self._judge_fault(kind, fault, now_s, changed)
         devices = ((Input.LASER, lasers), (Input.GIMBAL, gimbals))
         for kind, selector in devices:
             self._judge_source(kind, selector.chosen, now_s, changed)
@@ -342,7 +344,7 @@ class Health:
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
         seen = self._inputs[kind]
         before, seen.source = seen.source, source
-        if before == source:
+        if before is source or before == source:
             return
         given, seen.of_source = seen.count - seen.of_source, seen.count
         self._is_news |= source is not None

@@ -69,8 +69,8 @@ class Outlook(NamedTuple):
 def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s: float) -> str | None:
     """Return the first breach of the requirement on the line of ``seen``, which begins in lead_s; None if none."""
     x_m, range_m, time_s = seen
-    out = np.flatnonzero((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m))
-    off = np.flatnonzero(x_m > 0.0) if requirement.sector is None else np.empty(0, np.intp)
+    (out,) = ((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m)).nonzero()
+    off = (x_m > 0.0).nonzero()[0] if requirement.sector is None else np.empty(0, np.intp)
     if off.size and float(time_s[off[-1]] - time_s[off[0]]) < _OFF_SIDE_MIN_S:
         off = off[:0]
     if out.size and (not off.size or out[0] <= off[0]):
@@ -342,7 +342,7 @@ def cheapest_allowed(
 
     Where there is none, the move is the cheapest of all, without a plan; last why the cheapest below the bar failed.
     """
-    order, broken = np.argsort(costs, kind="stable"), None
+    order, broken = costs.argsort(kind="stable"), None
     for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
         path = Path(*move_line(scene, question.context.watcher.craft, move))
         precise = question.context.terms.blind > 0.0

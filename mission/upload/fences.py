@@ -71,8 +71,10 @@ class Fences:
 
     def inside_m(self, east_m: Any, north_m: Any) -> Any:
         """Return how far positions are inside the fences, m; negative: outside. Scalars or arrays of one shape."""
-        places = points(east_m, north_m)
         found = np.full(np.shape(east_m), np.inf)
+        if self._keep_in is None and not self._keep_out:
+            return found
+        places = points(east_m, north_m)
         if self._keep_in is not None:
             sign = np.where(contains(self._keep_in, places), 1.0, -1.0)
             found = sign * distance(places, self._keep_in.boundary)

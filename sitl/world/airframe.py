@@ -109,6 +109,8 @@ class SimulatedAirframe:
 
         A beam that misses the target meets the ground, which is level there.
         """
+        if self.turbulence is None or not self.flying:
+            return to_m
         bearing_rad, elevation_rad = math.atan2(to_m[0], to_m[1]), math.atan2(to_m[2], math.hypot(*to_m[:2]))
         aside_rad, rise_rad = self.gimbal_error_rad(bearing_rad)
         if (aside_rad, rise_rad) == (0.0, 0.0):
