@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inner
 from sidelong.estimators.terrain.ground_kernel import Grid, height_and_slope, height_sigma_m
 
 FloatArray = npt.NDArray[np.float64]
@@ -111,7 +111,7 @@ def compared(
     jacobian[2, 4] = -1.0  # a positive pitch error looks too high, so the measured depression is too small
 
 
-@compiled
+@inner
 def linearized(
     seen: Seen,
     position: tuple[float, float, float],
@@ -171,7 +171,7 @@ def errors_of(payload: int, n: int) -> tuple[int, int]:
     return TARGET + block * payload, block
 
 
-@compiled
+@inner
 def mean_of(state: FloatArray, n: int) -> tuple[FloatArray, float]:
     """Return the common mean (n,), and the models' mean variance of the position, both axes together."""
     middle, variance_m2 = np.zeros(n), 0.0
@@ -183,7 +183,7 @@ def mean_of(state: FloatArray, n: int) -> tuple[FloatArray, float]:
     return middle, variance_m2
 
 
-@compiled
+@inner
 def switch_probability(step_s: float, before: int, after: int) -> float:
     """Return the chance of being in one motion ``step_s`` after another; step <= 1 s."""
     same = 1.0 if before == after else 0.0
@@ -192,7 +192,7 @@ def switch_probability(step_s: float, before: int, after: int) -> float:
     )
 
 
-@compiled
+@inner
 def mix(state: FloatArray, n: int, step_s: float, found: FloatArray) -> None:
     """Fill in what each model starts the step from, and move the probabilities on."""
     weights, apart = np.empty(_MODELS), np.empty((_MODELS, n))
@@ -254,7 +254,7 @@ def move(model: int, mean: FloatArray, p: FloatArray, step_s: float, densities: 
             p[velocity, velocity] += density * step_s
 
 
-@compiled
+@inner
 def _turn(mean: FloatArray, p: FloatArray, step_s: float) -> None:
     """Turn a target at its rate. The derivative by the rate is to first order in the angle turned."""
     rate = mean[TURN]
@@ -275,7 +275,7 @@ def _turn(mean: FloatArray, p: FloatArray, step_s: float) -> None:
     _turn_rows(p.T, ahead, aside, cos_a, sin_a, by_rate)
 
 
-@compiled
+@inner
 def _turn_rows(
     p: FloatArray, ahead: float, aside: float, cos_a: float, sin_a: float, by_rate: tuple[float, float, float, float]
 ) -> None:
@@ -287,7 +287,7 @@ def _turn_rows(
         p[VELOCITY_N, k] = cos_a * v - sin_a * e + by_rate[3] * r
 
 
-@compiled
+@inner
 def _inverted(a: FloatArray, found: FloatArray) -> float:
     """Fill in the inverse of a symmetric (3, 3) and return the determinant."""
     c0, c1, c2 = (

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inner
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Readings(NamedTuple):
     latencies_s: tuple[float, float]
 
 
-@compiled
+@inner
 def solve_banded(band: FloatArray, right: FloatArray) -> None:
     """Solve a symmetric, positive definite system in place; NaN where it is not positive definite.
 
@@ -84,7 +84,7 @@ def solve_banded(band: FloatArray, right: FloatArray) -> None:
                 right[i, column] -= band[width + i - j, j] * right[j, column]
 
 
-@compiled
+@inner
 def aircraft_at(positions: FloatArray, after: int, time_s: float) -> tuple[int, float, float, float, float]:
     """Return the row before a time, searched from ``after``, and the cubic's place and velocity there."""
     k = after

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import compiled, inner, inner_inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import speed_m_s
@@ -96,7 +96,7 @@ class Cover(NamedTuple):
     turned: FloatArray
 
 
-@compiled
+@inner
 def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, turned: FloatArray, found: FloatArray) -> None:
     """Fill in for how long a place of the wanted frame would be off the side after each turn (t,); turned (t, 2).
 
@@ -122,34 +122,34 @@ class Scratch(NamedTuple):
     places: FloatArray
 
 
-@compiled
+@inner
 def new_scratch(turns: int) -> Scratch:
     """Return arrays to work in."""
     classes, share = np.empty((1, 1, 4), np.int64), np.empty((1, 1, 4))
     return Scratch(classes, share, np.empty(turns), np.empty((4, 2, _CONTINUED)))
 
 
-@compiled
+@inner
 def blurred_m(scene: Scene, sigma_rad: float, along_m: float, time_s: float) -> float:
     """Return the standard deviation of the distance across the side's limit, after ``time_s``."""
     place_m, velocity_m, aside_m = scene.doubt.position_m, scene.doubt.velocity_m_s * time_s, sigma_rad * along_m
     return 1.0 + math.sqrt(place_m * place_m + velocity_m * velocity_m + aside_m * aside_m)
 
 
-@compiled
+@inner
 def off_side(across_m: float, blur_m: float) -> float:
     """Return the probability 0..1 of being off the required side."""
     return min(max(0.5 + 0.5 * across_m / blur_m, 0.0), 1.0)
 
 
-@inlined
+@inner_inlined
 def turned_to(turn: FloatArray, one: int, p: int, x_m: float, y_m: float) -> tuple[float, float]:
     """Return a place relative to the target (across, along) a course: turn (f, k, 2...) as in Scenarios."""
     sin_t, cos_t = turn[one, p, 0], turn[one, p, 1]
     return x_m * cos_t - y_m * sin_t, x_m * sin_t + y_m * cos_t
 
 
-@compiled
+@inner
 def wanted_value(
     scene: Scene, f: Scenarios, question: Question, s: float, one: int, p: int, off: Pose, scratch: Scratch
 ) -> float:
@@ -169,7 +169,7 @@ def wanted_value(
     return table_value(table.values, table.cell_m, s * across_m, along_m, heading_rad, classes, share, 0, 0)
 
 
-@compiled
+@inner
 def cover_of(
     scene: Scene, f: Scenarios, others: FloatArray, first_s: FloatArray, question: Question, team: Team
 ) -> Cover:
@@ -251,7 +251,7 @@ class Joint(NamedTuple):
     scratch: Scratch
 
 
-@compiled
+@inner
 def _team_rate(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
     """Return the running cost at a place of the departure's frame, over all scenarios, without discount."""
     scene, f, cover, question, team, _ = joint
@@ -271,7 +271,7 @@ def _team_rate(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
     return total
 
 
-@compiled
+@inner
 def _turn_cost(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
     """Return for how long the target's turning now would leave all off the side, over all scenarios and turns."""
     scene, f, cover, _, team, scratch = joint
@@ -286,7 +286,7 @@ def _turn_cost(joint: Joint, x_m: float, y_m: float, time_s: float) -> float:
     return _TURN_WEIGHT * total
 
 
-@compiled
+@inner
 def _way_back(scene: Scene, question: Question, range_m: float) -> float:
     """Return what the way back into the band costs.
 
@@ -300,7 +300,7 @@ def _way_back(scene: Scene, question: Question, range_m: float) -> float:
     return outside_m / (BACK_SHARE * scene.air.airspeed_m_s) * (c.outside + 0.5 * c.outside_per_m * outside_m)
 
 
-@compiled
+@inner
 def _continued(
     scene: Scene, question: Question, end: Pose, from_per_m: float, to_per_m: float, at: FloatArray
 ) -> None:
@@ -319,7 +319,7 @@ def _continued(
         at[0, k], at[1, k] = x_m, y_m
 
 
-@compiled
+@inner
 def _edges_after(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -> float:
     """Return what the edges of the band cost after the end of a line, on the cheapest continuation of each scenario.
 
@@ -350,7 +350,7 @@ def _edges_after(joint: Joint, end: Pose, time_s: float, curvature_per_m: float)
     return total
 
 
-@compiled
+@inner
 def _end_value(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -> float:
     """Return what is to be paid from the end of a line on: its share alone, and together.
 
@@ -375,7 +375,7 @@ def _end_value(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -
     )
 
 
-@compiled
+@inner
 def _circling_cost(joint: Joint, end: Pose, time_s: float, curvature_per_m: float) -> tuple[float, float]:
     """Return what turns of the target cost, and the share of its courses that no aircraft covers, over a lap."""
     scene, f, cover = joint.scene, joint.scenarios, joint.cover
@@ -397,7 +397,7 @@ def _circling_cost(joint: Joint, end: Pose, time_s: float, curvature_per_m: floa
     return turn / _LAP, gap / _LAP
 
 
-@compiled
+@inner
 def team_lines_costs(lines: Lines, start: Pose, joint: Joint, end_per_m: float, costs: FloatArray) -> None:
     """Fill in what each line costs all together, as :func:`mission.predictive.rollout_kernel.lines_costs` does.
 
@@ -419,7 +419,7 @@ def team_lines_costs(lines: Lines, start: Pose, joint: Joint, end_per_m: float, 
     add_up(lines, rates, turn_rates, ends, 1.0, costs)
 
 
-@compiled
+@inner
 def team_look_ahead(joint: Joint, costs: FloatArray) -> float:
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
     scene, question, team = joint.scene, joint.question, joint.team

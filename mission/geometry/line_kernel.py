@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import compiled, inlined, inner, inner_inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft
 
@@ -173,7 +173,7 @@ def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_
     )
 
 
-@compiled
+@inner
 def with_last_ramp(shape: Trapezoid, ramp: float) -> Trapezoid:
     """Return the trapezoid with another last ramp that begins where the old one did."""
     start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m = shape
@@ -203,7 +203,7 @@ def curvature_per_m(shape: Trapezoid, arc_m: float) -> float:
     return shape.start_per_m + shape.first_per_m2 * min(arc_m, shape.first_end_m) + shape.last_per_m2 * last_m
 
 
-@compiled
+@inner
 def moved_m(shape: Trapezoid, course_rad: float, from_m: float, to_m: float) -> tuple[float, float]:
     """Return (east, north) from one arc to another, up to about 10 m on."""
     step = to_m - from_m
@@ -260,7 +260,7 @@ def laid_out(shape: Trapezoid, east_m: float, north_m: float, course_rad: float)
     return line
 
 
-@compiled
+@inner
 def circle_touching(east_m: float, north_m: float, course_rad: float, signed_m: float) -> Circling:
     """Return the circle of a signed radius that touches a ray at its origin."""
     return Circling(east_m + signed_m * math.cos(course_rad), north_m - signed_m * math.sin(course_rad), signed_m)
@@ -273,7 +273,7 @@ def circle_after(line: FloatArray, radius_m: float) -> Circling:
     return circle_touching(line[EAST, -1], line[NORTH, -1], line[COURSE, -1], signed_m)
 
 
-@compiled
+@inner
 def course_on_circle(circle: Circling, east_m: float, north_m: float) -> float:
     """Return the course flown at the point of the circle nearest to a place."""
     outward_rad = math.atan2(east_m - circle.east_m, north_m - circle.north_m)
@@ -309,7 +309,7 @@ def nearest_arc_m(line: FloatArray, circle: Circling, east_m: float, north_m: fl
     return float(min(max(line[ARC, best] + ahead_m, 0.0), length_m))
 
 
-@compiled
+@inner
 def arc_point(start: LinePoint, sharpness_per_m2: float, flown_m: float) -> LinePoint:
     """Return the point further on where curvature changes linearly: exact in course, Simpson's rule in place."""
     middle_rad = start.course_rad + (start.curvature_per_m + 0.25 * sharpness_per_m2 * flown_m) * 0.5 * flown_m
@@ -323,7 +323,7 @@ def arc_point(start: LinePoint, sharpness_per_m2: float, flown_m: float) -> Line
     )
 
 
-@inlined
+@inner_inlined
 def _before(line: FloatArray, arc_m: float) -> int:
     """Return the last sample at or before an arc, of those that have one after them."""
     low, high = 0, line.shape[1] - 1

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled, inlined, record_type
+from sidelong.estimators.compiled import compiled, inner, inner_inlined, record_type
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Air, line_at, nose_rad, sharpness_per_m2, turn_radius_m
@@ -186,7 +186,7 @@ def flown_on(scene: Scene, length_m: float) -> tuple[FloatArray, FloatArray]:
     return found, times_s(found[2], arc, scene.air)
 
 
-@compiled
+@inner
 def doubtful(scene: Scene, motions: Motions) -> bool:
     """Return whether there is much of what the table does not know: uncertainty, or another wind than its own."""
     wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
@@ -201,7 +201,7 @@ def likely(futures: Scenarios) -> Scenarios:
     return first_of(futures, 2 if both else 1)
 
 
-@compiled
+@inner
 def left_m(scene: Scene) -> float:
     """Return how much of the present plan's line is left at the departure, 0 where it is nearly flown."""
     line = scene.present.line
@@ -209,7 +209,7 @@ def left_m(scene: Scene) -> float:
     return ahead_m if ahead_m > NEARLY_FLOWN_S * scene.air.airspeed_m_s else 0.0
 
 
-@compiled
+@inner
 def alternatives(scene: Scene, question: Question, beyond_m: float) -> Alternatives:
     """Return what to choose among; each line is followed beyond_m further than its end."""
     kept, craft, air = question.context.line_cache, question.context.watcher.craft, scene.air
@@ -229,7 +229,7 @@ def alternatives(scene: Scene, question: Question, beyond_m: float) -> Alternati
     return Alternatives(moves, start, stays, start, False)
 
 
-@compiled
+@inner
 def add_prices(among: Alternatives, radius_m: float, leave: float, change: float, costs: FloatArray) -> None:
     """Add the prices of the moves; the price is infinite for a move that hardly leaves the circle.
 
@@ -242,7 +242,7 @@ def add_prices(among: Alternatives, radius_m: float, leave: float, change: float
         costs[i] = np.inf if among.moves.end_m[i] < MIN_MOVE * radius_m else costs[i] + leave
 
 
-@compiled
+@inner
 def _line_costs(
     lines: Lines, start: Pose, scene: Scene, futures: Scenarios, question: Question, sight: Sight, costs: FloatArray
 ) -> None:
@@ -377,7 +377,7 @@ def layer_s(airspeed_m_s: float, radius_m: float) -> float:
     return _TURN * 2.0 * math.pi / HEADINGS * radius_m / airspeed_m_s
 
 
-@inlined
+@inner_inlined
 def _course_index(f: Scenarios, k: int, turn_rad: float) -> int:
     """Return which of HEADINGS directions of the plane the target moves in at a sample; turn_rad: of the plane."""
     motion_rad = math.atan2(f.place[_ROUTE, k, 2], f.place[_ROUTE, k, 3])
@@ -411,7 +411,7 @@ def resample(
                 )
 
 
-@compiled
+@inner
 def _fill_rates(
     f: Scenarios, k: int, since_s: float, turn_rad: float, cell_m: float, d: Uncertainty, c: CostTerms, found: Float32
 ) -> None:
@@ -430,7 +430,7 @@ def _fill_rates(
             found[i, j] = np.float32(cost_rate(across, along, sigma_m, blur_m, c))
 
 
-@compiled
+@inner
 def _extend_edges(padded: Float32) -> None:
     """Give the cells beyond the grid the values of its edge."""
     for row in padded[_INNER]:
@@ -438,7 +438,7 @@ def _extend_edges(padded: Float32) -> None:
     padded[:_PAD], padded[-_PAD:] = padded[_PAD], padded[-_PAD - 1]
 
 
-@compiled
+@inner
 def _fill_layers(f: Scenarios, turn_rad: float, scene: Scene, question: Question, prices: SwitchingCosts) -> None:
     """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on, and their minima.
 
@@ -535,7 +535,7 @@ def _fill_layers(f: Scenarios, turn_rad: float, scene: Scene, question: Question
         minima[layer] = lowest.min()
 
 
-@compiled
+@inner
 def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Scenarios, bool]:
     """Return futures of which the first follows the route, and True; the same and False where it is of no use."""
     way, progress = question.context.route.way, question.context.route.progress.state[0]
@@ -559,7 +559,7 @@ def along_route(scene: Scene, question: Question, every: Scenarios) -> tuple[Sce
     return watched(scene, question.context.motions, question.context.watcher, moving, weight, place), True
 
 
-@compiled
+@inner
 def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Question) -> None:
     """Compute the values after a turn for the courses that the route takes, and for this wind, unless they are."""
     s, motions, table = question.context.route, question.context.motions, question.table

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import compiled, inlined, inner, inner_inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import (
     ARC,
@@ -70,7 +70,7 @@ TURNED = np.array([2.2, 2.7, 3.2])
 EIGHTS = OUTWARD.size * BACK.size * BEND.size * TURNED.size
 
 
-@compiled
+@inner
 def shapes_of(
     start_per_m: float, eight: int, signed_radius_m: float, ramp: float
 ) -> tuple[Trapezoid, Trapezoid, Trapezoid]:
@@ -175,7 +175,7 @@ def new_line_cache() -> LineCache:
     return LineCache(key, used, size, samples, trunk_first, own_first, trunk, on_trunk, end_m)
 
 
-@compiled
+@inner
 def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
     """Return the ramp for the greatest ground speed met on one that begins on a heading."""
     if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
@@ -186,13 +186,13 @@ def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
     return sharpness_per_m2(fastest_m_s, craft)
 
 
-@compiled
+@inner
 def ramp_anywhere(air: Air, craft: Craft) -> float:
     """Return the ramp for the greatest ground speed of all headings."""
     return sharpness_per_m2(air.airspeed_m_s + math.hypot(air.wind_x_m_s, air.wind_y_m_s), craft)
 
 
-@compiled
+@inner
 def unit_m(hold: int, radius_m: float, turn_radius_m: float) -> float:
     """Return the radius that a hold's curvature and lengths are multiples of."""
     return turn_radius_m if hold == 0 else radius_m
@@ -208,7 +208,7 @@ def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: flo
     return trapezoid(start_per_m, HOLD_CURVATURES[hold] / unit, length * unit, 1.0 / radius_m, ramp)
 
 
-@compiled
+@inner
 def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft) -> Lines:
     """Return the lines of all moves, or stretches of the present circle in the form of moves.
 
@@ -234,7 +234,7 @@ def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling
     return spread(shapes, sampling)
 
 
-@compiled
+@inner
 def _slot(kept: LineCache, wanted: FloatArray) -> tuple[int, int]:
     """Return the slot with the lines of a key, -1 for none, and the one asked for longest ago."""
     slots, oldest = len(kept.size), 0
@@ -248,7 +248,7 @@ def _slot(kept: LineCache, wanted: FloatArray) -> tuple[int, int]:
     return -1, oldest
 
 
-@compiled
+@inner
 def lines_from(
     family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft, kept: LineCache
 ) -> Lines:
@@ -279,7 +279,7 @@ def lines_from(
     return made
 
 
-@compiled
+@inner
 def shape_of(scene: Scene, craft: Craft, move: int) -> Trapezoid:
     """Return the trapezoid of a move in the frame, its ramps for the ground speeds that they are flown at."""
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
@@ -389,7 +389,7 @@ def stretch(s: SecondMoves, level: int, heading_rad: float, speeds: FloatArray, 
             flown[k + 1, j] = flown[k, j] + speeds[h] + (at - h) * (speeds[h + 1] - speeds[h])
 
 
-@inlined
+@inner_inlined
 def placed_at(s: SecondMoves, fan: PlacedMoves, j: int, k: int) -> tuple[float, float, float]:
     """Return place and heading (x, y, heading) of second move j of a fan at second k of it."""
     own_x, own_y, turned, level, flown = s.x_m, s.y_m, s.turned_rad, fan.level, fan.flown
@@ -548,7 +548,7 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
     return ahead[:, :k], end if end >= 0 else k - 1
 
 
-@inlined
+@inner_inlined
 def _ahead(f: ScenarioRows, one: int, at: int) -> tuple[FloatArray, ...]:
     """Return place, watch course, sigma of the place and discount of a future from second ``at`` on, rows (k,)."""
     rows = f.rows[one]
@@ -556,7 +556,7 @@ def _ahead(f: ScenarioRows, one: int, at: int) -> tuple[FloatArray, ...]:
     return rows[_X, at:], rows[_Y, at:], *facing, f.sigma_m[at:], f.weight[at:]
 
 
-@inlined
+@inner_inlined
 def _running(
     x: FloatArray, y: FloatArray, j: int, n: int, ahead: tuple[FloatArray, ...], c: CostTerms, room: FloatArray
 ) -> None:
@@ -573,7 +573,7 @@ def _running(
         room[2, k] = weight[k] * cost_rate(room[0, k], room[1, k], sigma[k], blur_m, c)
 
 
-@inlined
+@inner_inlined
 def _asked(
     values: Float32,
     cell_m: float,
@@ -592,7 +592,7 @@ def _asked(
     return table_value(values, cell_m, across, along, heading_rad - rows[_TABLE_RAD, k], classes, share, one, k)
 
 
-@inlined
+@inner_inlined
 def _cheapest(s: SecondMoves, fan: PlacedMoves, at: int, one: int, second: Second, bound: float) -> float:
     """Return what the cheapest of lines that begin at second ``at`` costs in one future, if it is below a bound.
 
@@ -649,7 +649,7 @@ def _cheapest(s: SecondMoves, fan: PlacedMoves, at: int, one: int, second: Secon
     return bound
 
 
-@inlined
+@inner_inlined
 def _lasts(s: SecondMoves, curvature: float, at: int, horizon: int, steps: int, last: IntArray) -> tuple[int, int]:
     """Return the level nearest to a curvature, in 1 / radius, and the most seconds that a second move from it counts.
 
@@ -667,7 +667,7 @@ def _lasts(s: SecondMoves, curvature: float, at: int, horizon: int, steps: int, 
     return level, longest
 
 
-@inlined
+@inner_inlined
 def _least_from(f: ScenarioRows, one: int, at: int, last: IntArray) -> float:
     """Return what second moves cost at least in one future: from the end on the least of the table's classes."""
     least = np.inf
@@ -678,7 +678,7 @@ def _least_from(f: ScenarioRows, one: int, at: int, last: IntArray) -> float:
     return least
 
 
-@inlined
+@inner_inlined
 def _expected(f: ScenarioRows, costs: FloatArray) -> float:
     """Return the mean of what futures cost (f,)."""
     total = 0.0

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled, inlined
+from sidelong.estimators.compiled import compiled, inlined, inner, inner_inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import (
@@ -71,13 +71,13 @@ class Table(NamedTuple):
     mean_leg_s: float
 
 
-@compiled
+@inner
 def fading_per_s(table: Table) -> float:
     """Return the rate at which what is to be paid later fades: it is discounted, and the target may turn before."""
     return table.discount_per_s + 1.0 / table.mean_leg_s
 
 
-@inlined
+@inner_inlined
 def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTerms) -> float:
     """See :meth:`sidelong.mission.predictive.value_table.WatchCost.rate`."""
     range_m = math.sqrt(x_m * x_m + y_m * y_m)
@@ -251,13 +251,13 @@ class Sampling(NamedTuple):
     rate_per_s: float
 
 
-@compiled
+@inner
 def _shape(s: Shapes, i: int) -> Trapezoid:
     shape = trapezoid(s.start_per_m, s.holds_per_m[s.hold[i]], s.lengths_m[i], s.final_per_m, s.ramp_per_m2)
     return with_last_ramp(shape, s.last_ramps_per_m2[i])
 
 
-@compiled
+@inner
 def spread(shapes: Shapes, sampling: Sampling) -> Lines:
     """Return the lines of some shapes."""
     hold, holds_per_m = shapes.hold, shapes.holds_per_m
@@ -304,7 +304,7 @@ def spread(shapes: Shapes, sampling: Sampling) -> Lines:
     return Lines(x, y, turned, time, weight, trunk_first, own_first, hold, on_trunk, end_m)
 
 
-@inlined
+@inner_inlined
 def _sample_after(
     shape: Trapezoid, here: tuple[float, float, float, float], from_m: float, to_m: float, sampling: Sampling
 ) -> tuple[float, float, float, float, float]:
@@ -330,7 +330,7 @@ def single_line(
     return Lines(*samples, *firsts, np.zeros(1, np.int64), np.ones(1, np.int64), np.full(1, np.inf))
 
 
-@inlined
+@inner_inlined
 def from_target(
     place: FloatArray, step_s: float, one: int, x_m: float, y_m: float, time_s: float
 ) -> tuple[int, float, float]:
@@ -341,7 +341,7 @@ def from_target(
     return k, x_m - at_x, y_m - at_y
 
 
-@compiled
+@inner
 def _relate(
     x_m: FloatArray, y_m: FloatArray, time_s: FloatArray, f: Scenarios, one: int, turn: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -354,7 +354,7 @@ def _relate(
     return across, along
 
 
-@compiled
+@inner
 def _rates(
     across: FloatArray, along: FloatArray, lines: Lines, f: Scenarios, one: int, d: Uncertainty, c: CostTerms
 ) -> FloatArray:
@@ -370,7 +370,7 @@ def _rates(
     return found
 
 
-@compiled
+@inner
 def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     """Return the places x, y (samples,) of lines from a start."""
     sin_h, cos_h = math.sin(start.heading_rad), math.cos(start.heading_rad)
@@ -378,7 +378,7 @@ def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     return x, start.y_m - lines.x_m * sin_h + lines.y_m * cos_h
 
 
-@compiled
+@inner
 def turn_samples(lines: Lines) -> IntArray:
     """Return the samples at which it is looked at what a turn of the target would cost."""
     trunk_first, own_first, on_trunk = lines.trunk_first, lines.own_first, lines.on_trunk
@@ -392,7 +392,7 @@ def turn_samples(lines: Lines) -> IntArray:
     return found[:n]
 
 
-@compiled
+@inner
 def add_up(
     lines: Lines, rates: FloatArray, turn_rates: FloatArray, ends: FloatArray, share: float, costs: FloatArray
 ) -> None:

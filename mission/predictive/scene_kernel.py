@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import Record, compiled, inlined
+from sidelong.estimators.compiled import Record, compiled, inlined, inner
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 from sidelong.mission.geometry.line_kernel import (
@@ -89,7 +89,7 @@ class Scene(NamedTuple):
     latency_s: float
 
 
-@compiled
+@inner
 def flown_airspeed_m_s(
     time_s: float, east_m_s: float, north_m_s: float, wind_m_s: float, craft: Craft, memory: Record
 ) -> float:
@@ -276,7 +276,7 @@ def winding(scene: Scene, motions: Motions, watcher: Watcher, turns: Turns) -> S
     return watched(scene, motions, watcher, moving, weight, place)
 
 
-@compiled
+@inner
 def _turning(scene: Scene, speed_m_s: float, rate_rad_s: float, faded_s: FloatArray, place: FloatArray) -> None:
     """Fill in the places and velocities (k, 4) of a target that begins to turn: by the rate for faded_s (k,)."""
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
@@ -304,7 +304,7 @@ def watched(
     return found
 
 
-@compiled
+@inner
 def _watch(
     scene: Scene, motions: Motions, watcher: Watcher, moving: bool, past: FloatArray, found: Scenarios
 ) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inner
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import Air, nose_rad, speed_m_s
 
@@ -22,7 +22,7 @@ Int32 = npt.NDArray[np.int32]
 NODES = 4  # of each move: three where a turn of the target counts, and its end
 
 
-@compiled
+@inner
 def _at(values: FloatArray, share: float) -> float:
     """Interpolate between evenly spaced values at a share 0..1 of the way."""
     place = share * (len(values) - 1)
@@ -141,13 +141,13 @@ def lay_out(flown: MoveSamples, s: FlightConditions, cost: CostGrid, found: Tran
                         _add(total[row], grid[i + row, j : j + n], share)
 
 
-@compiled
+@inner
 def _add(total: Float32, values: Float32, weight: np.float32) -> None:
     for c in range(len(total)):
         total[c] += weight * values[c]
 
 
-@compiled
+@inner
 def _add_four(
     total: Float32, low: Float32, high: Float32, a: np.float32, b: np.float32, c: np.float32, d: np.float32
 ) -> None:
@@ -156,7 +156,7 @@ def _add_four(
         total[k] += a * low[k] + b * low[k + 1] + c * high[k] + d * high[k + 1]
 
 
-@compiled
+@inner
 def _padded(wide: Float32, plane: Float32, pad: int) -> None:
     """Fill in a plane with its edges carried on outwards."""
     n = len(plane)
@@ -213,7 +213,7 @@ def improve(values: Float32, after: Float32, transitions: Transitions, pad: int,
             _padded(padded[h], best, pad)
 
 
-@compiled
+@inner
 def _take_less(best: Float32, best_move: Int32, total: Float32, move: np.int32) -> None:
     for c in range(len(total)):
         less = total[c] < best[c]

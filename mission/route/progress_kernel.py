@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import Record, compiled, inlined, new_record, record_type
+from sidelong.estimators.compiled import Record, compiled, inlined, inner, inner_inlined, new_record, record_type
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.viewpoint.viewpoint_kernel import TargetState
 
@@ -130,7 +130,7 @@ def length_m(way: RouteArrays) -> float:
     return way.spacing_m * (n if way.lap else n - 1)
 
 
-@inlined
+@inner_inlined
 def point_along(way: RouteArrays, along_m: float) -> tuple[float, float]:
     """Return the point (east, north) at a position along the route; beyond its ends, straight on."""
     n, place = len(way.points), along_m / way.spacing_m
@@ -145,7 +145,7 @@ def point_along(way: RouteArrays, along_m: float) -> tuple[float, float]:
     return p[i, 0] + past * (p[j, 0] - p[i, 0]), p[i, 1] + past * (p[j, 1] - p[i, 1])
 
 
-@inlined
+@inner_inlined
 def _tangent(way: RouteArrays, along_m: float) -> tuple[float, float]:
     """Return the unit vector (east, north) of the route's course at a position."""
     reach_m = _TANGENT_M
@@ -162,7 +162,7 @@ def _tangent(way: RouteArrays, along_m: float) -> tuple[float, float]:
     return (to_e - from_e) / away_m, (to_n - from_n) / away_m
 
 
-@inlined
+@inner_inlined
 def _evidence(offset_m: float, sigma_m: float, agreement: float, speed_m_s: float) -> float:
     """Return the log of the likelihood of an offset and a course at a point of the route, over that off the route.
 
@@ -177,7 +177,7 @@ def _evidence(offset_m: float, sigma_m: float, agreement: float, speed_m_s: floa
     return max(log, _LEAST_EVIDENCE)
 
 
-@compiled
+@inner
 def _move(way: RouteArrays, chance: FloatArray, travelled_m: float, skips: float, found: FloatArray) -> None:
     """Fill in the probabilities (n,) of one direction after the target has travelled. skips: share that skips."""
     n, cells = len(chance), travelled_m / way.spacing_m
@@ -253,7 +253,7 @@ def update_progress(way: RouteArrays, target: TargetState, progress: Progress) -
     _compare(way, target, state)
 
 
-@compiled
+@inner
 def _weigh(
     way: RouteArrays, target: TargetState, joining: float, dt_s: float, state: Record, chance: FloatArray
 ) -> None:
@@ -287,7 +287,7 @@ def _weigh(
             chance[d, at] = (chance[d, at] + prior * joins) * math.exp(exponent * evidence)
 
 
-@compiled
+@inner
 def _register(
     way: RouteArrays, target: TargetState, tangent_e: float, tangent_n: float, gone_m: float, state: Record
 ) -> None:
@@ -315,7 +315,7 @@ def _register(
     p[2] -= gain_n * north_m2
 
 
-@compiled
+@inner
 def _summarise(way: RouteArrays, target: TargetState, dt_s: float, state: Record, chance: FloatArray) -> None:
     """Fill in the most probable part of the route, the speed along it, and the usual speed."""
     n = len(way.points)
@@ -375,7 +375,7 @@ def forecast(way: RouteArrays, state: Record, time_s: float, found: FloatArray) 
         along_m += state.direction * max(speed_m_s, 0.1)
 
 
-@inlined
+@inner_inlined
 def _from_line_m(east_m: float, north_m: float, from_e: float, from_n: float, to_e: float, to_n: float) -> float:
     """Return the distance of a place from the line between two points."""
     line_e, line_n, off_e, off_n = to_e - from_e, to_n - from_n, east_m - from_e, north_m - from_n
@@ -384,7 +384,7 @@ def _from_line_m(east_m: float, north_m: float, from_e: float, from_n: float, to
     return math.hypot(off_e - along * line_e, off_n - along * line_n)
 
 
-@compiled
+@inner
 def _compare(way: RouteArrays, target: TargetState, state: Record) -> None:
     """Compare the forecast that is due with where the target is, decide whether the route is of use, and forecast."""
     e, n = target.east_m, target.north_m

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inner
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 from sidelong.mission.geometry.line_kernel import Air, Circling, LinePoint, remainder
@@ -36,7 +36,7 @@ class Guidance(NamedTuple):
     air: Air
 
 
-@compiled
+@inner
 def is_done(at_m: Place, begin_m: Place, end_m: Place, switch_m: float) -> bool:
     """Return whether a leg ends here: near its waypoint, or abreast of it. begin_m is NaN on a first leg."""
     past_east_m, past_north_m = at_m[0] - end_m[0], at_m[1] - end_m[1]
@@ -45,13 +45,13 @@ def is_done(at_m: Place, begin_m: Place, end_m: Place, switch_m: float) -> bool:
     return (end_m[0] - begin_m[0]) * past_east_m + (end_m[1] - begin_m[1]) * past_north_m >= 0.0
 
 
-@compiled
+@inner
 def _pursue(error_rad: float, speed_m_s: float, law: Guidance) -> float:
     error_rad = remainder(error_rad)
     return law.gain_per_s / speed_m_s * math.sin(max(-0.5 * math.pi, min(0.5 * math.pi, error_rad)))
 
 
-@compiled
+@inner
 def to_line_per_m(
     at_m: Place, course_rad: float, speed_m_s: float, begin_m: Place, end_m: Place, law: Guidance
 ) -> float:
@@ -64,7 +64,7 @@ def to_line_per_m(
     return _pursue(line_rad - math.asin(offset) - course_rad, speed_m_s, law)
 
 
-@compiled
+@inner
 def to_circle_per_m(at_m: Place, course_rad: float, speed_m_s: float, circle: Circling, law: Guidance) -> float:
     """Return the curvature that leads onto a circle."""
     east_m, north_m = at_m[0] - circle.east_m, at_m[1] - circle.north_m
@@ -83,7 +83,7 @@ def to_circle_per_m(at_m: Place, course_rad: float, speed_m_s: float, circle: Ci
     return centre_per_m if turn * centre_per_m < turn * hold_per_m else hold_per_m
 
 
-@compiled
+@inner
 def _ground_speed_m_s(course_rad: float, air: Air) -> float:
     sine, cosine = math.sin(course_rad), math.cos(course_rad)
     along_m_s = air.wind_x_m_s * sine + air.wind_y_m_s * cosine

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import Record, compiled, inlined, new_record, record_type
+from sidelong.estimators.compiled import Record, compiled, inner, inner_inlined, new_record, record_type
 from sidelong.mission.core.path import FloatArray
 
 _STOPPED_BELOW_M_S = 0.9
@@ -97,7 +97,7 @@ def fresh_memory(side: float) -> Any:
     return memories
 
 
-@compiled
+@inner
 def velocity_sigma_m_s(target: TargetState) -> float:
     """Return one standard deviation of the velocity on its worse axis."""
     return math.sqrt(max(target.covariance[2, 2], target.covariance[3, 3], 0.0))
@@ -114,7 +114,7 @@ def course_sigma_rad(target: TargetState) -> float:
     return math.sqrt(max(variance, 0.0)) / max(speed_m_s, _STOPPED_BELOW_M_S)
 
 
-@compiled
+@inner
 def held_course_rad(target: TargetState, memory: Record) -> float:
     """Take an estimate, in the order of time, and return the course to watch from; NaN until the target has moved."""
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
@@ -136,7 +136,7 @@ def held_course_rad(target: TargetState, memory: Record) -> float:
     return float(memory.course_rad)
 
 
-@compiled
+@inner
 def _follow_jump(target: TargetState, memory: Record, gap_max_s: float) -> None:
     """Shift the remembered positions by the part of the last displacement that the velocities do not explain.
 
@@ -175,7 +175,7 @@ def remember_place(target: TargetState, memory: Record, gap_max_s: float) -> Non
     memory.places = k + 1
 
 
-@inlined
+@inner_inlined
 def place_at(memory: Record, time_s: float) -> tuple[float, float]:
     """Return where the target was (east, north): before the first position that one, after the last the last."""
     place, k = memory.place, memory.places - 1
@@ -188,19 +188,19 @@ def place_at(memory: Record, time_s: float) -> tuple[float, float]:
     return here[1] + past * (then[1] - here[1]), here[2] + past * (then[2] - here[2])
 
 
-@compiled
+@inner
 def made_good_sigma_rad(sigma_m: float, way_m: float) -> float:
     """Return one standard deviation of a course made good on a way that is known across to sigma_m."""
     return min(sigma_m / max(way_m, MIN_WAY_M), COURSE_SIGMA_MAX_RAD)
 
 
-@compiled
+@inner
 def position_sigma_m(target: TargetState) -> float:
     """Return one standard deviation of the position on its worse axis."""
     return math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0))
 
 
-@compiled
+@inner
 def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s: float) -> tuple[float, float]:
     """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before.
 
