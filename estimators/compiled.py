@@ -170,7 +170,7 @@ def _without_entry(dispatcher: Any) -> Any:
 
 
 @cache
-def _refusing(kind: type) -> type:
+def _refusing(kind: Any) -> Any:
     def refuse(self: Any, *_arguments: object) -> None:
         raise TypeError(f"{self.__name__} has no entry from Python: only other kernels call it")
 
