@@ -165,12 +165,13 @@ def inner_inlined(function: F) -> F:
 
 def _without_entry(dispatcher: Any) -> Any:
     """Let a dispatcher refuse calls from Python: numba's own would call at address zero."""
-    dispatcher.__class__ = _refusing(type(dispatcher))
+    kind: Any = type(dispatcher)
+    dispatcher.__class__ = _refusing(kind)
     return dispatcher
 
 
 @cache
-def _refusing(kind: Any) -> Any:
+def _refusing(kind: type) -> type:
     def refuse(self: Any, *_arguments: object) -> None:
         raise TypeError(f"{self.__name__} has no entry from Python: only other kernels call it")
 
