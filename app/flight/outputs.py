@@ -30,7 +30,7 @@ from sidelong.app.sharing.outputs import (
     StreamSender,
     tls_context,
 )
-from sidelong.estimators.estimate import TargetEstimate, TrackQuality, confidence_ellipse
+from sidelong.estimators.estimate import TargetEstimate, confidence_ellipse
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.rotations import rotate
 from sidelong.estimators.sensing.readings import TargetFixReading
@@ -140,7 +140,8 @@ _ONE_SIGMA = 1.0 - math.exp(-0.5)
 class GimbalPointer:
     """An ``Observer`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
 
-    Nothing is sent for a lost track, before the mission or after a yield; a pending command is then cancelled.
+    A target that is not seen is looked for where it is predicted. Nothing is sent before the mission or after a
+    yield; a pending command is then cancelled.
     """
 
     _vehicle: Vehicle
@@ -158,7 +159,7 @@ class GimbalPointer:
             self.stop()
             return
         estimate, aircraft = snapshot.estimate, snapshot.aircraft
-        if estimate is None or aircraft is None or estimate.quality is TrackQuality.LOST:
+        if estimate is None or aircraft is None:
             return
         if snapshot.time_s < self._next_s or self._sending.is_running:
             return
@@ -193,7 +194,8 @@ class GimbalPointer:
 class PayloadPointer:
     """An ``Observer`` that commands the gimbal's angles five times a second at most.
 
-    Nothing is commanded while the track is lost, before the mission or after a yield.
+    A target that is not seen is looked for where it is predicted. Nothing is commanded before the mission or after a
+    yield.
     """
 
     _point: Callable[[float, float], object]  # pitch and yaw in its mount, level and relative to the heading, rad
@@ -205,7 +207,7 @@ class PayloadPointer:
         estimate, aircraft, attitude = snapshot.estimate, snapshot.aircraft, snapshot.attitude
         if not snapshot.phase.in_control or estimate is None or aircraft is None or attitude is None:
             return
-        if estimate.quality is TrackQuality.LOST or snapshot.time_s < self._next_s:
+        if snapshot.time_s < self._next_s:
             return
         self._next_s = snapshot.time_s + _BY_PAYLOAD_EVERY_S
         target_east_m, target_north_m = estimate.position_m(snapshot.time_s)

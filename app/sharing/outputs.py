@@ -1,8 +1,8 @@
 """External outputs: cursor on target (CoT), and for follow modes and ground stations FOLLOW_TARGET and NMEA 0183.
 
 CoT has one XML event per second for the target and one for the aircraft. Its ``ce``, a 1-sigma error, is the long
-axis of the estimate's ellipse. A lost track has no events: the last one becomes stale automatically. A message that
-the network does not accept at once is dropped.
+axis of the estimate's ellipse. While the target is not seen, its event has the position and the ellipse that are
+predicted; the others have none for a lost track. A message that the network does not accept at once is dropped.
 """
 
 from __future__ import annotations
@@ -423,10 +423,9 @@ class CotOutput:
             return
         self._next_s, now = now_s + _SEND_EVERY_S, datetime.now(UTC)
         names, own, from_m = self._names, snapshot.aircraft, snapshot.from_target_m
-        is_seen = estimate is not None and from_m is not None and estimate.quality is not TrackQuality.LOST
-        looks_m = (-from_m[0], -from_m[1], snapshot.height_m) if from_m is not None and is_seen else None
+        looks_m = None if from_m is None else (-from_m[0], -from_m[1], snapshot.height_m)
         self._sender.send(aircraft_event(own, self._plane, now, self._own_uid, self._height_m(), names, looks_m))
-        if estimate is not None and is_seen:
+        if estimate is not None:
             place_m = estimate.position_m(snapshot.time_s)
             self._sender.send(sensor_point_event(place_m, self._plane, now, self._own_uid, names))
             if snapshot.target and names.callsign == PLAIN_CALLSIGN:

@@ -55,7 +55,7 @@ from sidelong.mission.control.planning import PlanChanges, Planning, UploadLaten
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.present import Phase, Present, breach_in
 from sidelong.mission.control.surroundings import Flown, Surroundings
-from sidelong.mission.control.target_news import AnotherObject, PayloadNews, TargetNews, UnseenTarget
+from sidelong.mission.control.target_news import BLIND_S, AnotherObject, PayloadNews, TargetNews, UnseenTarget
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     AlarmReported,
@@ -94,7 +94,7 @@ from sidelong.mission.core.plan import (
     settled_height_m,
 )
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
-from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, escapes, paths_to, retreats
+from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, escapes, orbits, paths_to, retreats
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
 from sidelong.mission.geometry.separation import Encounter
 from sidelong.mission.health.health import Health
@@ -107,6 +107,7 @@ _BACK_AGAIN_S = 20.0  # after which the way back to height or fence is commanded
 _SAME_HOME_M = 2.0  # against which the present plan was sent
 _NEAR_SHARE = 1.25  # of its radius: from there an autopilot joins a circle without leaving it far
 _RETREAT_S, _RETREAT_GAIN = 20.0, 0.25  # a retreat lasts, unless another gains this share of the range
+_SEARCH_S = 10.0  # so does a circle of a search
 _BELOW_LAYER_M = 10.0  # so far below its layer an aircraft is on its way there, or was taken over there
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _KEEP_CLEAR_EVERY_S, _BETTER_SHARE = 5.0, 0.1  # a new plan has this time to show what it does
@@ -382,7 +383,7 @@ class StandoffController:
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
-            self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
+            self.estimate = self.planning.joint_estimate(self.time_s) or self._own_estimate()
             if self.estimate is not None:
                 self._course.update(self.estimate, self.settings.requirement.course_horizon_s)
                 announced = self._news.announce(self.time_s, self.estimate)
@@ -407,6 +408,12 @@ class StandoffController:
                 self._next_decision_s = self.time_s
             return announced
         return announced + self._decide() if due else ()
+
+    def _own_estimate(self) -> TargetEstimate | None:
+        estimate, settings = self.tracker.estimate(self.time_s), self.settings
+        if estimate is None:
+            return None
+        return self._unseen.predicted(estimate, settings.requirement.target_speed_max_m_s, settings.lost_after_s)
 
     def _judge_traffic(self) -> None:
         """Predict how near foreign aircraft come to what is flown and what is on its way to the autopilot."""
@@ -446,6 +453,9 @@ class StandoffController:
             why = "no circle that can be flown fits the band; the target moves"
             return self._hold_away(aircraft, present, self._seen(target), why)
         fault = bool(self.health.payload_fault)
+        is_gone = unseen_s > min(BLIND_S, self.settings.lost_after_s) or target.quality is TrackQuality.LOST
+        if is_gone and not fault:
+            return self._search(aircraft, present, UnseenTarget.density(target))
         reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
         if reach is not None:
             away = self._hold_away(aircraft, present, reach)
@@ -460,9 +470,6 @@ class StandoffController:
             if away or is_shadow:
                 return away
             reach = left
-        if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
-            self._hold(f"target unseen for {unseen_s:.0f} s")
-            return self._circle_as_changed(aircraft, present)
         return self._planned(aircraft, target, present, reach)
 
     def _planned(
@@ -718,6 +725,26 @@ class StandoffController:
         self._retreated_s = self.time_s
         text = f"moving away: {why} and may be within {keep_m:.0f} m"
         return self.changes.upload(self.time_s, plan, self._wind, text)
+
+    def _search(self, aircraft: AircraftState, present: Plan, density: Reach) -> tuple[StepOutput, ...]:
+        """Return the plan to a circle around where the target is likely to be, unless such a circle is flown."""
+        airframe, keep_m, latency_s = (
+            self.settings.aircraft,
+            self.settings.requirement.range_min_m,
+            self.latency.expected_s,
+        )
+        circle, flown_m = present.circle, nearest_arc_m(present, aircraft)
+        rest = present if flown_m < present.transition_m else replace(present, transition=None)
+        clear_m = density.clearance_m(rest, airframe.airspeed_m_s, LEAVE_S, flown_m)
+        is_around = math.hypot(circle.east_m - density.east_m, circle.north_m - density.north_m) < circle.radius_m
+        if (is_around and clear_m >= keep_m) or self.time_s - self._retreated_s < _SEARCH_S:
+            return self._hold(self._doubt_of_place)
+        start = dead_reckoned(aircraft, latency_s)
+        plan = self.surroundings.first_cleared(orbits(start, density.after(latency_s), airframe, keep_m))
+        if plan is None:
+            return self._hold_away(aircraft, present, density)
+        self._retreated_s = self.time_s
+        return self.changes.upload(self.time_s, plan, self._wind, "searching: circling where the target can be")
 
     def _again(self, present: Plan) -> Plan:
         """Return the present circle as a new plan, without a transition."""

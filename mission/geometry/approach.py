@@ -240,6 +240,50 @@ def retreats(
     return sorted(plans, key=rank)
 
 
+_ORBIT_S = 30.0  # for which a circle around the disk is kept
+
+
+def orbits(start: AircraftState, reach: Reach, airframe: Aircraft, keep_m: float) -> list[Plan]:
+    """Return plans to circles around the disk, in either sense, the shorter way first: they see it from all around.
+
+    Each keeps ``keep_m`` from the disk on the way and for some time on the circle. start, reach: at the departure.
+    """
+    airspeed_m_s, plans = airframe.airspeed_m_s, []
+    for clockwise in (True, False):
+        arrival_s, plan = 0.0, None
+        for _ in range(3):  # the disk grows and moves on the way
+            middle, later = reach.after(arrival_s + 0.5 * _ORBIT_S), reach.after(arrival_s + _ORBIT_S)
+            radius_m = keep_m + later.radius_m + 0.5 * math.hypot(*reach.velocity_m_s) * _ORBIT_S
+            circle = Circle(middle.east_m, middle.north_m, radius_m, clockwise)
+            ways = paths_to(circle, start, airframe) or _from_within(circle, start, airframe)
+            plan = min(ways, key=lambda way: way.transition_m, default=None)
+            if plan is None:
+                break
+            arrival_s = 1.05 * plan.transition_m / airspeed_m_s
+        if plan is not None and reach.clearance_m(plan, airspeed_m_s, LEAVE_S) >= keep_m:
+            plans.append(plan)
+    return sorted(plans, key=lambda plan: plan.transition_m)
+
+
+def _from_within(circle: Circle, start: AircraftState, airframe: Aircraft) -> list[Plan]:
+    """Return plans to a wide circle around the aircraft, by a tight circle that touches it from within."""
+    sense, radius_m, plans = (1.0 if circle.clockwise else -1.0), airframe.radius_m, []
+    bearings_rad = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False).tolist()
+    tight = _circles_about(
+        (circle.east_m, circle.north_m), [circle.radius_m - radius_m], bearings_rad, radius_m, circle.clockwise
+    )
+    for one, bearing_rad in zip(tight, bearings_rad, strict=True):
+        for plan in paths_to(one, start, airframe):
+            path = plan.transition
+            assert path is not None
+            turn_rad = (sense * (bearing_rad - path.course_rad[-1]) + 0.5 * math.pi) % (2.0 * math.pi)
+            per_m = sense / radius_m
+            end = path.east_m[-1], path.north_m[-1], path.course_rad[-1], start.ground_speed_m_s, per_m
+            onto = arc(AircraftState(start.time_s, *end), turn_rad * radius_m, per_m)
+            plans.append(Plan(circle, joined(path, onto), start.time_s))
+    return plans
+
+
 _ESCAPE_BEARINGS, _ESCAPE_RINGS = 24, 3
 _ABEAM = 0.5  # cosine of the angle from abeam of the target within which a circle is on a side
 

@@ -113,11 +113,17 @@ def test_the_sensor_its_point_and_its_video_are_sent_with_the_aircraft(receiver,
     output.stop()
 
 
-@pytest.mark.parametrize("lost", [True, False])
-def test_a_lost_or_unseen_target_is_not_sent(receiver, snapshot, lost):
-    estimate = replace(snapshot.estimate, quality=TrackQuality.LOST) if lost else None
+def test_an_unseen_target_is_sent_as_it_is_predicted_and_one_never_seen_is_not(receiver, snapshot):
+    covariance = np.diag([150.0**2, 150.0**2, 1.0, 1.0])
+    lost = replace(snapshot.estimate, quality=TrackQuality.LOST, covariance=covariance)
     output = output_to(receiver)
-    output.show(replace(snapshot, estimate=estimate))
+    output.show(replace(snapshot, estimate=lost))
+    *_, target = waiting(receiver)
+    assert float(ElementTree.fromstring(target).find("point").get("ce")) == pytest.approx(150.0)
+    assert "track lost, within 367.2 m with 95 %" in parsed(target).detail.xmlDetail
+    output.stop()
+    output = output_to(receiver)
+    output.show(replace(snapshot, estimate=None))
     (only,) = waiting(receiver)
     assert parsed(only).uid.endswith("-sidelong")
     output.stop()

@@ -121,10 +121,16 @@ def test_a_yield_gives_up_the_command_under_way(snapshot):
     assert names(link) == ["CAMERA_TRACKING_GEO_STATUS", "COMMAND_INT"]
 
 
-def test_a_lost_target_is_not_pointed_at(snapshot):
+def test_a_lost_target_is_looked_for_where_it_is_predicted(snapshot):
     link = LoopbackLink()
     lost = replace(snapshot.estimate, quality=TrackQuality.LOST)
-    shown(link, replace(snapshot, estimate=lost), replace(snapshot, estimate=None))
+    shown(link, replace(snapshot, estimate=lost))
+    assert names(link) == ["CAMERA_TRACKING_GEO_STATUS", "COMMAND_INT"]
+
+
+def test_a_target_that_was_never_seen_is_not_pointed_at(snapshot):
+    link = LoopbackLink()
+    shown(link, replace(snapshot, estimate=None))
     assert link.sent == []
 
 

@@ -91,7 +91,12 @@ class Flight:
 @pytest.mark.parametrize("target", TARGETS, ids=lambda path: path.stem)
 @pytest.mark.parametrize(
     ("flavour", "guidance"),
-    [(one, "mission") for one in FLAVOURS] + [(one, "command") for one in FLAVOURS if one != "px4"],
+    [
+        pytest.param(one.values[0], guidance, id=f"{one.id}-{guidance}")
+        for one in FLAVOURS
+        for guidance in ("mission", "command")
+        if guidance == "mission" or one.values[0] != "px4"
+    ],
 )
 def test_a_flight_is_as_its_study_predicts(flavour, guidance, target, tmp_path, record_property):
     flight = fly(flavour, guidance, target, tmp_path)

@@ -344,12 +344,25 @@ def test_a_target_unseen_for_long_holds_the_circle_then_ends():
     engaged(controller, 10.0)
     asked = len(planner.latencies)
     fly(controller, 10.0, 25.0, seen=False)
-    assert "unseen" in controller.snapshot().decision.reason
+    assert controller.snapshot().decision.reason == "holding the circle: the target is not seen"
     assert len(planner.latencies) <= asked + 11
     (end,) = kinds(fly(controller, 25.0, 60.0, seen=False), End)
     assert end.action == "hold"
     assert end.time_s == pytest.approx(50.0, abs=1.5)
     assert controller.phase is Phase.ENDED
+
+
+def test_a_target_that_is_not_seen_is_searched_from_a_circle_around_where_it_can_be():
+    controller = make(Scripted())
+    engaged(controller, 30.0)
+    assert not kinds(fly(controller, 30.0, 49.0, seen=False), UploadPlan)
+    (searched,) = kinds(fly(controller, 49.0, 52.0, seen=False), UploadPlan)
+    circle, target = searched.plan.circle, controller.estimate
+    off_m = math.hypot(circle.east_m - target.east_m, circle.north_m - target.north_m)
+    keep_m = controller.settings.requirement.range_min_m
+    assert circle.radius_m > off_m + keep_m + target.ellipse_95.semi_major_m
+    assert kinds(fly(controller, 52.0, 54.0, seen=False), Announce) == []
+    assert controller.snapshot().estimate.reason == "no sighting for 23 s"
 
 
 def test_an_operator_holds_resumes_changes_side_and_ends():

@@ -1,4 +1,4 @@
-"""Plans away from a target that is not seen keep clear of wherever it can be."""
+"""Plans away from a target that is not seen, and around where it can be, keep clear of wherever it can be."""
 
 import math
 
@@ -8,7 +8,7 @@ import pytest
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft
-from sidelong.mission.geometry.approach import HOLD_S, Reach, retreats
+from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, orbits, retreats
 
 AIRFRAME = Aircraft(15.0, 50.0)
 KEEP_M = 100.0
@@ -46,3 +46,21 @@ def test_disk_that_reaches_the_circle_has_no_clearance():
     plan = Plan(Circle(200.0, 0.0, 50.0, True))
     assert Reach(0.0, 0.0, 30.0, 0.0).clearance_m(plan, 15.0) == pytest.approx(120.0)
     assert Reach(0.0, 0.0, 30.0, 3.0).clearance_m(plan, 15.0, hold_s=40.0) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_circle_around_a_growing_disk_that_moves_is_joined_from_within_and_from_outside(seed):
+    rng = np.random.default_rng(seed)
+    away_m, bearing_rad, course_rad = (190.0, 500.0)[seed % 2], *rng.uniform(-math.pi, math.pi, 2)
+    per_m = rng.choice((-1.0, 1.0)) / AIRFRAME.radius_m
+    start = AircraftState(
+        0.0, away_m * math.sin(bearing_rad), away_m * math.cos(bearing_rad), course_rad, 15.0, per_m
+    )
+    for plan in orbits(start, Reach(0.0, 0.0, 60.0, 1.5, (1.0, 0.5)), AIRFRAME, KEEP_M):
+        path, circle = plan.transition, plan.circle
+        end_m = math.hypot(path.east_m[-1] - circle.east_m, path.north_m[-1] - circle.north_m)
+        assert end_m == pytest.approx(circle.radius_m, abs=6.0)
+        assert np.abs(path.curvature_per_m).max() <= 1.0 / AIRFRAME.radius_m + 1e-9
+        for after_s in np.linspace(path.length_m / 15.0, path.length_m / 15.0 + LEAVE_S, 7):
+            off_m = math.hypot(circle.east_m - after_s, circle.north_m - 0.5 * after_s)
+            assert circle.radius_m - off_m >= KEEP_M + 60.0 + 1.5 * after_s - 1e-6

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from sidelong.app.study.recorded import recorded_targets
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.mission.control.target_news import TargetNews
+from sidelong.mission.control.target_news import TargetNews, UnseenTarget
+
+TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 
 
 def announced(*seen: tuple[float, float, TrackQuality]) -> list[str]:
@@ -32,6 +39,27 @@ def test_a_long_one_is_reported_once_and_so_are_its_end_and_a_loss():
     assert texts == [
         "the target is in sight",
         "the target has not been seen for 9 s; its track goes on by its last motion",
-        "the target is lost: not seen for 70 s; holding the circle",
+        "the target is lost: not seen for 70 s; searching for it",
         "the target is in sight again",
     ]
+
+
+@pytest.mark.parametrize("ahead_s", [30.0, 60.0, 120.0, 180.0])
+def test_unseen_recorded_targets_are_where_they_are_predicted(ahead_s):
+    errors = []  # as shares of the radius
+    for target in recorded_targets([TRACKS], 9.0).flown:
+        limit_m_s = 5.0 if target.speed_p95_m_s <= 5.0 else 9.0
+        for begin_s in np.arange(0.0, target.duration_s - ahead_s - 120.0, 60.0):
+            tracker = SimpleNamespace(last_seen=None)
+            unseen = UnseenTarget(tracker)
+            for time_s in np.arange(begin_s, begin_s + 121.0, 4.0):
+                at = target.at(time_s)
+                state = at.east_m, at.north_m, at.velocity_east_m_s, at.velocity_north_m_s
+                seen = TargetEstimate(time_s, *state, np.eye(4), TrackQuality.GOOD, time_s)
+                assert unseen.predicted(seen, limit_m_s, 60.0) is seen
+            tracker.last_seen = seen
+            later = TargetEstimate(time_s + ahead_s, *state, 1e6 * np.eye(4), TrackQuality.LOST, time_s)
+            disk, at = unseen.density(unseen.predicted(later, limit_m_s, 60.0)), target.at(time_s + ahead_s)
+            errors.append(math.hypot(disk.east_m - at.east_m, disk.north_m - at.north_m) / disk.radius_m)
+    assert np.mean(np.array(errors) <= 1.0) >= 0.93
+    assert np.mean(errors) > 0.25  # the disk is not far too large

@@ -85,9 +85,13 @@ def test_gimbal_is_commanded_five_times_a_second_at_most(snapshot):
     assert len(pointed(*(replace(snapshot, time_s=snapshot.time_s + 0.05 * step) for step in range(20)))) == 5
 
 
-def test_nothing_is_commanded_without_control_target_or_heading(snapshot):
+def test_a_lost_target_is_looked_for_where_it_is_predicted(snapshot):
     lost = replace(snapshot.estimate, quality=TrackQuality.LOST)
+    assert pointed(replace(snapshot, estimate=lost)) == pointed(snapshot)
+
+
+def test_nothing_is_commanded_without_control_target_or_heading(snapshot):
     for unfit in (replace(snapshot, phase=phase) for phase in (Phase.WAITING, Phase.YIELDED, Phase.ENDED)):
         assert pointed(unfit) == []
-    assert pointed(replace(snapshot, estimate=None), replace(snapshot, estimate=lost)) == []
+    assert pointed(replace(snapshot, estimate=None)) == []
     assert pointed(snapshot, attitude=None) == []
