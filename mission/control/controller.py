@@ -116,6 +116,7 @@ _SILENT_S = 2.0
 _NAMED_WITHIN_S = 3.0  # an autopilot states the reason of a failsafe this long after it has changed the mode
 _UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _JUMPED = "the target's position has jumped"
+_UNSEEN = "the target is not seen"
 _ELSEWHERE = "the target may not be where it is seen"
 _LATE = "the aircraft may not follow that path closely"
 _TOO_FAST = "the payload may follow another object: it moves faster than the target can"
@@ -454,9 +455,9 @@ class StandoffController:
             return self._hold_away(aircraft, present, self._seen(target), why)
         fault = bool(self.health.payload_fault)
         is_gone = unseen_s > min(BLIND_S, self.settings.lost_after_s) or target.quality is TrackQuality.LOST
-        if is_gone and not fault:
-            return self._search(aircraft, present, UnseenTarget.density(target))
         reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
+        if is_gone and not fault:
+            return self._search(aircraft, present, self._unseen.density(target))
         if reach is not None:
             away = self._hold_away(aircraft, present, reach)
             if away or fault or target.quality is TrackQuality.GOOD:
@@ -481,7 +482,7 @@ class StandoffController:
         news = self.planning.route_news()
         announced: tuple[StepOutput, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
-            reason = "staying: the target is not seen and may be too near there"
+            reason = f"staying: {_UNSEEN} and may be too near there"
             decision = replace(decision, plan=None, reason=reason)
         wander_m = self.health.payload.wander_m(self.time_s)
         wanders = wander_m > 0.0
@@ -695,7 +696,7 @@ class StandoffController:
         aircraft: AircraftState,
         present: Plan,
         reach: Reach,
-        why: str = "the target is not seen",
+        why: str = _UNSEEN,
         others: Sequence[Reach] = (),
         *,
         is_seen: bool = False,
@@ -738,7 +739,7 @@ class StandoffController:
         clear_m = density.clearance_m(rest, airframe.airspeed_m_s, LEAVE_S, flown_m)
         is_around = math.hypot(circle.east_m - density.east_m, circle.north_m - density.north_m) < circle.radius_m
         if (is_around and clear_m >= keep_m) or self.time_s - self._retreated_s < _SEARCH_S:
-            return self._hold(self._doubt_of_place)
+            return self._hold(_UNSEEN)
         start = dead_reckoned(aircraft, latency_s)
         plan = self.surroundings.first_cleared(orbits(start, density.after(latency_s), airframe, keep_m))
         if plan is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -339,10 +339,10 @@ class UnseenTarget:
         return Reach(predicted.east_m, predicted.north_m, radius_m, speed_m_s, velocity_m_s)
 
     def reach(self, now_s: float, estimate: TargetEstimate, fault: bool, speed_max_m_s: float) -> Reach | None:
-        """Return where the target can be, None while it is seen.
+        """Return where the target can be, None while it is seen; estimate: as :meth:`predicted`.
 
         A track that begins again may be a wrong one: it counts only some seconds later. With a fault of laser or
-        gimbal their silence is no mere gap; where they drift, the place without the drift is used.
+        gimbal the target can be wherever it can have gone; where they drift, the place without the drift is used.
         """
         unseen_s = now_s - estimate.last_sighting_s
         if estimate.quality is TrackQuality.LOST:
@@ -353,6 +353,9 @@ class UnseenTarget:
                 return None
             since_s, reach = self._last
             return reach.after(now_s - since_s)
+        if not fault:
+            self._last = now_s, self.density(estimate)
+            return self._last[1]
         speed_m_s = max(speed_max_m_s, estimate.speed_m_s)
         seen = self._tracker.last_seen
         if seen is not None and seen.last_sighting_s == estimate.last_sighting_s:
@@ -362,7 +365,7 @@ class UnseenTarget:
             east_m = estimate.east_m - unseen_s * estimate.velocity_east_m_s
             north_m = estimate.north_m - unseen_s * estimate.velocity_north_m_s
             sigma_m = 0.0
-        place = self._tracker.payload.place if fault else None
+        place = self._tracker.payload.place
         if place is not None and place[0] > estimate.last_sighting_s:
             at_s, east_m, north_m, sigma_m = place
             unseen_s = now_s - at_s
