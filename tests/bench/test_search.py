@@ -47,7 +47,7 @@ from tests.bench.size import size
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 CLASSES = ((5.0, 12.0, 40.0), (9.0, 20.0, 70.0), (14.0, 30.0, 105.0))  # target's and aircraft's speed, its radius
-HIDDEN_FROM_S, SEARCHED_S = 180.0, 600.0
+HIDDEN_FROM_S, SEARCHED_S = 180.0, 420.0
 CAUSES = "hill", "trees", "gimbal"
 SCREENS_M = {"hill": (60.0, 50.0), "trees": (15.0, 15.0)}  # from the path, and high
 HALF_VIEW_RAD, LOCK_S, STAYS_S, LOST_S = math.radians(15.0), 1.0, 5.0, 8.0
