@@ -729,11 +729,8 @@ class StandoffController:
 
     def _search(self, aircraft: AircraftState, present: Plan, density: Reach) -> tuple[StepOutput, ...]:
         """Return the plan to a circle around where the target is likely to be, unless such a circle is flown."""
-        airframe, keep_m, latency_s = (
-            self.settings.aircraft,
-            self.settings.requirement.range_min_m,
-            self.latency.expected_s,
-        )
+        airframe, keep_m = self.settings.aircraft, self.settings.requirement.range_min_m
+        latency_s = self.latency.expected_s
         circle, flown_m = present.circle, nearest_arc_m(present, aircraft)
         rest = present if flown_m < present.transition_m else replace(present, transition=None)
         clear_m = density.clearance_m(rest, airframe.airspeed_m_s, LEAVE_S, flown_m)
@@ -741,7 +738,8 @@ class StandoffController:
         if (is_around and clear_m >= keep_m) or self.time_s - self._retreated_s < _SEARCH_S:
             return self._hold(_UNSEEN)
         start = dead_reckoned(aircraft, latency_s)
-        plan = self.surroundings.first_cleared(orbits(start, density.after(latency_s), airframe, keep_m))
+        plans = orbits(start, density.after(latency_s), airframe, keep_m)
+        plan = self.surroundings.first_cleared(plans[self.changes.in_vain :])  # the others were not taken
         if plan is None:
             return self._hold_away(aircraft, present, density)
         self._retreated_s = self.time_s
