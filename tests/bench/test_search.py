@@ -255,7 +255,7 @@ class Run:
         return math.inf
 
 
-def hold(self: StandoffController, *_: object) -> tuple[()]:
+def hold(self: StandoffController, *_: object, **_given: object) -> tuple[()]:
     return self._hold("the target is not seen")
 
 
