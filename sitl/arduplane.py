@@ -417,9 +417,9 @@ class TerrainDatabase:
         known = not math.isnan(ground_m)
         pending = sum(int(np.isnan(block).sum()) for block in self._blocks.values()) // _SQUARE**2
         place_e7 = round(latitude_deg * 1e7), round(longitude_deg * 1e7)
-        found = (_SPACING_M, ground_m, altitude_m - ground_m) if known else (0, 0.0, 0.0)
+        answer_m = (_SPACING_M, ground_m, altitude_m - ground_m) if known else (0, 0.0, 0.0)
         loaded = len(self._blocks) * _ACROSS * _UP - pending
-        return mavlink.MAVLink_terrain_report_message(*place_e7, *found, pending, loaded)
+        return mavlink.MAVLink_terrain_report_message(*place_e7, *answer_m, pending, loaded)
 
     def _block(
         self, latitude_deg: float, longitude_deg: float

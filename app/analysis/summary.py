@@ -228,6 +228,7 @@ class SummaryCollector:
         return sum(seen for seen, _ in since) / len(since) if since else None, min(clear, default=None)
 
     def time_within_pan_limits(self, start_s: float) -> float | None:
+        """Return in which share (0 to 1) of the estimates since ``start_s`` the gimbal can look at the target."""
         since = [within for time_s, within in self._within_pan if time_s >= start_s]
         return sum(since) / len(since) if since else None
 

@@ -112,6 +112,7 @@ class ClosedLoop(Generic[P]):
         self.expire()
 
     def arriving(self) -> Iterable[P]:
+        """Return the packets that the simulated vehicle has sent since this was last called."""
         return self.simulated.take()
 
     def on_message(self, message: Message | Reading) -> None:
