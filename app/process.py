@@ -10,6 +10,8 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
+import shlex
+import shutil
 import signal
 import sys
 import threading
@@ -36,6 +38,15 @@ def prefer_installed_packages() -> None:
     last = {os.path.abspath(folder) for folder in named} | {os.getcwd()}  # noqa: PTH100, PTH109  # may not exist
     last -= {own}
     sys.path.sort(key=lambda folder: os.path.abspath(folder) in last)  # noqa: PTH100
+
+
+def program() -> str:
+    """Return the program's name as a reader has to type it: its path, where no ``sidelong`` is on the path."""
+    called = Path(sys.argv[0])
+    if called.name != "sidelong" or shutil.which("sidelong"):
+        return "sidelong"
+    near = os.path.relpath(called)
+    return shlex.quote(str(called.absolute()) if near.startswith("..") else near)
 
 
 def helper_command(module: str, *arguments: str) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
 from sidelong.app.payload.registry import kind_by_name
+from sidelong.app.process import program
 from sidelong.app.records.text_file import write_text
 
 Values = dict[str, dict[str, Any]]
@@ -124,7 +125,7 @@ def init(
     with writing(file, "init"):
         write_text(file, config_text(preset, fleet))
     named = shlex.quote(str(file))
-    say(f"wrote {file}; then: sidelong check {named}; sidelong launch {named}")
+    say(f"wrote {file}; then: {program()} check {named}; {program()} launch {named}")
 
 
 def _check_preset(preset: str | None, fleet: int | None) -> None:

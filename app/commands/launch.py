@@ -49,7 +49,7 @@ from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_hosts
 from sidelong.app.link.transport import checked_url
 from sidelong.app.payload.registry import KIND_NAMES, MAVLINK, read_payload
-from sidelong.app.process import heed_interrupts
+from sidelong.app.process import heed_interrupts, program
 from sidelong.app.records.run_folder import check_space
 from sidelong.app.view.address import PageAddress, free_port, is_desktop, page_address
 
@@ -253,7 +253,7 @@ def _announce(ended: FlightEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
     say(f"run folder: {ended.folder.path}")
     folder = quote(str(ended.folder.path))
-    say(f"next: sidelong report {folder}, or sidelong replay {folder} --view")
+    say(f"next: {program()} report {folder}, or {program()} replay {folder} --view")
     try:
         ended.folder.write_summary(ended.summary.as_json())
     except OSError as error:

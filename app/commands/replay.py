@@ -276,7 +276,7 @@ def _replay_run(
         at = clock(max(controller.time_s - (start_s or 0.0), 0.0))
         say(f"the record ends early, at {at}: {truncated}")
     if what_if is not None:
-        start_s = what_if.fly(settings, journal.header, judged, truth)
+        start_s = what_if.fly(settings, JournalReader(folder.journal, JOURNAL_TYPES), judged, truth)
     return judged.summary(truth, plane, start_s)
 
 
@@ -289,11 +289,12 @@ class _WhatIf:
     def __init__(self, changes: Overrides, from_s: float) -> None:
         self._changes, self.from_s = changes, from_s
 
-    def fly(self, flown: Config, header: Header, judged: _Judged, truth: Truth | None) -> float:
+    def fly(self, flown: Config, journal: JournalReader, judged: _Judged, truth: Truth | None) -> float:
         """Fly to the end of the recording; return when it left it, on the vehicle's clock."""
-        from sidelong.app.study.closed_loop import FlownOn, recorded_motion  # noqa: PLC0415  # a replay needs no simulation
+        from sidelong.app.study.closed_loop import FlownOn, follow_readings, recorded_motion  # noqa: PLC0415  # a simulation
 
-        autopilot, plane, begin = autopilot_by_name(header.autopilot), header.plane, judged.wanted
+        header, begin = journal.header, judged.wanted
+        autopilot, plane = autopilot_by_name(header.autopilot), header.plane
         if autopilot is None or plane is None or header.home_deg is None:
             raise InputError("--what-if: the journal does not state the autopilot and the place; it is too old.")
         if begin is None:
@@ -304,8 +305,9 @@ class _WhatIf:
             raise InputError(f"--from {self.from_s:g}: nothing is known of the target after it; give a lower time.")
         controller = _prepared(config).controller(plane, header.home_deg)
         own = config, controller, autopilot, plane, header.home_altitude_m or 0.0
-        wind = judged.controller.snapshot().wind
-        flight = FlownOn(*own, begin, wind, recorded_motion(moments, begin.time_s))
+        follow_readings(controller, judged.controller.tracker, journal, begin.time_s)
+        wind, bias_rad = judged.controller.snapshot().wind, judged.controller.tracker.calibration.yaw_bias_rad
+        flight = FlownOn(*own, begin, wind, recorded_motion(moments, begin.time_s), bias_rad)
         self.frames = Frames(plane=plane, is_flown=True)
         other = _Judged(config, controller, True, of_a_flight=True)
         other.follow(self.frames.noted(flight.steps(), _encoder(config)))

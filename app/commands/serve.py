@@ -19,6 +19,7 @@ from sidelong.app.config_files import check_single
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.link.message import plain
 from sidelong.app.link.transport import checked_url
+from sidelong.app.process import program
 from sidelong.app.serve.control_socket import ask, own_path
 from sidelong.app.view.address import PageAddress, page_address
 
@@ -69,7 +70,7 @@ def serve(
             resident = Resident(*own) if page is None else Resident(*own, page.decorate, page.draw)
             if page is not None:
                 await page.open(resident)
-            log(f"`sidelong watch`, the live map or a switch begins a watch; control socket: {own_path()}")
+            log(f"`{program()} watch`, the live map or a switch begins a watch; control socket: {own_path()}")
             await resident.run(stopped, own_path())
         say_plain("sidelong serve has ended; an aircraft in flight goes on with what it flies")
 
@@ -120,7 +121,7 @@ class ServicePage:
         checks = [(check.name, check.ready, check.words) for check in self._resident.checks]
         last = self._resident.last
         summary = () if last is None else list(last.summary.rows())
-        commands = () if last is None else (f"sidelong report {last.folder.path}",)
+        commands = () if last is None else (f"{program()} report {last.folder.path}",)
         text = "" if checks and status.state == "waiting" else status.reason
         self._view.show_stage(status.state, text, checks=checks, summary=summary, next=commands)
 

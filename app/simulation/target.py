@@ -74,8 +74,8 @@ class RandomTarget:
 
 PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
 RANGE_MIN_M, RANGE_MAX_M = 1.0, 655.35  # as a DISTANCE_SENSOR of one metre and more states them
-_GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", PAYLOAD_COMPONENT)
-_LASER = Source("DISTANCE_SENSOR", PAYLOAD_COMPONENT, 1, 100)  # of custom orientation
+GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", PAYLOAD_COMPONENT)
+LASER = Source("DISTANCE_SENSOR", PAYLOAD_COMPONENT, 1, 100)  # of custom orientation
 _QUALITY = 0.9
 
 
@@ -123,7 +123,7 @@ class Payload:
         if range_m is None or not RANGE_MIN_M <= range_m <= RANGE_MAX_M:
             return [gimbal]
         stamp_s, level = boot_ms * 1e-3, (1.0, 0.0, 0.0, 0.0)
-        return [gimbal, RangeReading(stamp_s, range_m, _LASER, None, _QUALITY, RANGE_MIN_M, RANGE_MAX_M, level)]
+        return [gimbal, RangeReading(stamp_s, range_m, LASER, None, _QUALITY, RANGE_MIN_M, RANGE_MAX_M, level)]
 
     def gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Reading:
-        return GimbalReading(boot_ms * 1e-3, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", _GIMBAL)
+        return GimbalReading(boot_ms * 1e-3, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", GIMBAL)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,19 +21,24 @@ from sidelong.app.planners.planner_kind import PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.simulation.kinematic import Body, KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.target import Payload, PayloadErrors, RandomTarget, TargetTruth
+from sidelong.app.simulation.target import GIMBAL, LASER, Payload, PayloadErrors, RandomTarget, TargetTruth
 from sidelong.app.study.judging import RunResult, judged, judged_log
 from sidelong.app.study.recorded import STEP_S, RecordedTarget
 from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
 from sidelong.app.study.settings import LAG_S, StudySettings, StudyTerrain
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.readings import Reading
+from sidelong.estimators.sensing.readings import (
+    GimbalReading,
+    RangeReading,
+    Reading,
+    TargetFixReading,
+)
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import StepOutput
+from sidelong.mission.core.events import StepOutput, WindReported
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import CheckedPlannerFactory, Plan, PlanCheck, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
@@ -264,6 +269,21 @@ def _moved(ground: Ground, rng: np.random.Generator) -> Ground:
             return replace(ground, west_m=ground.west_m - east_m, south_m=ground.south_m - north_m)
 
 
+def follow_readings(controller: StandoffController, flown: Tracker, events: Iterable[object], until_s: float) -> None:
+    """Let a control step see what a flight's payload measured until a moment, as if measured by the simulated one."""
+    sources = {flown.ranges.chosen: LASER, flown.gimbals.chosen: GIMBAL}
+    for event in events:
+        if not isinstance(event, Reading | WindReported):
+            continue
+        if event.time_s > until_s:
+            return
+        if isinstance(event, RangeReading | GimbalReading):
+            if event.source in sources:
+                controller.step(replace(event, source=sources[event.source]))
+        elif not isinstance(event, TargetFixReading):
+            controller.step(event)
+
+
 _ON_CIRCLE_M = 50.0  # nearer to it, the aircraft flies the circle of its plan
 
 
@@ -274,9 +294,9 @@ def recorded_motion(moments: Sequence[Moment], from_s: float) -> RecordedTarget:
 
 
 class FlownOn(ClosedLoop[Message | Reading]):
-    """A flight that leaves a recorded one at the moment ``begin``, with a control step that has seen nothing yet.
+    """A flight that leaves a recorded one at the moment ``begin``, with a control step that has seen what was before.
 
-    target: the recorded motion from that moment on.
+    target: the recorded motion from that moment on. yaw_bias_rad: of the payload.
     """
 
     def __init__(
@@ -289,6 +309,7 @@ class FlownOn(ClosedLoop[Message | Reading]):
         begin: Present,
         wind: Wind,
         target: RecordedTarget,
+        yaw_bias_rad: float,
     ) -> None:
         state, own, limits, sensors = begin.aircraft, config.aircraft, config.aircraft.aircraft(), config.sensors
         assert state is not None
@@ -301,7 +322,7 @@ class FlownOn(ClosedLoop[Message | Reading]):
         home = Home(plane.origin_latitude_deg, plane.origin_longitude_deg, home_altitude_m)
         body = Body.configured(own, LAG_S[autopilot.key])
         errors = PayloadErrors(
-            sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limits.pan_limit_rad
+            sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), yaw_bias_rad, limits.pan_limit_rad
         )
         start = Start(plane, home, circle, height_m, state, begin.time_s)
         self._target, payload = OnTicks(target, target.duration_s), Payload(errors, np.random.default_rng(1))

@@ -20,6 +20,7 @@ from typing import Literal, Protocol, TypeVar
 
 from sidelong.app.config import Config
 from sidelong.app.flight.loop import FlightDisplay, TrackRequest, Wish
+from sidelong.app.process import program
 from sidelong.app.view.address import PageAddress
 from sidelong.app.view.history import Json
 from sidelong.app.view.process import Feed, page_line, start_page, under_flight
@@ -221,7 +222,7 @@ class ViewDisplay(ShownAircraft):
             self.show_stage(name)
 
     def show_end(self, rows: Iterable[tuple[str, ...]], folder: Path) -> None:
-        commands = f"sidelong report {folder}", f"sidelong replay {folder} --view"
+        commands = f"{program()} report {folder}", f"{program()} replay {folder} --view"
         self.show_stage(
             "ended", summary=[(name, " · ".join(filter(None, values))) for name, *values in rows], next=commands
         )
