@@ -384,8 +384,9 @@ class StandoffController:
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
-            self.estimate = self.planning.joint_estimate(self.time_s) or self._own_estimate()
+            self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
             if self.estimate is not None:
+                self._predict(self.estimate)
                 self._course.update(self.estimate, self.settings.requirement.course_horizon_s)
                 announced = self._news.announce(self.time_s, self.estimate)
             announced += self._payload_news.announce(self.time_s)
@@ -410,11 +411,12 @@ class StandoffController:
             return announced
         return announced + self._decide() if due else ()
 
-    def _own_estimate(self) -> TargetEstimate | None:
-        estimate, settings = self.tracker.estimate(self.time_s), self.settings
-        if estimate is None:
-            return None
-        return self._unseen.predicted(estimate, settings.requirement.target_speed_max_m_s, settings.lost_after_s)
+    def _predict(self, estimate: TargetEstimate) -> None:
+        speed_max_m_s = self.settings.requirement.target_speed_max_m_s
+        if self.time_s - estimate.last_sighting_s <= BLIND_S:
+            self._unseen.note(estimate, speed_max_m_s)
+            return
+        self.estimate = self._unseen.predicted(estimate, speed_max_m_s, self.settings.lost_after_s)
 
     def _judge_traffic(self) -> None:
         """Predict how near foreign aircraft come to what is flown and what is on its way to the autopilot."""

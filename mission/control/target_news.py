@@ -301,18 +301,20 @@ class UnseenTarget:
         self._last: tuple[float, Reach] | None = None  # with the time that it holds for
         self._speed_m_s, self._noted_s = math.inf, -math.inf  # the target's, averaged while it is seen
 
+    def note(self, estimate: TargetEstimate, speed_max_m_s: float) -> None:
+        """Process the estimate of a target that is seen: its mean speed is what it may go on with."""
+        self._speed_m_s = min(self._speed_m_s, speed_max_m_s)
+        new = 1.0 - math.exp(-min(estimate.time_s - self._noted_s, BLIND_S) / _SPEED_OVER_S)
+        self._speed_m_s += new * (estimate.speed_m_s - self._speed_m_s)
+        self._noted_s = estimate.time_s
+
     def predicted(self, estimate: TargetEstimate, speed_max_m_s: float, lost_after_s: float) -> TargetEstimate:
-        """Return the estimate; that of a target unseen for long as recorded targets have moved on.
+        """Return the estimate of a target that is unseen for long, as recorded targets have moved on.
 
         The filter's own covariance grows as if each push of its motion model lasted.
         """
-        unseen_s = estimate.time_s - estimate.last_sighting_s
-        seen = self._tracker.last_seen
-        if unseen_s <= BLIND_S or seen is None:
-            self._speed_m_s = min(self._speed_m_s, speed_max_m_s)
-            new = 1.0 - math.exp(-min(estimate.time_s - self._noted_s, BLIND_S) / _SPEED_OVER_S)
-            self._speed_m_s += new * (estimate.speed_m_s - self._speed_m_s)
-            self._noted_s = estimate.time_s
+        unseen_s, seen = estimate.time_s - estimate.last_sighting_s, self._tracker.last_seen
+        if seen is None or seen.last_sighting_s != estimate.last_sighting_s:  # by another aircraft of the fleet
             return estimate
         kept = math.exp(-unseen_s / _COURSE_LASTS_S)
         ahead_s = _COURSE_LASTS_S * (1.0 - kept)

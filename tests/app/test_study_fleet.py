@@ -73,7 +73,8 @@ def test_two_that_know_the_route_keep_the_side_longer_with_hardly_more_moves(fas
     (track,) = settings.tracks
     routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
     without, along = run_fleet(settings, 0, table), run_fleet(routed, 0, table)
-    assert along.time_on_side_any > without.time_on_side_any + 0.02
+    assert along.time_on_side_any > without.time_on_side_any
+    assert along.time_on_side_any > 0.995
     moves = [sum(one.moves_per_hour for one in run.aircraft) for run in (without, along)]
     assert moves[1] < 1.1 * moves[0]
 

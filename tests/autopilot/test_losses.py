@@ -54,7 +54,7 @@ def test_laser_and_then_gimbal_fail_and_come_back(vehicle_of, launch):
         lost_s = vehicle.simulation.time_s
         assert_circles(vehicle, 30.0)
         commanded = [kind for time_s, kind in vehicle.commanded if time_s > lost_s + ON_THE_WAY_S]
-        assert not commanded or "moving away: the target is not seen" in application.announced
+        assert not commanded or "searching: circling where the target can be" in application.announced
         vehicle.do(vehicle.simulation.muted.clear)
         application.wait_for("the target is in sight again", times=number)
     assert application.end()["outcome"] == "interrupted"

@@ -45,6 +45,8 @@ from sidelong.mission.geometry.progress import dead_reckoned
 from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, table_configuration
 from tests.bench.size import size
 
+PREDICTED = UnseenTarget.predicted  # also where sidelong has to fly without it
+
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 CLASSES = ((5.0, 12.0, 40.0), (9.0, 20.0, 70.0), (14.0, 30.0, 105.0))  # target's and aircraft's speed, its radius
 HIDDEN_FROM_S, SEARCHED_S = 180.0, 420.0
@@ -209,7 +211,10 @@ class Run:
             estimate = controller.tracker.estimate(controller.time_s)
             if estimate is not None:
                 limit_m_s = case.of[0]
-                predicted = self._density.predicted(estimate, limit_m_s, 60.0)
+                if controller.time_s - estimate.last_sighting_s <= BLIND_S:
+                    self._density.note(estimate, limit_m_s)
+                else:
+                    predicted = PREDICTED(self._density, estimate, limit_m_s, 60.0)
             if now_s > HIDDEN_FROM_S and start_m is None:
                 start_m, height_m = here_m, craft.vehicle_in_flight.craft.height_m
             if not math.isnan(self.lost_s):
@@ -300,7 +305,7 @@ def flown(case: Case, behaviour: str) -> dict[str, float | str]:
     if behaviour in ("hold", "retreat"):  # as sidelong flew before it searched: it went on planning until the loss
         patches = [
             mock.patch.object(control, "BLIND_S", math.inf),
-            mock.patch.object(StandoffController, "_own_estimate", lambda self: self.tracker.estimate(self.time_s)),
+            mock.patch.object(UnseenTarget, "predicted", lambda _self, estimate, *_: estimate),
             mock.patch.object(StandoffController, "_search", hold if behaviour == "hold" else retreat),
         ]
     if behaviour == "hold":

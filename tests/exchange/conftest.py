@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -25,6 +26,7 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.upload.items import UnflyableError
 from sidelong.mission.upload.mission_item import MissionItem
 from sidelong.sitl.settings import Flavour, LinkFaults, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
@@ -184,7 +186,8 @@ class Flight(FaultyLoop[bytes]):
         for output in outputs:
             if isinstance(output, UploadPlan) and self.config.planner.guidance == "mission":
                 plan = replace(output.plan, circle=output.commanded)
-                self.lines[output.number] = self.core._backend.line(plan, output.wind)
+                with contextlib.suppress(UnflyableError):  # the core refuses it, too
+                    self.lines[output.number] = self.core._backend.line(plan, output.wind)
             for listener in self.output_listeners:
                 listener(output)
 

@@ -56,7 +56,7 @@ def test_unseen_recorded_targets_are_where_they_are_predicted(ahead_s):
                 at = target.at(time_s)
                 state = at.east_m, at.north_m, at.velocity_east_m_s, at.velocity_north_m_s
                 seen = TargetEstimate(time_s, *state, np.eye(4), TrackQuality.GOOD, time_s)
-                assert unseen.predicted(seen, limit_m_s, 60.0) is seen
+                unseen.note(seen, limit_m_s)
             tracker.last_seen = seen
             later = TargetEstimate(time_s + ahead_s, *state, 1e6 * np.eye(4), TrackQuality.LOST, time_s)
             disk, at = unseen.density(unseen.predicted(later, limit_m_s, 60.0)), target.at(time_s + ahead_s)
