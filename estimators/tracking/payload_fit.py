@@ -843,10 +843,12 @@ class PayloadFit:
         if readings is None:
             return False
         pinned = np.array([_PINNED_S, _PINNED_S, *self._sigmas[2:]])
-        start = np.array([0.0, 0.0, *best.shared[2:]])
+        begins = (np.array([0.0, 0.0, *best.shared[2:]]), best.scale_m), (np.zeros(SHARED), 0.0)
         erring = self._erring is not None
-        kept = self._solve(readings, pinned, start, best.scale_m, erring=erring, factor=self._factor)
-        return kept.cost - best.cost > (_GAIN if self._late_count > 1 else _GAIN_AT_ONCE)
+        kept = min(  # from one start it may end in a lesser minimum
+            self._solve(readings, pinned, *begin, erring=erring, factor=self._factor).cost for begin in begins
+        )
+        return kept - best.cost > (_GAIN if self._late_count > 1 else _GAIN_AT_ONCE)
 
     def _solve(
         self,

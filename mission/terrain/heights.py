@@ -34,7 +34,6 @@ from sidelong.estimators.terrain.ground_kernel import (
     height_and_slope,
     heights_at,
     highest_along,
-    highest_at,
 )
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray
@@ -120,8 +119,8 @@ class FlightHeights:
         return wanted_m if flown_m is None else flown_m if math.isnan(watched_m) else max(flown_m, wanted_m)
 
     def clearance_m(self, east_m: float, north_m: float, height_m: float) -> float:
-        """Return how far a height above home is above the ground around a position, m."""
-        return height_m - highest_at(self._highest, self._grid, east_m, north_m)
+        """Return how far a height above home is above the ground below a position, m; NaN where that is unknown."""
+        return height_m - height_and_slope(self._grid, east_m, north_m)[0]
 
     def _fixed(self, plan: Plan, floor_m: float, line_floor_m: float, flown_m: float | None) -> Plan | str:
         rules = self._rules
