@@ -221,7 +221,9 @@ def _replay_log(path: Path, settings: Config, truth: Truth | None, quiet: bool, 
             frames.plane = telemetry.plane
         judged = _Judged(settings, controller, quiet)
         replayed = Proposals(controller).follow(itertools.chain(first, events))
-        judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
+        judged.follow(
+            replayed if frames is None else frames.noted(replayed, _encoder(settings, controller), proposals=True)
+        )
     warn_of_log(path, log.context().warning)
     require_sightings(controller.tracker, telemetry, log)
     result = judged.summary(truth, telemetry.plane, judged.first_estimate_s)
@@ -252,7 +254,7 @@ def _replay_run(
         replayed = steps.run(journal)
         if frames is not None:
             frames.plane = plane
-        judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings)))
+        judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings, controller)))
     if verify:
         if journal.damaged_lines:  # by which the replay may differ, too
             raise FlightError(
@@ -310,7 +312,7 @@ class _WhatIf:
         flight = FlownOn(*own, begin, wind, recorded_motion(moments, begin.time_s), bias_rad)
         self.frames = Frames(plane=plane, is_flown=True)
         other = _Judged(config, controller, True, of_a_flight=True)
-        other.follow(self.frames.noted(flight.steps(), _encoder(config)))
+        other.follow(self.frames.noted(flight.steps(), _encoder(config, controller)))
         self.summary = other.summary(flight.truth, plane, begin.time_s)
         return begin.time_s
 
@@ -336,8 +338,10 @@ def _exchange_of(settings: Config, controller: StandoffController, header: Heade
     return mission_controller_of(settings, controller, autopilot, header.plane, home)
 
 
-def _encoder(settings: Config) -> StateEncoder:
-    return StateEncoder(settings.aircraft.airspeed_m_s, settings.aircraft.height_m)
+def _encoder(settings: Config, controller: StandoffController) -> StateEncoder:
+    encoder = StateEncoder(settings.aircraft.airspeed_m_s, settings.aircraft.height_m)
+    encoder.ground = controller.surroundings.ground
+    return encoder
 
 
 class _Judged:

@@ -27,6 +27,7 @@ from sidelong.app.view.process import Feed, page_line, start_page, under_flight
 from sidelong.app.view.shading import PictureFile, Shading
 from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.control.present import Present
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
@@ -114,6 +115,7 @@ class ShownAircraft:
             self._request(replace(wish, time_s=self.snapshot.time_s))
 
     def state(self, snapshot: Present) -> Json:
+        self.encoder.ground = self._page.ground
         return self.encoder.state(snapshot, time.monotonic() - self._received_at_s, self.name)
 
 
@@ -166,6 +168,11 @@ class ViewDisplay(ShownAircraft):
 
     def of(self, name: str) -> ShownAircraft:
         return self._shown[name]
+
+    @property
+    def ground(self) -> Ground | None:
+        """The elevation data, once they are read."""
+        return None if self._shading is None else self._shading.ground
 
     # -- life ----------------------------------------------------------------------------------------------
 

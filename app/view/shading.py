@@ -53,10 +53,11 @@ class PictureFile:
 
 
 class Shading(PictureFile):
-    """The shaded ground, computed in a thread; ``edges_m`` (west, south, east, north) once it is there."""
+    """The ground, read in a thread, and its picture; ``edges_m`` (west, south, east, north) once that is there."""
 
     def __init__(self, config: Config, plane: LocalPlane) -> None:
         self.edges_m: tuple[float, float, float, float] | None = None
+        self.ground: Ground | None = None
         super().__init__("shade.png")
         self._announced = False
         self._maker = threading.Thread(target=self._make, args=(config, plane), daemon=True)
@@ -74,11 +75,11 @@ class Shading(PictureFile):
 
     def _make(self, config: Config, plane: LocalPlane) -> None:
         try:
-            ground = ground_of(config, plane, None)
+            self.ground = ground_of(config, plane, None)
         except InputError:
             return  # the flight itself refuses it in words
-        if ground is not None:
-            shade = hillshade(ground, _REACH_M)
+        if self.ground is not None:
+            shade = hillshade(self.ground, _REACH_M)
             self.file.write_bytes(shade.png)
             self.edges_m = shade.edges_m
 

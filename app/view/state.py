@@ -13,11 +13,13 @@ from sidelong.app.analysis.score import GAP_MAX_S
 from sidelong.app.config import AircraftSection, Config, RequirementSection
 from sidelong.app.view.history import Json
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.control.present import Present, VehicleStatus
 from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.route.route import Route, RouteProgress
 from sidelong.mission.viewpoint.watch_course import side_words
 
@@ -34,6 +36,7 @@ _LIMITS = {name: _limits(AircraftSection, name) for name in ("radius_m", "height
 _UNSENT = ("alarms", "silent_s")
 _LINE_POINTS, _ROUTE_POINTS = 60, 500
 _AHEAD_S = np.linspace(0.0, 60.0, 13)  # how far the page draws the expected path of the target
+_AHEAD_POINTS = 41  # of the ground ahead
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
@@ -142,6 +145,7 @@ class StateEncoder:
     def __init__(self, airspeed_m_s: float, height_m: float) -> None:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: positions are then sent in degrees too
+        self.ground: Ground | None = None  # the same: the ground ahead is then sent
         self._shares = WatchShares()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
@@ -174,6 +178,8 @@ class StateEncoder:
             "upload_failures": snapshot.upload_failures,
             "latency_s": _number(snapshot.latency_s, 2),
             "asked": self._asked(snapshot),
+            "ahead": self._ahead(snapshot),
+            "waypoints": [_rounded(*one) for one in snapshot.waypoints_m],
             "vehicle": None if vehicle is None else _vehicle(vehicle),
             "alarms": [{"aircraft": name, **asdict(alarm)} for alarm in (vehicle.alarms if vehicle else ())],
             "over": snapshot.over,
@@ -193,6 +199,24 @@ class StateEncoder:
             "range_min_m": requirement.range_min_m,
             "range_max_m": requirement.range_max_m,
             "side": side_words(requirement),
+        }
+
+    def _ahead(self, snapshot: Present) -> Json | None:
+        """Return the ground and the planned heights from the aircraft to the end of the next lap, m above home."""
+        here, plan = snapshot.aircraft, snapshot.coming or snapshot.plan
+        if self.ground is None or here is None or plan is None:
+            return None
+        at_m = nearest_arc_m(plan, here)
+        length_m = max(plan.transition_m - at_m, 0.0) + math.tau * plan.circle.radius_m
+        arcs_m = [at_m + share * length_m for share in np.linspace(0.0, 1.0, _AHEAD_POINTS).tolist()]
+        points = [point_at(plan, arc_m, here) for arc_m in arcs_m]
+        ground_m = self.ground.heights_at_m([one.east_m for one in points], [one.north_m for one in points])
+        one_height_m = self._height_m if snapshot.height_asked_m is None else snapshot.height_asked_m
+        heights_m = [one_height_m if plan.heights is None else plan.heights.at_m(arc_m) for arc_m in arcs_m]
+        return {
+            "length_m": round(length_m),
+            "ground_m": [_number(one, 0) for one in ground_m.tolist()],
+            "height_m": [_number(one, 0) for one in heights_m],
         }
 
     def _aircraft(self, snapshot: Present) -> Json | None:

@@ -123,6 +123,7 @@ class Present:
     other_object: str = ""  # why the payload may follow another object; '' if it follows the target
     vehicle: VehicleStatus | None = None  # None where there is no vehicle, as in a replay
     traffic: tuple[Neighbour, ...] = ()  # foreign aircraft near the own one
+    waypoints_m: tuple[tuple[float, float], ...] = ()  # ahead, of the mission flown or on its way: east and north
 
     @property
     def side(self) -> Side:

@@ -12,6 +12,7 @@ Source: docs/decisions/0003-pure-exchange.md.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import get_args
 
 from sidelong.estimators.sensing.readings import (
@@ -84,7 +85,7 @@ class MissionController:
     def _restart(self) -> None:
         """Assume nothing of what is on board: at the start, and after another station has flown."""
         outbox, dialect, settings = self._outbox, self._dialect, self._settings
-        missions = MissionItemBackend(outbox, dialect, settings)
+        self._missions = missions = MissionItemBackend(outbox, dialect, settings)
         orbits = OrbitCommandBackend(outbox, dialect, settings)
         self._backends: tuple[PlanBackend, ...] = (missions, orbits) if settings.by_command else (missions,)
         self._backend: PlanBackend = orbits if settings.by_command else missions
@@ -109,7 +110,7 @@ class MissionController:
 
     def snapshot(self) -> Present:
         """Return the state as a display wants it."""
-        return self.controller.snapshot()
+        return replace(self.controller.snapshot(), waypoints_m=self._missions.waypoints_m)
 
     def step(self, event: InboundEvent) -> tuple[Output, ...]:
         """Process one event; return the resulting outputs, in order."""

@@ -307,6 +307,15 @@ class MissionItemBackend:
         """Index of the item that is flown, as reported last."""
         return self._current.seq if self._current is not None else None
 
+    @property
+    def waypoints_m(self) -> tuple[tuple[float, float], ...]:
+        """Positions (east, north) of the waypoints ahead: of the path on its way, else of the path that is flown."""
+        layout, seq = self._layout if self._change is None else self._change.layout, self.flown_index
+        if layout is None:
+            return ()
+        first = seq if seq is not None and seq in layout else layout.first
+        return tuple(_place_of(item, self._settings.plane) for item in layout.items[first : layout.end - 1])
+
     def line(self, plan: Plan, wind: Wind = STILL_AIR, home_m: float = 0.0) -> tuple[MissionItem, ...]:
         """Return the items of a plan as the autopilot stores them; UnflyableError: no waypoints lead along it."""
         settings = self._settings

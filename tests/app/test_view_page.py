@@ -26,6 +26,7 @@ from sidelong.app.view.panel import Panel, clock
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.control.present import Alarm, Phase, VehicleStatus
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
@@ -189,7 +190,7 @@ def test_map_and_plots_show_what_there_is(page):
         assert page.locator(f"#map {name}").bounding_box()["width"] > 0, name
     assert page.locator("#map .trail polyline.a0").bounding_box()["width"] > 0
     page.locator("#engineers summary").click()
-    plots = page.locator(":is(#plots, #inner-plots) svg")
+    plots = page.locator(":is(#plots, #inner-plots) figure:not([hidden]) svg")
     assert plots.count() == 5
     assert all(plots.nth(n).locator("polyline").count() >= 1 for n in range(5))
     assert page.locator("#legend li.fence").is_visible()
@@ -869,3 +870,16 @@ def test_help_lists_the_keys_and_the_map_shows_home(browser, display, size):
         assert Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa"]}).violations_count == 0
         page.keyboard.press("Escape")
         page.locator("#now dd", has_text="ft").first.wait_for()
+
+
+def test_the_ground_ahead_and_the_waypoints_are_drawn_where_they_are_known(page, display, snapshots, monkeypatch):
+    figure, dots = page.locator("#plots figure", has_text="ground ahead"), page.locator("#map .waypoint")
+    assert not figure.is_visible()
+    monkeypatch.setattr(
+        ViewDisplay, "ground", Ground(np.full((81, 81), 40.0, np.float32), -4000.0, -4000.0, 100.0, 100.0)
+    )
+    display.show(replace(snapshots[-1][0], waypoints_m=((0.0, 100.0), (50.0, 120.0))))
+    display.pump()
+    expect(figure).to_contain_text("60 at the lowest")
+    expect(figure.locator("polyline")).to_have_count(2)
+    expect(dots).to_have_count(2)

@@ -14,6 +14,7 @@ from sidelong.app.config import Config
 from sidelong.app.view.state import StateEncoder, setting
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.control.present import Phase
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.requirement import Requirement, Sector, Side
@@ -165,3 +166,19 @@ def test_fences_are_drawn_once_the_plane_is_known():
     assert outline[0] == [0.0, 0.0]
     assert outline[1] == pytest.approx([0.0, 111.2], abs=0.2)
     assert outline[2] == pytest.approx([76.1, 111.2], abs=0.3)
+
+
+def test_the_ground_ahead_is_that_below_the_path_up_to_the_end_of_the_next_lap(snapshots):
+    coming = next(one for one in snapshots if one.coming is not None)
+    encoder, plan = StateEncoder(15.0, 100.0), coming.coming
+    rises_m = np.tile(np.linspace(-400.0, 400.0, 81, dtype=np.float32), (81, 1))  # a metre in ten to the east
+    encoder.ground = Ground(rises_m, -4000.0, -4000.0, 100.0, 100.0)
+    ahead = encoder.state(coming, 0.0)["ahead"]
+    lap_m = math.tau * plan.circle.radius_m
+    assert lap_m + 0.8 * plan.transition.length_m < ahead["length_m"] < lap_m + 1.01 * plan.transition.length_m
+    assert ahead["ground_m"][0] == pytest.approx(0.1 * plan.transition.east_m[0], abs=3.0)
+    on_lap_m = 0.1 * (plan.circle.east_m + plan.circle.radius_m), 0.1 * (plan.circle.east_m - plan.circle.radius_m)
+    assert max(ahead["ground_m"][-20:]) == pytest.approx(on_lap_m[0], abs=2.0)
+    assert min(ahead["ground_m"][-20:]) == pytest.approx(on_lap_m[1], abs=2.0)
+    assert set(ahead["height_m"]) == {100.0}
+    assert StateEncoder(15.0, 100.0).state(coming, 0.0)["ahead"] is None

@@ -296,6 +296,7 @@ export class FlightMap {
     if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
     const others = [...(state?.others ?? []), ...(state?.traffic ?? []), ...(other?.aircraft ? [{ ...other, name: "what if" }] : [])];
     this.drawFleet(others.filter((one) => one.aircraft), placed, x, y);
+    for (const [e, n] of state?.waypoints ?? []) svg("circle", { class: "waypoint", cx: x(e), cy: y(n), r: 3 }, this.others);
     for (const { name, at_m } of state?.targets ?? []) {
       svg("circle", { class: "target", cx: x(at_m[0]), cy: y(at_m[1]), r: 5 }, this.others);
       svg("text", { class: "label", x: x(at_m[0]) + 9, y: y(at_m[1]) + 16 }, this.others).textContent = name;

@@ -387,7 +387,7 @@ function draw() {
   if (!state) return;
   map.state = state;
   map.draw();
-  plots.draw(state.name);
+  plots.draw(state);
   fleet.draw(old);
   byId("whose").hidden = !state.name;
   byId("whose").textContent = state.name;
@@ -590,8 +590,8 @@ byId("places").addEventListener("click", async ({ target: button }) => {
   button.textContent = `${called(button.dataset.of)}: copied`;
 });
 
-new ResizeObserver(() => plots.draw(state?.name)).observe(byId("plots"));
-byId("engineers").addEventListener("toggle", () => plots.draw(state?.name));
+new ResizeObserver(() => plots.draw(state ?? {})).observe(byId("plots"));
+byId("engineers").addEventListener("toggle", () => plots.draw(state ?? {}));
 
 draw();
 follow();

@@ -65,22 +65,30 @@ class Plot {
     this.marks = svg("g", { transform: `translate(${LEFT_PX})` }, this.svg);
   }
 
-  draw(samples, setting) {
-    const { kind } = this;
-    if (kind.unit) this.title.data = `${kind.title}, ${kind.unit()}`;
+  // The frame and its labels; returns the scales, null while there is no room.
+  lay([first, last], [least, most]) {
+    if (this.kind.unit) this.title.data = `${this.kind.title}, ${this.kind.unit()}`;
     const width = this.svg.clientWidth;
     const height = this.svg.clientHeight;
-    if (!width || !samples.length || !setting.band_m) return;
-    const values = kind.lines.map(([value]) => samples.map(value));
-    const known = values.flat().filter((v) => v !== null && v !== undefined);
-    const [least, most] = kind.range(setting, Math.max(0, ...known) * 1.1);
-    const end = samples.at(-1).time_s;
-    const at = { x: scale([end - SPAN_S, end], 0, width - LEFT_PX), y: scale([least, most], height, 0), width: width - LEFT_PX, height };
+    if (!width) return null;
+    const at = { x: scale([first, last], 0, width - LEFT_PX), y: scale([least, most], height, 0), width: width - LEFT_PX, height };
     for (const side of ["width", "height"]) this.frame.setAttribute(side, at[side]);
     [most, least].forEach((value, k) => {
       this.labels[k].textContent = Math.round(value);
       this.labels[k].setAttribute("y", k ? height - 1 : 9);
     });
+    return at;
+  }
+
+  draw(samples, setting) {
+    const { kind } = this;
+    if (!samples.length || !setting.band_m) return;
+    const values = kind.lines.map(([value]) => samples.map(value));
+    const known = values.flat().filter((v) => v !== null && v !== undefined);
+    const [least, most] = kind.range(setting, Math.max(0, ...known) * 1.1);
+    const end = samples.at(-1).time_s;
+    const at = this.lay([end - SPAN_S, end], [least, most]);
+    if (!at) return;
     const x = samples.map((sample) => sample.time_s);
     const shade = kind.shade?.(setting);
     const marks = shade ? [{ kind: "bands", of: "shade", rects: [[null, null, ...shade]] }] : [];
@@ -93,6 +101,29 @@ class Plot {
   }
 }
 
+// The ground below the path from the aircraft to the end of the next lap, and the heights planned for it.
+class Profile extends Plot {
+  constructor(parent) {
+    super({ title: "ground ahead", unit: lengthUnit, lines: [[null, "planned height"], [null, "ground"]] }, parent);
+  }
+
+  draw(ahead) {
+    this.svg.parentElement.hidden = !ahead;
+    if (!ahead) return;
+    const inUnits = (values) => values.map((value) => (value === null ? null : lengthOf(value)));
+    const [ground, planned] = [inUnits(ahead.ground_m), inUnits(ahead.height_m)];
+    const x = ground.map((_, k) => (k * lengthOf(ahead.length_m)) / (ground.length - 1));
+    const known = [...ground, ...planned].filter((value) => value !== null);
+    const [least, most] = [Math.min(...known), Math.max(...known)];
+    const at = this.lay([0, x.at(-1)], [least - 0.1 * (most - least), most + 0.1 * (most - least)]);
+    if (!at) return;
+    draw([{ kind: "line", of: "s1", x, y: ground }, { kind: "line", of: "s0", x, y: planned }], at, this.marks);
+    const clear = ground.map((value, k) => (value === null || planned[k] === null ? Infinity : planned[k] - value));
+    const lowest = Math.min(...clear);
+    this.latest.textContent = Number.isFinite(lowest) ? `${lowest.toFixed(0)} at the lowest, over ${Math.round(x.at(-1))}` : "unknown";
+  }
+}
+
 export class Plots {
   // inner: where the plots for engineers go.
   constructor(parent, inner) {
@@ -100,6 +131,7 @@ export class Plots {
     this.samples = new Map(); // by the name of the aircraft
     this.setting = {};
     this.plots = PLOTS.map((kind) => new Plot(kind, kind.inner ? inner : parent));
+    this.profile = new Profile(parent);
     const under = document.createElement("figcaption");
     under.textContent = `the last ${SPAN_S} s of the flight; the latest values are at the right edge`;
     const figure = document.createElement("div");
@@ -123,10 +155,11 @@ export class Plots {
     }
   }
 
-  // name: of the aircraft to be shown; "" where there is one only.
-  draw(name = "") {
+  // name: of the aircraft to be shown; "" where there is one only. ahead: the ground on its path; null: not known.
+  draw({ name = "", ahead = null } = {}) {
     const samples = this.samples.get(name) ?? [];
     this.parent.hidden = !samples.length;
     for (const plot of this.plots) plot.draw(samples, this.setting);
+    this.profile.draw(ahead);
   }
 }
