@@ -139,10 +139,11 @@ class TargetCamera:
             (x, y, across, down), self._wish = self._wish, None
             box = Box(x * width, y * height, across * width, down * height) if across and down else None
             self._tracker.start(picture, time_s, view, x * width, y * height, box)
-        estimate, velocity_m_s = self._known(time_s), None
+        estimate, velocity_m_s, sigma_m_s = self._known(time_s), None, 0.0
         if estimate is not None and time_s - estimate.last_sighting_s < _ESTIMATE_AGE_MAX_S:
             velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
-        tracked = self._tracker.update(picture, time_s, view, velocity_m_s)
+            sigma_m_s = math.sqrt(max(estimate.covariance.diagonal()[2:4]))
+        tracked = self._tracker.update(picture, time_s, view, velocity_m_s, sigma_m_s)
         self.latest = Pictured(time_s, tracked, view, position, attitude, estimate)
         return self.latest
 

@@ -37,6 +37,7 @@ _FRESH_S, _NEAR_M = 2.0, 3.0
 _STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
 _ON_WAY_M = 8.0  # how far off its straight way the target may have stopped; what looks like it stands farther off
+_UNKNOWN_M_S = 3.0  # what the target's velocity is off, before there is an estimate of it
 _SLACK_M, _SLACK_M_S, _SEARCH_MAX_M = 4.0, 1.0, 45.0  # how far it may be from where it was seen, and how this grows
 _OBJECT_M = 4.5
 _LOOK_S, _TURNS_M = 2.0, 20.0
@@ -68,7 +69,9 @@ class Tracked:
     confidence: float = 0.0
 
 
-_HUES, _LEARN, _COLOUR_MIN = 24, 0.1, 0.35
+_HUES, _COLOUR_MIN = 24, 0.35
+_LEARN, _LEARN_OWN = 0.1, 0.005  # of a learning: for the surroundings; for the object, once it was learnt often
+_RARE = 0.02  # share of a box: a colour that less of it has is hardly the object's
 _TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 1.5
 _TURNED_DEG = (0.0, -20.0, 20.0)
 _CORRELATION = 0.8  # of an object with itself some seconds before
@@ -83,6 +86,7 @@ class _Look:
     def __init__(self) -> None:
         self._inside = np.zeros((_HUES, _HUES))
         self._outside = np.zeros((_HUES, _HUES))
+        self._times = 0
         self._colour = 0.0  # mean share of the object's own colours in its box
         self._templates: deque[Picture] = deque(maxlen=_TEMPLATES)
         self._unproved: deque[tuple[float, Picture]] = deque()
@@ -95,12 +99,13 @@ class _Look:
         around = np.ones(window.shape[:2], bool)
         around[max(top - 4, 0) : top + height + 4, max(left - 4, 0) : left + width + 4] = False
         inner = _hues(patch)[height // 4 : -height // 4, width // 4 : -width // 4]
-        first = not self._templates
-        rate = 1.0 if first else _LEARN
-        self._inside += rate * (_shares(inner.reshape(-1, 2)) - self._inside)
-        self._outside += rate * (_shares(hues[around]) - self._outside)
+        first, self._times = not self._templates, self._times + 1
+        # What hides the object for a moment gives it no colour: those of all its time count alike.
+        own_rate = max(1.0 / self._times, _LEARN_OWN)
+        self._inside += own_rate * (_shares(inner.reshape(-1, 2)) - self._inside)
+        self._outside += (1.0 if first else _LEARN) * (_shares(hues[around]) - self._outside)
         colour = float(self._own_colour(_hues(patch)).mean())
-        self._colour += rate * (colour - self._colour)
+        self._colour += (1.0 if first else _LEARN) * (colour - self._colour)
         if first:
             self._templates.append(patch)
         elif not self._unproved or time_s - self._unproved[-1][0] > _TEMPLATE_EVERY_S:
@@ -151,7 +156,7 @@ class _Look:
         return np.where(colour < _HIDDEN_BELOW, colour, both).astype(np.float32)
 
     def _own_colour(self, hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
-        share = self._inside / (self._inside + self._outside + 1e-3)
+        share = self._inside / (self._inside + self._outside + _RARE)
         return share[hues[..., 0], hues[..., 1]]
 
 
@@ -221,7 +226,7 @@ class ObjectTracker:
         self._state: TrackingState = "idle"
         self._confidence = 0.0
         self._at_m = (0.0, 0.0)  # where it was last seen
-        self._velocity_m_s = (0.0, 0.0)
+        self._velocity_m_s, self._velocity_sigma_m_s = (0.0, 0.0), _UNKNOWN_M_S
         self._seen_s = self._learnt_s = self._searched_s = self._surveyed_s = -math.inf
         self._doubts = 0
         self._candidates: list[_Candidate] = []
@@ -268,7 +273,8 @@ class ObjectTracker:
             return False
         scale = view.scale_px_m(*at)
         self._size_m = (_OBJECT_M, _OBJECT_M) if box is None else (box.width_px / scale, box.height_px / scale)
-        self._velocity_m_s, self._alike, self._candidates, self._trial = (0.0, 0.0), [], [], None
+        self._velocity_m_s, self._velocity_sigma_m_s = (0.0, 0.0), _UNKNOWN_M_S
+        self._alike, self._candidates, self._trial = [], [], None
         self._look, self._learnt_s = _Look(), -math.inf
         self._follow(picture, time_s, view, at)
         return True
@@ -283,6 +289,7 @@ class ObjectTracker:
         time_s: float,
         view: View,
         velocity_m_s: tuple[float, float] | None = None,
+        velocity_sigma_m_s: float = 0.0,
     ) -> Tracked:
         """Take a picture.
 
@@ -290,12 +297,13 @@ class ObjectTracker:
             time_s: When it was taken.
             view: From where and which way.
             velocity_m_s: The target's velocity (east, north) by the estimate, None where it is not known.
+            velocity_sigma_m_s: Its standard deviation.
         """
         if self._state == "idle":
             return Tracked("idle")
         if self._state == "object":
             if velocity_m_s is not None and self._trial is None:
-                self._velocity_m_s = velocity_m_s
+                self._velocity_m_s, self._velocity_sigma_m_s = velocity_m_s, velocity_sigma_m_s
             box = self._followed(picture, time_s, view)
             if box is not None and self._trial is not None:
                 self._judge(self._trial, time_s)
@@ -397,7 +405,8 @@ class ObjectTracker:
         """Search for it; return where it is expected."""
         hidden_s = time_s - self._seen_s
         expected_m, around_m = self.expected_m(time_s), self._at_m
-        radius_m = _SLACK_M + (_SLACK_M_S + 1.5 * math.hypot(*self._velocity_m_s)) * hidden_s
+        slack_m_s = max(self._velocity_sigma_m_s, _SLACK_M_S)
+        radius_m = _SLACK_M + (slack_m_s + 1.5 * math.hypot(*self._velocity_m_s)) * hidden_s
         if hidden_s > _STOPPED_S:
             around_m = expected_m
         radius_m = min(radius_m, _SEARCH_MAX_M)
@@ -479,9 +488,10 @@ class ObjectTracker:
                 continue  # it stood there before, next to the object
             off_m, seen_for_s = math.dist(one.latest[1:], expected_m), time_s - one.seen[0][0]
             fits = len(one.seen) >= _SEEN_TIMES and seen_for_s >= _SEEN_FOR_S and time_s - one.latest[0] < 0.3
-            if speed_m_s > _MOVES_M_S and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
+            may_move = max(speed_m_s, self._velocity_sigma_m_s) > _MOVES_M_S
+            if may_move and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
                 moved_m_s = one.speed_m_s(_STANDS_FOR_S)
-                stands = moved_m_s is not None and moved_m_s < _STANDING_SHARE * speed_m_s
+                stands = moved_m_s is not None and moved_m_s < _STANDING_SHARE * max(speed_m_s, _MOVES_M_S)
                 has_stood, is_on_way = seen_for_s >= _STOOD_FOR_S, self._is_on_way(one.latest[1:])
                 if stands and has_stood and not is_on_way:
                     self._alike.append(one.latest)

@@ -24,6 +24,7 @@ _LIGHT_PERIOD_S, _LIGHT_SHARE = 70.0, 0.25
 _EXPOSURE_S = 0.008
 _NEAR_M, _FAR_M = 5.0, 3_000.0
 _TREES_PER_KM, _LOOKALIKES_PER_KM, _ALONG_S = 12.0, 10.0, 5
+_TURNS_OVER_M = 1.5  # the inaccuracy of a recorded track does not turn the target on the spot
 _TREE_OFF_M, _LOOKALIKE_OFF_M = (4.0, 25.0), (10.0, 30.0)
 
 
@@ -114,11 +115,11 @@ class Scenery:
         return east_m + share * (next_east_m - east_m), north_m + share * (next_north_m - north_m)
 
     def _target(self, time_s: float) -> _Vehicle:
-        """Return the target; standing, it keeps the direction of its last motion."""
+        """Return the target; it turns as it moves, and standing keeps the direction of its last motion."""
         here = self.target_m(time_s)
-        for over_s in (0.5, 2.0, 8.0, 30.0, 120.0):
+        for over_s in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0):
             before = self.target_m(max(time_s - over_s, 0.0))
-            if math.dist(here, before) > 0.2:
+            if math.dist(here, before) > _TURNS_OVER_M:
                 return _Vehicle(*here, math.atan2(here[0] - before[0], here[1] - before[1]))
         return _Vehicle(*here)
 

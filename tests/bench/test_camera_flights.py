@@ -91,19 +91,24 @@ class _Flight(FaultedFlight):
         return super()._relative_to_truth(now_s, moved)
 
 
+def write_low_hills(folder: Path) -> None:
+    """Write elevation data into a folder whose hills are around home."""
+    tile, heights = np.zeros((SIDE, SIDE), np.int16), hills()[0] // _FLATTER
+    row, column = (
+        round((SIDE - 1) * part - size / 2)
+        for part, size in zip((1.0 - HOME_DEG[0] % 1.0, HOME_DEG[1] % 1.0), heights.shape, strict=True)
+    )
+    tile[row : row + heights.shape[0], column : column + heights.shape[1]] = heights
+    tile.astype(">i2").tofile(folder / "N47E008.hgt")
+
+
 def worlds(kind: str, folder) -> list[World]:
     """Return one world for each flight; their errors are spread as a normal distribution is."""
     sigma_m = _SIGMA_M[kind]
     if kind == "flat":
         terrain, ground = {"flat": True, "sigma_m": sigma_m}, flat_ground(sigma_m)
     else:
-        tile, heights = np.zeros((SIDE, SIDE), np.int16), hills()[0] // _FLATTER
-        row, column = (
-            round((SIDE - 1) * part - size / 2)
-            for part, size in zip((1.0 - HOME_DEG[0] % 1.0, HOME_DEG[1] % 1.0), heights.shape, strict=True)
-        )
-        tile[row : row + heights.shape[0], column : column + heights.shape[1]] = heights
-        tile.astype(">i2").tofile(folder / "N47E008.hgt")
+        write_low_hills(folder)
         terrain = {"folder": str(folder), "sigma_m": sigma_m}
         ground = ElevationData(folder).ground(faults._PLANE, HOME_DEG, sigma_m)
     spread = [NormalDist().inv_cdf((k + 0.5) / FLIGHTS) for k in range(FLIGHTS)]

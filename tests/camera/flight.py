@@ -1,4 +1,7 @@
-"""A flight from pixels alone: the rendered world of :mod:`sidelong.sitl`, the camera, and the core in one loop."""
+"""A flight from pixels alone: the rendered world of :mod:`sidelong.sitl`, the camera, and the core in one loop.
+
+Without a camera in the settings it is the same flight with laser and gimbal.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from sidelong.app.analysis.score import Moment, Score, judge_moments, score
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.camera.camera import TargetCamera
@@ -31,25 +35,30 @@ _DO_GIMBAL_MANAGER_PITCHYAW, _YAW_LOCK = 1000, 16
 _ON_CIRCLE_WITHIN_S = 300.0
 _CLICK_ABOVE_M = 40.0
 _CHI2_95 = 5.991
+_JUDGED_EVERY_S = 0.5
 
 
 @dataclass(slots=True)
 class Pixels:
-    """What was recorded, once a picture, or once a judged position."""
+    """What was recorded, once a picture, or once a judged position.
+
+    Attributes:
+        score: by the truth, None before the end of the flight.
+    """
 
     in_picture: list[bool] = field(default_factory=list)
     in_middle: list[bool] = field(default_factory=list)
     off_m: list[float] = field(default_factory=list)  # of what is tracked from the target, nan: lost
     inside: list[bool] = field(default_factory=list)  # of the 95 % ellipse
-    range_m: list[float] = field(default_factory=list)
-    on_side: list[bool] = field(default_factory=list)
-    in_band: list[bool] = field(default_factory=list)
+    score: Score | None = None
     times_s: list[float] = field(default_factory=list)
     cost_s: list[float] = field(default_factory=list)
 
 
 class PixelFlight(ClosedLoop[bytes]):
     """Fly it with :meth:`fly`."""
+
+    camera: TargetCamera | None = None
 
     def __init__(self, config: Config, settings: Settings, rate_hz: float = 15.0) -> None:
         self.simulation = Simulation(settings)
@@ -68,9 +77,10 @@ class PixelFlight(ClosedLoop[bytes]):
         self.core = mission_controller_of(config, controller, dialect, self.telemetry.plane, home)
         ground = controller.surroundings.ground
         height = (lambda e, n: 0.0) if ground is None else ground.height_m
-        view_rad = math.radians(settings.camera.view_deg)
-        self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
-        self.simulation.camera.on_picture = lambda _time_s, picture: self._pictures.append((vehicle.now_s, picture))
+        if settings.camera is not None:
+            view_rad = math.radians(settings.camera.view_deg)
+            self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
+            self.simulation.camera.on_picture = lambda _time_s, image: self._pictures.append((vehicle.now_s, image))
         self.listeners.append(self._follow_events)
         self.requirement = config.requirement.requirement()
 
@@ -78,13 +88,14 @@ class PixelFlight(ClosedLoop[bytes]):
         return self.controller.tracker.estimate(time_s)
 
     def _follow_events(self, event: object, outputs: tuple[object, ...]) -> None:
-        self.camera.event(event)
+        if self.camera is not None:
+            self.camera.event(event)
         self.has_control |= any(isinstance(output, ControlAcquired) for output in outputs)
 
     def step(self) -> None:
         """Move the clock by one tick, and let the camera work."""
         super().step()
-        if self.core is None:
+        if self.core is None or self.camera is None:
             return
         vehicle = self.simulation.vehicle
         now_s = vehicle.now_s
@@ -148,6 +159,12 @@ class PixelFlight(ClosedLoop[bytes]):
             off = np.array(estimate.position_m(taken_s)) - target
             pixels.inside.append(bool(off @ np.linalg.solve(estimate.covariance[:2, :2], off) <= _CHI2_95))
 
+    def _target_m(self, time_s: float) -> tuple[float, float]:
+        simulation = self.simulation
+        if simulation.camera is None:
+            return simulation.motions[simulation.looks_at].at(time_s)
+        return simulation.camera.scenery.target_m(time_s)
+
     def fly(self, duration_s: float) -> Pixels:
         """Take off, and watch for a time."""
         self.take_over()
@@ -155,15 +172,15 @@ class PixelFlight(ClosedLoop[bytes]):
         self.run(_ON_CIRCLE_WITHIN_S, lambda: self.controller.estimate is not None)
         for name in ("in_picture", "in_middle", "off_m", "inside", "times_s", "cost_s"):
             getattr(self.pixels, name).clear()
-        end_s = self.simulation.time_s + duration_s
-        while self.simulation.time_s < end_s:
-            self.run(0.5)
-            craft = self.simulation.vehicle.craft
-            target = self.simulation.camera.scenery.target_m(self.simulation.time_s)
-            range_m = math.dist((craft.east_m, craft.north_m), target)
-            self.pixels.range_m.append(range_m)
-            requirement = self.requirement
-            self.pixels.in_band.append(requirement.range_min_m <= range_m <= requirement.range_max_m)
+        begin_s, moments, before_m = self.simulation.time_s, [], self._target_m(self.simulation.time_s)
+        while (time_s := self.simulation.time_s) < begin_s + duration_s:
+            craft, at_m = self.simulation.vehicle.craft, self._target_m(time_s)
+            velocity_m_s = [(now - before) / _JUDGED_EVERY_S for now, before in zip(at_m, before_m, strict=True)]
+            moments.append(Moment(time_s, craft.east_m, craft.north_m, *at_m, *velocity_m_s))
+            before_m = at_m
+            self.run(_JUDGED_EVERY_S)
+        judged = judge_moments(moments, ((-math.inf, self.requirement),))
+        self.pixels.score = score(judged, "truth", end_s=self.simulation.time_s)
         return self.pixels
 
 

@@ -1,4 +1,8 @@
-"""Damaged videos: cut, with bit errors, of changed resolution, silent, and of a camera that restarts."""
+"""Damaged videos: cut, with bit errors, of changed resolution, silent, and of a camera that restarts.
+
+VIDEO_DAMAGES: videos with cuts or bit errors; for each ten of them the resolution changes once, and a camera restarts
+twice.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ import pytest
 from sidelong.app.camera.video import Picture, VideoOutput, VideoSource
 
 DAMAGES = int(os.environ.get("VIDEO_DAMAGES", "60"))
+_FEW = max(DAMAGES // 10, 1)
 RATE_HZ, PICTURES, RESUMED_WITHIN_S = 15.0, 150, 3.0
 _BITS = 8
 
@@ -86,34 +91,42 @@ def test_pictures_come_again_within_three_seconds_after_damage(tmp_path, whole):
 
 
 def test_a_change_of_resolution_is_followed(tmp_path, whole):
-    later = filmed(tmp_path / "later.ts", range(PICTURES, PICTURES + 60), (320, 176))
-    (tmp_path / "both.ts").write_bytes(whole + later)
-    source = Watched(str(tmp_path / "both.ts"))
-    source.read()
-    assert set(range(PICTURES, PICTURES + 60)) - set(source.numbers) == set()
+    rng = np.random.default_rng(6)
+    for case in range(_FEW):
+        size_px = int(rng.integers(10, 40)) * 16, int(rng.integers(6, 23)) * 16
+        later = filmed(tmp_path / "later.ts", range(PICTURES, PICTURES + 60), size_px)
+        (tmp_path / "both.ts").write_bytes(whole[: int(rng.integers(len(whole) // 2, len(whole)))] + later)
+        source = Watched(str(tmp_path / "both.ts"))
+        source.read()
+        assert set(range(PICTURES, PICTURES + 60)) - set(source.numbers) == set(), f"case {case}: {size_px}"
 
 
 def test_silence_and_a_restart_of_the_camera_are_reported_and_survived():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         address = free.getsockname()
-    source = Watched(f"udp://127.0.0.1:{address[1]}")
+    source, rng, longest = Watched(f"udp://127.0.0.1:{address[1]}"), np.random.default_rng(7), 0
 
     def words(text: str) -> int:
         return sum(text in report for report in source.reports)
 
-    for size_px in ((160, 96), (320, 176)):  # the second camera counts from 0 again, with other pictures
+    size_px = 160, 96
+    for _ in range(2 * _FEW):  # each camera counts from 0 again, with pictures of another size
+        size_px = 480 - size_px[0], 272 - size_px[1]
         before, seen = words("no picture"), None
-        output = VideoOutput(RATE_HZ, None, address=address)
-        for number in itertools.count():
-            output.put(picture_of(number % 256, size_px), number / RATE_HZ)
+        output, begin = VideoOutput(RATE_HZ, None, address=address), int(rng.integers(256))
+        for sent in itertools.count(1):
+            output.put(picture_of((begin + sent) % 256, size_px), (begin + sent) / RATE_HZ)
             taken = source.next(1.0 / RATE_HZ)
             seen = seen if taken is None else taken[0].shape[1::-1]
             if seen == size_px:
                 break
+        longest = max(longest, sent)
         output.close()
         assert words("pictures again") == words("no picture")
         while words("no picture") == before:
             source.next(1.0)
     source.close()
-    assert words("no picture") >= 2
+    print(f"\n{2 * _FEW} restarts, pictures again after at most {longest / RATE_HZ:.1f} s of the stream")
+    assert longest <= RESUMED_WITHIN_S * RATE_HZ
+    assert words("no picture") >= 2 * _FEW
