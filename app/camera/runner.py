@@ -108,7 +108,7 @@ class CameraRunner:
         self._component = CameraComponent(vehicle.system_id, self.camera, view_rad, settings.video_uri)
         self._packer = Packer((vehicle.system_id, CAMERA_COMPONENT))
         self._transmit: Callable[[bytes], None] = lambda _frame: None
-        self._timeline = VehicleTimeline()
+        self._timeline = VehicleTimeline(simulated=clicks)  # a simulation's clock pauses with a busy computer
         self._here, self._show = here, show
         self._metadata: UasMetadata | None = None
         self._record = record if settings.record_mb else None

@@ -204,10 +204,10 @@ class _Candidate:
 
 @dataclass(slots=True)
 class _Trial:
-    """What was found after a loss, until it has moved as the object did.
+    """What was found after a loss or passes what looks like it, until it has moved as the object did.
 
     Attributes:
-        lost: where and when the object was seen last: time s, east m, north m.
+        lost: where and when the object was seen for sure: time s, east m, north m.
         found: as it is followed now.
     """
 
@@ -347,6 +347,9 @@ class ObjectTracker:
         if at is None:
             return None
         self._at_m, self._seen_s = at, time_s
+        passes = any(self._is_same(view, known[1:], at) for known in self._alike)
+        if passes and self._trial is None and math.hypot(*self._velocity_m_s) > _MOVES_M_S:
+            self._trial = _Trial((time_s, *at), _Candidate(deque(maxlen=100)))  # what goes on may be that one
         if likeness > _LEARNT_FROM and time_s - self._learnt_s > _LEARN_EVERY_S:
             self._learn(window, *middle, time_s)
         if self._trial is None and time_s - self._surveyed_s > _SURVEY_EVERY_S:
@@ -405,8 +408,11 @@ class ObjectTracker:
         """Search for it; return where it is expected."""
         hidden_s = time_s - self._seen_s
         expected_m, around_m = self.expected_m(time_s), self._at_m
-        slack_m_s = max(self._velocity_sigma_m_s, _SLACK_M_S)
-        radius_m = _SLACK_M + (slack_m_s + 1.5 * math.hypot(*self._velocity_m_s)) * hidden_s
+        slack_m_s = max(2.0 * self._velocity_sigma_m_s, _SLACK_M_S)
+        away_m = view.focal_px / view.scale_px_m(*self._at_m)
+        down_m = max(view.position_m[2] - view.ground_m(*self._at_m), 0.2 * away_m)
+        # An error of the box is longer on the ground, the lower the line of sight.
+        radius_m = _SLACK_M * away_m / down_m + (slack_m_s + 1.5 * math.hypot(*self._velocity_m_s)) * hidden_s
         if hidden_s > _STOPPED_S:
             around_m = expected_m
         radius_m = min(radius_m, _SEARCH_MAX_M)

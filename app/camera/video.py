@@ -31,6 +31,7 @@ _OPEN_S, _READ_S, _RETRY_S, _WHOLE_AFTER_S = 5.0, 1.5, 0.5, 10.0
 _WIDTH_MAX_PX = 1280
 _H264, _VIDEO, _METADATA, _CLOCK_HZ, _DECODED_LATER, _IN_DATAGRAM = 0x1B, 0x100, 0x101, 90_000, 27_000, 7
 _SLICE = re.compile(rb"\x00?\x00\x00\x01[\x01\x05\x21\x25\x41\x45\x61\x65]")  # the first unit of a picture's pixels
+_CLOCK_EVERY, _CLOCK_FILLED = 8_100, 900_000  # ticks: ST 1402 wants the clock each 0.1 s, also while no picture comes
 _GAP_S, _AHEAD_S, _SAME_S, _JPEG_QUALITY = 0.5, 3.0, 2e-3, 60
 _STREAMS = re.compile(r"(rtsps?|udp|tcp|srt|https?)://\S+")
 
@@ -212,7 +213,7 @@ class VideoOutput:
         self._left_bytes = budget_bytes
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._encoder: av.VideoCodecContext | None = None
-        self._pts = -1
+        self._pts, self._clock = -1, 0
         video = ElementaryStreamInfo(_H264, _VIDEO, ())
         metadata = synchronous_klv_stream(_METADATA, metadata_input_leak_rate=500, metadata_buffer_size=8)
         self._muxer = stanag4609.TransportMuxer(
@@ -234,7 +235,11 @@ class VideoOutput:
         self._pts = max(round(_CLOCK_HZ * time_s), self._pts + 1)  # the clocks' offset may step back
         frame.pts, frame.time_base = self._pts, Fraction(1, _CLOCK_HZ)
         muxer, packets = self._muxer, [*self._muxer.program_tables()]
-        packets.append(muxer.mux_pcr(stanag4609.pcr_from_ticks(300 * max(self._pts - _DECODED_LATER, 0))))
+        clock = max(self._pts - _DECODED_LATER, 0)
+        filled = min(clock, self._clock + _CLOCK_FILLED) if self._clock else 0
+        late = range(self._clock + _CLOCK_EVERY, filled, _CLOCK_EVERY)
+        packets += [muxer.mux_pcr(stanag4609.pcr_from_ticks(300 * ticks)) for ticks in (*late, clock)]
+        self._clock = clock
         try:
             encoded = b"".join(map(bytes, encoder.encode(frame)))
         except av.FFmpegError as error:  # some of them are no OSError

@@ -301,11 +301,12 @@ class VehicleTimeline:
 
     The least delayed message gives the offset of the clocks. A simulated vehicle's clock runs up to ``rate`` times as
     fast. Its latest stamps show its present rate. It may pause, so it is extrapolated only for a short time.
+    simulated: whether it is one that runs at most as fast as a real one.
     """
 
-    def __init__(self, rate: float = 1.0) -> None:
+    def __init__(self, rate: float = 1.0, *, simulated: bool = False) -> None:
         self._rate = rate
-        simulated = rate != 1.0
+        simulated = simulated or rate != 1.0
         self._window_s = _SIMULATED_WINDOW_S if simulated else _REAL_WINDOW_S
         self._ahead_max_s = _SIMULATED_AHEAD_MAX_S if simulated else math.inf
         self._samples: deque[tuple[float, float]] = deque()  # (arrival, stamp)

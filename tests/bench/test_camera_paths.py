@@ -42,6 +42,7 @@ from sidelong.sitl.payload.camera import GimbalCamera
 from sidelong.sitl.settings import CameraSettings
 from sidelong.sitl.world.picture import Image, Scenery
 from tests.bench.size import SMOKE, size
+from tests.camera.flight import clicked
 
 FLIGHTS, DURATION_S = size(6, 1, "PATHS_TRACKS"), float(size(300, 30, "PATHS_S"))
 ONE_SIDED, EIGHTS = "one-sided circles", "figures of eight"
@@ -142,19 +143,20 @@ class Filmed:
         self._tracker.add(reading)
 
     def _point(self, time_s: float) -> None:
-        if time_s < self._by_hand_until_s:
+        if math.isfinite(self._by_hand_until_s):
             self._gimbal.commanded = False
             return
-        if self._by_hand_until_s > 0.0:
-            self._camera.follow(0.5, 0.5)
-            self._by_hand_until_s, self._on_target_s = 0.0, time_s
         wanted = self._camera.pointing(time_s)
         if wanted is not None:
             self._gimbal.point(*wanted, is_of_earth=True)
 
     def _take(self, taken_s: float, picture: Image) -> None:
         found = self._camera.picture(picture, taken_s)
-        if found is None or taken_s < _CLICK_S:
+        if found is None or taken_s < self._by_hand_until_s:
+            return
+        if math.isfinite(self._by_hand_until_s):
+            if clicked(self._camera, found.view, picture, self.scenery.target_m(taken_s)):
+                self._by_hand_until_s, self._on_target_s = -math.inf, taken_s
             return
         off_m = self._judge(taken_s, found)
         if found.tracked.state == "object" and taken_s >= self._report_s:
@@ -162,11 +164,12 @@ class Filmed:
             bearing_rad, depression_rad = found.view.direction(found.tracked.box.x_px, found.tracked.box.y_px)
             sight = from_roll_pitch_yaw(0.0, -depression_rad, bearing_rad)
             self._add(GimbalReading(taken_s, sight, "earth", _CAMERA))
-        if off_m < _WRONG_M or self._by_hand_until_s > 0.0:
+        if off_m < _WRONG_M:
             self._on_target_s = taken_s
         elif taken_s > self._on_target_s + _CLICK_AGAIN_S:
             self.clicks += 1
             self._by_hand_until_s = taken_s + _BY_HAND_S
+            self._camera.stop()
 
     def _judge(self, taken_s: float, found: Pictured) -> float:
         target_m, off_m = self.scenery.target_m(taken_s), math.nan

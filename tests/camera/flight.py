@@ -18,6 +18,7 @@ from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.camera.camera import TargetCamera
 from sidelong.app.camera.component import status_of
+from sidelong.app.camera.view import View
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.simulation.loop import ClosedLoop
@@ -36,6 +37,7 @@ _ON_CIRCLE_WITHIN_S = 300.0
 _CLICK_ABOVE_M = 40.0
 _CHI2_95 = 5.991
 _JUDGED_EVERY_S = 0.5
+_WRONG_M, _CLICK_AGAIN_S = 10.0, 20.0
 
 
 @dataclass(slots=True)
@@ -44,6 +46,7 @@ class Pixels:
 
     Attributes:
         score: by the truth, None before the end of the flight.
+        clicks: how often the operator pointed the gimbal at the target and clicked it again.
     """
 
     in_picture: list[bool] = field(default_factory=list)
@@ -51,8 +54,23 @@ class Pixels:
     off_m: list[float] = field(default_factory=list)  # of what is tracked from the target, nan: lost
     inside: list[bool] = field(default_factory=list)  # of the 95 % ellipse
     score: Score | None = None
+    clicks: int = 0
     times_s: list[float] = field(default_factory=list)
     cost_s: list[float] = field(default_factory=list)
+
+
+def clicked(camera: TargetCamera, view: View, picture: Any, target_m: tuple[float, float]) -> bool:
+    """Click the target, if the operator sees it plainly; return whether he does."""
+    at, side_px = view.pixel(*target_m), view.scale_px_m(*target_m)
+    if at is None:
+        return False
+    (x_px, y_px), (width, height) = at, view.size_px
+    half = max(round(0.6 * side_px), 2)
+    seen = picture[max(round(y_px) - half, 0) : round(y_px), max(round(x_px) - half, 0) : round(x_px) + half]
+    if not seen.size or np.mean(seen[..., 2] > 1.8 * seen[..., 1]) < 0.7:
+        return False
+    camera.follow(x_px / width, y_px / height)
+    return True
 
 
 class PixelFlight(ClosedLoop[bytes]):
@@ -65,6 +83,7 @@ class PixelFlight(ClosedLoop[bytes]):
         super().__init__(SitlVehicle(self.simulation, {**RATES_HZ, 2: 1.0}))
         self.pixels = Pixels()
         self.has_control = self._clicked = False
+        self._on_target_s = math.inf
         self._point_s = self._report_s = self._view_s = 0.0
         self._pictures: deque[tuple[float, Any]] = deque()
         self.connect()
@@ -99,9 +118,6 @@ class PixelFlight(ClosedLoop[bytes]):
             return
         vehicle = self.simulation.vehicle
         now_s = vehicle.now_s
-        if not self._clicked and vehicle.craft.height_m > _CLICK_ABOVE_M:
-            self._clicked = True
-            self.camera.follow(0.5, 0.5)
         while self._pictures and self._pictures[0][0] <= now_s - _PIPELINE_S:
             taken_s, picture = self._pictures.popleft()
             self._take(taken_s, picture)
@@ -124,7 +140,13 @@ class PixelFlight(ClosedLoop[bytes]):
         begun_s = time.perf_counter()
         found = self.camera.picture(picture, taken_s)
         self.pixels.cost_s.append(time.perf_counter() - begun_s)
-        if found is None or not self._clicked:
+        if found is None:
+            return
+        if not self._clicked:
+            if self.simulation.vehicle.craft.height_m > _CLICK_ABOVE_M:
+                self._clicked = clicked(self.camera, found.view, picture, self._target_m(self.simulation.time_s))
+                self._on_target_s = taken_s
+                self._judge(taken_s, found)
             return
         if taken_s >= self._view_s:
             self._view_s = taken_s + _VIEW_EVERY_S
@@ -152,6 +174,12 @@ class PixelFlight(ClosedLoop[bytes]):
         if found.tracked.state == "object":
             ground = found.view.ground(found.tracked.box.x_px, found.tracked.box.y_px)
             off_m = math.dist(ground, target)
+        if off_m < _WRONG_M:
+            self._on_target_s = taken_s
+        elif taken_s > self._on_target_s + _CLICK_AGAIN_S:
+            pixels.clicks, self._clicked = pixels.clicks + 1, False
+            self.camera.stop()
+            simulation.camera.commanded = False
         pixels.off_m.append(off_m)
         pixels.times_s.append(taken_s)
         estimate = self._estimate(taken_s)
@@ -172,6 +200,7 @@ class PixelFlight(ClosedLoop[bytes]):
         self.run(_ON_CIRCLE_WITHIN_S, lambda: self.controller.estimate is not None)
         for name in ("in_picture", "in_middle", "off_m", "inside", "times_s", "cost_s"):
             getattr(self.pixels, name).clear()
+        self.pixels.clicks = 0
         begin_s, moments, before_m = self.simulation.time_s, [], self._target_m(self.simulation.time_s)
         while (time_s := self.simulation.time_s) < begin_s + duration_s:
             craft, at_m = self.simulation.vehicle.craft, self._target_m(time_s)

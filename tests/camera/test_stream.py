@@ -78,6 +78,16 @@ def test_a_verifier_of_the_standards_finds_no_error(stream):
     assert {"st0604.timestamp.syntax", "st0902.profile", "st0903.vmti"} <= {one.code for one in report.findings}
 
 
+def test_the_clock_is_sent_each_tenth_of_a_second_also_between_pictures(tmp_path):
+    output, verifier = VideoOutput(RATE_HZ, tmp_path / "a.ts"), FMVVerifier()
+    for time_s in (25.0, 25.07, 25.3, 27.0, 27.07):
+        output.put(np.zeros((HEIGHT, WIDTH, 3), np.uint8), time_s)
+    output.close()
+    verifier.feed((tmp_path / "a.ts").read_bytes())
+    errors = [one for one in verifier.finish().findings if one.status is VerificationStatus.ERROR]
+    assert "st1402.pcr.interval" not in {one.code for one in errors}
+
+
 def test_another_decoder_gets_all_pictures_at_their_times(stream):
     with av.open(io.BytesIO(stream)) as container:
         times_s = [float(frame.time) for frame in container.decode(video=0)]
