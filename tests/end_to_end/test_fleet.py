@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 
-from tests.command_line import SIDELONG, new_process, sidelong
+from tests.command_line import PROGRAM, new_process, sidelong
 from tests.end_to_end.test_route import written
 
 pytestmark = pytest.mark.udp
@@ -113,7 +113,7 @@ def test_its_mcap_has_the_topics_of_each_at_the_same_time(flown, tmp_path):
 
 def test_an_interrupt_winds_all_up(tmp_path):
     process = subprocess.Popen(
-        [str(SIDELONG), "launch", "--fleet", "2", "--set", "simulation.speed=15", "--out", str(tmp_path / "runs")],
+        [*PROGRAM, "launch", "--fleet", "2", "--set", "simulation.speed=15", "--out", str(tmp_path / "runs")],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

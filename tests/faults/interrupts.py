@@ -45,6 +45,9 @@ sys.stdout.write = write_and_wait
 def report(event, arguments):
     if event == "import" and arguments[0] == "sidelong.app.process":
         print("{_BEGUN}")
+    if event == "import" and arguments[0] == "sidelong.app.commands.flying":
+        from sidelong.app.study import prediction
+        prediction.FLIGHT_S = 60.0  # 3 s of computing less before each flight
 sys.addaudithook(report)
 main()
 """

@@ -10,13 +10,12 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from sidelong.app.flight.shell import Life
-from tests.command_line import runs_for
+from tests.command_line import PROGRAM, runs_for
 from tests.faults.interrupts import Interruption, left_of
 
 pytestmark = pytest.mark.udp
@@ -40,16 +39,7 @@ def test_a_signal_ends_it_in_order(tmp_path, interruption, announced):
 
 
 def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "sidelong.app",
-        *SHORT,
-        "--planner",
-        "predictive",
-        "--out",
-        str(tmp_path / "runs"),
-    ]
+    command = [*PROGRAM, *SHORT, "--planner", "predictive", "--out", str(tmp_path / "runs")]
     # Without a cache the value table is computed again, and what computes it is compiled.
     nowhere = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
     process = subprocess.Popen(
@@ -108,7 +98,7 @@ def test_a_signal_that_comes_after_a_flight_does_not_take_its_summary_away(begun
 
 def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "sidelong.app", *SHORT, "--duration", "900", "--out", str(tmp_path)],
+        [*PROGRAM, *SHORT, "--duration", "900", "--out", str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -131,7 +121,7 @@ def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
 
 
 def flown(out: Path, stdout: int, **options: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "sidelong.app", *SHORT, "--out", str(out)]
+    command = [*PROGRAM, *SHORT, "--out", str(out)]
     return subprocess.run(
         command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=100.0, check=False, **options
     )
@@ -139,7 +129,7 @@ def flown(out: Path, stdout: int, **options: object) -> subprocess.CompletedProc
 
 def test_neither_a_full_terminal_nor_a_folder_that_vanishes_reaches_the_flight(tmp_path):
     out = tmp_path / "e6[" / "x]"  # what the terminal's library would take for markup
-    command = [sys.executable, "-m", "sidelong.app", *SHORT, "--out", str(out)]
+    command = [*PROGRAM, *SHORT, "--out", str(out)]
     with Path("/dev/full").open("w") as full:
         process = subprocess.Popen(command, stdout=full, stderr=subprocess.PIPE, text=True)
     try:
