@@ -40,6 +40,7 @@ LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_AT
 HEIGHT_M, GRAVITY_M_S2 = 100.0, 9.80665
 PLANE = LocalPlane(47.4, 8.5)
 UPLOAD_S, START_S = 0.4, 100.0
+SIZES, SCHEMES = ((1920, 1080), (1280, 800), (390, 844)), ("light", "dark")  # of windows of the page
 
 
 def target_at(time_s: float) -> tuple[float, float]:

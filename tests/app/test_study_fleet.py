@@ -40,13 +40,11 @@ def test_at_least_one_sees_as_much_as_the_better_one_alone(fleets):
 
 
 def test_together_they_see_the_side_almost_always(fleets):
-    usual = replace(SETTINGS, runs=4, legs_s=StudySettings().legs_s)
+    usual = replace(SETTINGS, legs_s=StudySettings().legs_s)
     table = table_of(usual)
     assert min(run_fleet(usual, number, table).time_on_side_any for number in usual.numbers) > 0.98
     # A target that turns every 30 to 60 s is no one's to keep: changes have their price. One run of 60 has 0.9.
-    restless = replace(SETTINGS, runs=6)
-    more = [run_fleet(restless, number, table) for number in restless.numbers[SETTINGS.runs :]]
-    assert np.mean([run.time_on_side_any for run in (*fleets[FleetPlannerName.JOINT], *more)]) > 0.97
+    assert np.mean([run.time_on_side_any for run in fleets[FleetPlannerName.JOINT]]) > 0.97
 
 
 def test_they_keep_apart_by_their_heights_at_least(fleets):
@@ -69,7 +67,7 @@ def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it(fast):
 
 
 def test_two_that_know_the_route_keep_the_side_longer_with_hardly_more_moves(fast):
-    settings, table = replace(fast[0], duration_s=600.0), fast[1]
+    settings, table = replace(fast[0], duration_s=400.0), fast[1]
     (track,) = settings.tracks
     routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
     without, along = run_fleet(settings, 0, table), run_fleet(routed, 0, table)
@@ -94,11 +92,10 @@ def test_laws_that_hold_phases_keep_the_aircraft_opposite(fleets):
 
 
 def test_the_other_takes_over_when_one_is_lost(fleets):
-    settings = replace(SETTINGS, runs=6)
-    table = table_of(settings)
+    table = table_of(SETTINGS)
     shares = []
-    for number in settings.numbers:
-        one = run_fleet(settings, number, table, losses=[Loss(0, 60.0)]).logs[1]
+    for number in SETTINGS.numbers:
+        one = run_fleet(SETTINGS, number, table, losses=[Loss(0, 60.0)]).logs[1]
         bearing = np.arctan2(one[:, 1] - one[:, 3], one[:, 2] - one[:, 4]) - one[:, 5]
         on_side = np.remainder(bearing, 2.0 * math.pi) > math.pi  # left
         shares.append(on_side[1200:].mean())

@@ -124,7 +124,7 @@ def the_papers_example(monkeypatch, threshold):
 def test_the_papers_ranges_come_out_of_the_study_too(monkeypatch):
     # The paper decides once a lap, in which the target goes 94 m: beyond its band, whether a lap more is flown before
     # the circle is moved depends on metres, and the vehicle flies uploaded items by its own guidance.
-    for threshold, least_m, greatest_m in ((0.9, 452, 482), (1.0, 489, 519), (1.1, 489, 616), (1.2, 489, 616)):
+    for threshold, least_m, greatest_m in ((0.9, 452, 482), (1.0, 489, 519), (1.2, 489, 616)):
         range_m = the_papers_example(monkeypatch, threshold)
         assert range_m.min() == pytest.approx(100.0, abs=20.0)
         assert least_m < range_m.max() < greatest_m

@@ -101,10 +101,12 @@ def test_delays_are_found_together_with_the_yaw_bias(delays_s, frame):
     assert abs(found.range_bias_m) < 3.0
 
 
-@pytest.mark.parametrize("frame", ["earth", "vehicle"])
 @pytest.mark.parametrize(
-    ("yaw_deg", "factor", "off_m"),
-    [(20.0, 1.0, 0.0), (-30.0, 1.0, 0.0), (0.5, 1.5, 0.0), (0.5, 0.7, 0.0), (0.5, 1.0, 100.0), (0.5, 1.0, -50.0)],
+    ("yaw_deg", "factor", "off_m", "frame"),
+    [
+        *((20.0, 1.0, 0.0, "earth"), (-30.0, 1.0, 0.0, "vehicle"), (0.5, 1.5, 0.0, "earth")),
+        *((0.5, 0.7, 0.0, "vehicle"), (0.5, 1.0, 100.0, "earth"), (0.5, 1.0, -50.0, "vehicle")),
+    ],
 )
 def test_large_errors_of_yaw_and_range_are_found_together_with_the_delays(yaw_deg, factor, off_m, frame):
     found = fitted(0.5, 0.0, frame, yaw_rad=math.radians(yaw_deg), factor=factor, off_m=off_m)

@@ -183,15 +183,15 @@ def test_figures_of_eight_keep_a_known_target_within_the_pan_limits(table):
 
 
 def test_figures_of_eight_are_planned_along_a_known_route():
-    """A boat and a hiker: both are on side for more of the time, and seldom beyond the limits."""
-    tracks = [one for one in recorded_targets([TRACKS], 5.0).flown if one.name in ("boat_010", "hike_014")]
+    """Next to a boat they are on side for more of the time, and seldom beyond the limits."""
+    tracks = recorded_targets([TRACKS / "boat_010.csv"], 5.0).flown
     limited = studied(airspeed_m_s=12.0, radius_m=40.0, target_speed_max_m_s=5.0, pan_limit_deg=120.0)
-    unknown = StudySettings(runs=2, config=limited, tracks=tuple(tracks), duration_s=900.0)
+    unknown = StudySettings(runs=1, config=limited, tracks=tracks, duration_s=900.0)
     routed = tuple(replace(one, route=own_route(one, np.random.default_rng(1))) for one in tracks)
     known = replace(unknown, tracks=routed)
     value_table, off_side = table_of(unknown), []
     for settings, least in ((known, 0.98), (unknown, 0.97)):
-        runs = [run(settings, PREDICTIVE, number, value_table) for number in range(2)]
-        assert all(one.time_within_pan_limits > least for one in runs)
-        off_side.append(sum(1.0 - one.time_on_side for one in runs))
+        one = run(settings, PREDICTIVE, 0, value_table)
+        assert one.time_within_pan_limits > least
+        off_side.append(1.0 - one.time_on_side)
     assert off_side[0] < 0.7 * off_side[1]

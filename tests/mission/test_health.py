@@ -473,8 +473,9 @@ def test_wrong_mounting_of_the_gimbal_is_reported():
     assert "+20 degrees, and corrected: check its mounting and the aircraft's heading, or correct" in text
 
 
-@pytest.mark.parametrize("begin_s", [0.0, BEGIN_S])
-@pytest.mark.parametrize("error_deg", [40.0, 90.0, 180.0, -120.0])
+@pytest.mark.parametrize(
+    ("begin_s", "error_deg"), [(0.0, 40.0), (BEGIN_S, 40.0), (BEGIN_S, 90.0), (0.0, 180.0), (BEGIN_S, -120.0)]
+)
 def test_very_wrong_mounting_of_the_gimbal_is_soon_reported_and_corrected(begin_s, error_deg):
     fault = Fault("mount", begin_s, math.inf, turned(error_deg))
     flight = FaultedFlight(Scenario(1, "px4", DURATION_S), [fault])
