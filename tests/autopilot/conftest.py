@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,9 +23,8 @@ from sidelong.sitl.protocol.transfer import Item
 from sidelong.sitl.server import serve
 from sidelong.sitl.settings import Flavour, LinkFaults, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
-from tests.command_line import runs_for
+from tests.command_line import PROGRAM, runs_for
 
-SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 20.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 LIFE_S = int(os.environ.get("LIFE_S", "600"))  # of the application, at most
@@ -162,7 +160,7 @@ class Vehicle:
 class Application:
     """``sidelong launch`` on a vehicle; stdout: where to, its log by default. Use as ``with``: killed at its end."""
 
-    def __init__(self, url, out, *options, program=(SIDELONG,), stdout=None):
+    def __init__(self, url, out, *options, program=PROGRAM, stdout=None):
         self.out = out
         arguments = ["launch", "--connect", url, "--duration", "3000", "--out", str(out), *options]
         arguments += ["--set", f"link.role={ROLE}"] if ROLE else []

@@ -10,7 +10,8 @@ import time
 
 import pytest
 
-from tests.autopilot.conftest import SIDELONG, Application, vehicle_of  # noqa: F401  # a fixture
+from tests.autopilot.conftest import Application, vehicle_of  # noqa: F401  # a fixture
+from tests.command_line import SIDELONG
 
 pytestmark = pytest.mark.udp
 

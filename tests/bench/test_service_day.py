@@ -14,7 +14,8 @@ from itertools import pairwise
 import psutil
 import pytest
 
-from tests.autopilot.conftest import SIDELONG, vehicle_of  # noqa: F401  # a fixture
+from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
+from tests.command_line import SIDELONG
 from tests.bench.size import size
 from tests.bench.test_service import Service
 
