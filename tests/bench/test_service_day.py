@@ -15,9 +15,9 @@ import psutil
 import pytest
 
 from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
-from tests.command_line import SIDELONG
 from tests.bench.size import size
 from tests.bench.test_service import Service
+from tests.command_line import SIDELONG
 
 pytestmark = [pytest.mark.udp, pytest.mark.timeout(4 * 3600)]
 

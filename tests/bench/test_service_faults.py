@@ -23,8 +23,8 @@ from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import RunFolder
 from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
-from tests.command_line import SIDELONG
 from tests.bench.test_service import Service
+from tests.command_line import SIDELONG
 
 pytestmark = [pytest.mark.udp, pytest.mark.timeout(3600)]
 
