@@ -40,7 +40,7 @@ def test_a_command_of_the_documents_is_understood(name, arguments):
     assert context.command.name == name
 
 
-@pytest.mark.parametrize("document", sorted((ROOT / "docs/tutorials").glob("*.md")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("document", sorted((ROOT / "docs").glob("[th]*/*.md")), ids=lambda path: path.stem)
 def test_a_tutorial_runs_the_program_that_the_installation_made(document):
     text = document.read_text(encoding="utf-8")
     commands = re.findall(rf"(\S*)\bsidelong (?:{'|'.join(COMMANDS)})\b", text)

@@ -67,7 +67,7 @@ def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it(fast):
 
 
 def test_two_that_know_the_route_keep_the_side_longer_with_hardly_more_moves(fast):
-    settings, table = replace(fast[0], duration_s=400.0), fast[1]
+    settings, table = replace(fast[0], duration_s=600.0), fast[1]
     (track,) = settings.tracks
     routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
     without, along = run_fleet(settings, 0, table), run_fleet(routed, 0, table)
