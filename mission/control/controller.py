@@ -96,7 +96,7 @@ from sidelong.mission.core.plan import (
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, escapes, orbits, paths_to, retreats
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
-from sidelong.mission.geometry.separation import Encounter
+from sidelong.mission.geometry.separation import PREDICTED_S, Encounter
 from sidelong.mission.health.health import Health
 from sidelong.mission.viewpoint.watch_course import TargetCourse
 
@@ -119,6 +119,7 @@ _JUMPED = "the target's position has jumped"
 _UNSEEN = "the target is not seen"
 _ELSEWHERE = "the target may not be where it is seen"
 _LATE = "the aircraft may not follow that path closely"
+_BEFORE_M = 10.0  # within which the target was before it moved too fast
 _TOO_FAST = "the payload may follow another object: it moves faster than the target can"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
 _SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
@@ -396,7 +397,9 @@ class StandoffController:
                 self._changed_s = self.time_s
             announced += self._health_changes()
             if Input.SPEED in self.envelope.faults:
-                self._object.suspect(self.time_s, _TOO_FAST)
+                before_s, *before_m = self.envelope.target_before
+                before = Reach(*before_m, _BEFORE_M, self.settings.requirement.target_speed_max_m_s)
+                self._object.suspect(self.time_s, _TOO_FAST, left=(before_s, before))
             announced += self._object.announce(self.time_s)
             self._judge_traffic()
         if self.changes.under_way is not None:
@@ -525,8 +528,8 @@ class StandoffController:
         self._kept_clear_s = now_s
         settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
         best: tuple[Plan, Heights | None] | None = None
-        best_share = found.share + _BETTER_SHARE
-        plans = [(self._again(present), heights) for heights in self._other_heights(found, height_m)]
+        best_share = min(found.share + _BETTER_SHARE, 1.0)
+        plans = [(self._again(present), heights) for heights in self._other_heights(present, height_m)]
         others = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
         for plan, heights in chain(plans, ((plan, None) for plan in others)):
             flown = self.surroundings.levelled(plan, height_m, self.surroundings.flown.target_m, heights)
@@ -534,10 +537,10 @@ class StandoffController:
                 continue
             coming = self._encounter_of(present, flown)
             share = math.inf if coming is None else coming.share
-            if share > best_share:
+            if share >= best_share:
                 best, best_share = (flown, heights), share
-            if best_share >= 1.0:
-                break
+                if share >= 1.0:
+                    break
         if best is None:
             if found.other.name == self._near:
                 return ()
@@ -551,13 +554,18 @@ class StandoffController:
         to = "" if heights is None else f" at {plan.circle_height_m(height_m):.0f} m above home"
         return self.changes.upload(now_s, plan, self._wind, f"keeping clear{to}: {found}")
 
-    def _other_heights(self, found: Encounter, height_m: float) -> list[Heights]:
-        """Return heights above and below a foreign aircraft; none in layers of a fleet, and over terrain."""
-        heights, keep_m = self.surroundings.heights, found.other.clear_m[1] + _HEIGHT_MARGIN_M
+    def _other_heights(self, present: Plan, height_m: float) -> list[Heights]:
+        """Return heights above and below each foreign aircraft; none in layers of a fleet, and over terrain."""
+        heights = self.surroundings.heights
         if not isinstance(heights, OneHeight) or self.surroundings.separation.has_fleet:
             return []
-        wanted_m = [one for one in (found.height_m - keep_m, found.height_m + keep_m) if one >= _LEAST_HEIGHT_M]
-        return [heights.at(one) for one in sorted(wanted_m, key=lambda one_m: abs(one_m - height_m))]
+        wanted = []
+        for one in self._encounters_of(present, self.coming):
+            for sign in (-1.0, 1.0):  # one that sinks or climbs towards such a height comes nearer later
+                at_m = one.height_m + sign * (one.other.clear_m[1] + _HEIGHT_MARGIN_M)
+                follows_m = PREDICTED_S * max(sign * one.other.climb_m_s, 0.0)
+                wanted.append((abs(at_m - height_m) + follows_m, at_m))
+        return [heights.at(at_m) for _, at_m in sorted(wanted) if at_m >= _LEAST_HEIGHT_M]
 
     def _level_again(self, present: Plan) -> tuple[StepOutput, ...]:
         """Return the present circle at the previous height, once no foreign aircraft comes near there."""
@@ -572,11 +580,14 @@ class StandoffController:
         return self.changes.upload(self.time_s, again, self._wind, "the other aircraft has passed: the old height")
 
     def _encounter_of(self, present: Plan, coming: Plan | None) -> Encounter | None:
+        return min(self._encounters_of(present, coming), key=lambda one: one.share, default=None)
+
+    def _encounters_of(self, present: Plan, coming: Plan | None) -> list[Encounter]:
         flown = self.surroundings.flown
         assert flown.aircraft is not None
         assert flown.height_m is not None
         separation, airspeed_m_s = self.surroundings.separation, flown.airspeed_m_s
-        return separation.encounter(present, coming, flown.aircraft, flown.height_m, flown.wind, airspeed_m_s)
+        return separation.encounters(present, coming, flown.aircraft, flown.height_m, flown.wind, airspeed_m_s)
 
     def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...]:
         """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""

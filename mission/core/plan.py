@@ -152,7 +152,7 @@ CheckedPlannerFactory = Callable[[Aircraft, Requirement, PlanCheck], Planner]
 
 
 # The share of the rates that is counted on: in a tailwind the ground comes sooner.
-_RATE_RESERVE = 0.7
+RATE_RESERVE = 0.7
 
 
 class Heights(Protocol):
@@ -180,7 +180,7 @@ class ClimbRates:
 
     def slope(self, *, climbs: bool) -> float:
         """Return the usable change of height per metre flown."""
-        return _RATE_RESERVE * (self.climb_m_s if climbs else self.descent_m_s) / self.airspeed_m_s
+        return RATE_RESERVE * (self.climb_m_s if climbs else self.descent_m_s) / self.airspeed_m_s
 
     def profile(self, from_m: float, to_m: float) -> HeightProfile:
         """Return the heights on the way from one height to another."""

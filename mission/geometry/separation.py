@@ -19,7 +19,7 @@ import numpy as np
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.plan import RATE_RESERVE, AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry import line_kernel as kernel
 from sidelong.mission.geometry.progress import line_of
@@ -139,17 +139,30 @@ class Separation:
         airspeed_m_s: float,
     ) -> Encounter | None:
         """Return the closest approach of the foreign aircraft that comes closest; see ``breach``."""
+        found = self.encounters(present, coming, aircraft, height_m, wind, airspeed_m_s)
+        return min(found, key=lambda one: one.share, default=None)
+
+    def encounters(
+        self,
+        present: Plan,
+        coming: Plan | None,
+        aircraft: AircraftState,
+        height_m: float,
+        wind: Wind,
+        airspeed_m_s: float,
+    ) -> list[Encounter]:
+        """Return the closest approach of each foreign aircraft that has to be kept clear of."""
         others = [
             one
             for one in self._others.values()
             if one.clear_m != (0.0, 0.0) and aircraft.time_s - one.state.time_s < _REPORT_MAX_AGE_S
         ]
         if not others:
-            return None
+            return []
         count = 1 + round(PREDICTED_S / _STEP_S)
         own = flown_places(aircraft, present, coming, wind, airspeed_m_s, _STEP_S, count)
         heights_m = _heights_m(present, coming, aircraft.time_s, height_m, airspeed_m_s, own.shape[1])
-        return min((_closest(own, heights_m, aircraft.time_s, one) for one in others), key=lambda one: one.share)
+        return [_closest(own, heights_m, aircraft.time_s, one) for one in others]
 
     def crossed(self, present: Plan, height_m: float) -> str | None:
         """Return in words which lower aircraft of the fleet flies a circle that crosses the own one, or None.
@@ -196,7 +209,10 @@ class Separation:
 
 
 def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighbour) -> Encounter:
-    """Return the closest approach of one aircraft to own places, which are _STEP_S apart from ``now_s`` on."""
+    """Return the closest approach of one aircraft to own places, which are _STEP_S apart from ``now_s`` on.
+
+    heights_m: least and greatest own heights at these places.
+    """
     state = other.state
     ahead_s = now_s - state.time_s + _STEP_S * np.arange(own.shape[1])
     turned_rad = state.curvature_per_m * state.ground_speed_m_s * ahead_s
@@ -205,7 +221,7 @@ def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighb
     along_rad = state.course_rad + 0.5 * turned_rad
     east_m, north_m = state.east_m + gone_m * np.sin(along_rad), state.north_m + gone_m * np.cos(along_rad)
     flat_m, their_m = np.hypot(own[0] - east_m, own[1] - north_m), other.height_m + other.climb_m_s * ahead_s
-    vertical_m = np.abs(heights_m - their_m)
+    vertical_m = np.maximum(np.maximum(heights_m[0] - their_m, their_m - heights_m[1]), 0.0)
     shares = np.maximum(flat_m / other.clear_m[0], vertical_m / other.clear_m[1])
     k = int(shares.argmin())
     return Encounter(other, _STEP_S * k, *(float(row[k]) for row in (flat_m, their_m, vertical_m, shares)))
@@ -214,15 +230,21 @@ def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighb
 def _heights_m(
     present: Plan, coming: Plan | None, now_s: float, height_m: float, airspeed_m_s: float, count: int
 ) -> FloatArray:
-    """Return the own heights above home every _STEP_S: towards that of the plan that is flown by then."""
-    heights_m = np.empty(count)
-    for k in range(count):
-        heights_m[k] = height_m
-        plan = coming if coming is not None and now_s + _STEP_S * k >= coming.departure_s else present
-        if plan.heights is not None:
-            step_m = plan.heights.slope * airspeed_m_s * _STEP_S
-            height_m += min(max(plan.heights.to_m - height_m, -step_m), step_m)
-    return heights_m
+    """Return the least and greatest own heights above home every _STEP_S, towards that of the plan flown by then.
+
+    An autopilot may change its height as fast as it can, or as slowly as the plan.
+    """
+    rows = []
+    for share in (1.0, 1.0 / RATE_RESERVE):
+        at_m, row = height_m, []
+        for k in range(count):
+            row.append(at_m)
+            plan = coming if coming is not None and now_s + _STEP_S * k >= coming.departure_s else present
+            if plan.heights is not None:
+                step_m = share * plan.heights.slope * airspeed_m_s * _STEP_S
+                at_m += min(max(plan.heights.to_m - at_m, -step_m), step_m)
+        rows.append(row)
+    return np.sort(np.array(rows), axis=0)
 
 
 def flown_places(
