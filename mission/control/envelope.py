@@ -32,7 +32,8 @@ _OFF_M = 20.0  # farther off its plan an aircraft may not roll as fast as it has
 _LASTS_S, _OVER_S = 2.0, 3.0  # a breach is reported after the one and is over after the other
 # A target's way over two times, s, against its limit: the share of it and the speed, m/s, allowed for errors.
 _PACES = ((10.0, 1.3, 1.2), (30.0, 1.15, 0.5))
-_PACE_SETTLED_S, _PACE_LASTS_S, _SEEN_S, _SLOWEST_M_S = 30.0, 3.0, 3.0, 1.0
+_PACE_SETTLED_S, _PACE_LASTS_S, _SLOWEST_M_S = 30.0, 3.0, 1.0
+_SEEN_S, _UNSEEN_S = 3.0, 20.0  # the target's position is uncertain after the one, and its track after the other
 _HOME_M, _HOME_HEIGHT_M = 30.0, 5.0
 _AIRSPEED_SHARE, _AIRSPEED_OVER_S = 0.3, 90.0  # moderate gusts last 20 s and look alike
 _RESERVE, _LEAST_RESERVE = 1.25, 1.1  # of the radius, for what the autopilot corrects
@@ -142,7 +143,8 @@ class Envelope:
         self._height = _Approach(_HEIGHT_M, 2.0, 12.0, 1.0)
         self._path = _Approach(_PATH_M, 10.0, 25.0, 2.0)
         self._to_m, self._plan = math.nan, None  # type: tuple[float, Plan | None]
-        self._track: deque[tuple[float, float, float]] = deque()  # of the target
+        self._track: deque[tuple[float, float, float]] = deque()  # of the target: time, east and north
+        self.target_before = (-math.inf, 0.0, 0.0)  # the same before it moved too fast
         self._wind, self._airspeed_m_s = Wind(), math.nan
         self.turns = _Turns()
         self._reported_rad = self._reached_rad = math.inf  # bank limits
@@ -314,8 +316,10 @@ class Envelope:
 
     def _of_target(self, now: Present) -> tuple[str, str]:
         track, target = self._track, now.estimate
-        if target is None or now.turn_payload or now.time_s - target.last_sighting_s > _SEEN_S:
-            track.clear()
+        unseen_s = math.inf if target is None or now.turn_payload else now.time_s - target.last_sighting_s
+        if target is None or unseen_s > _SEEN_S:
+            if unseen_s > _UNSEEN_S:
+                track.clear()
             return "", ""
         track.append((now.time_s, *target.position_m(now.time_s)))
         limit_m_s, (longest_s, _, _) = max(now.requirement.target_speed_max_m_s, _SLOWEST_M_S), _PACES[-1]
@@ -327,6 +331,7 @@ class Envelope:
                 continue
             pace_m_s = math.dist(since[1:], track[-1][1:]) / (now.time_s - since[0])
             if pace_m_s > share * limit_m_s + error_m_s:
+                self.target_before = since
                 text = f"{pace_m_s:.0f} m/s, its limit is {now.requirement.target_speed_max_m_s:g} m/s"
                 return "speed", f"{text}: the payload may follow another object"
         return "", ""

@@ -31,6 +31,7 @@ _YAW_STEP_RAD = math.radians(5.0)  # nor of the gimbal's mounting
 _YAW_LASTS_S = 30.0
 _FACTOR_STEP, _RANGE_STEP_M = 0.05, 10.0
 _GROUP, _OBJECTED = 5, 3  # sightings before and after a step, and how many the track's filter has to object to
+_GAP_S = 1.5  # after a longer gap, and longer than each group, the filter's gate is too wide for an objection
 _STEP_M, _NOISES = 8.0, 2.5  # a smaller step, or one of less than this many sigmas of two sightings, is noise
 _OBJECTED_NIS = 6.0  # of two or three measured numbers: beyond it one in ten
 _LASTS_S, _AGREE_S = 2.0, 60.0
@@ -183,8 +184,15 @@ class AnotherObject:
             if self.reason and seen.time_s >= self._since_s + _AGREE_S:
                 self._end(f"{_AGREE_S:.0f} s without a contradiction")
 
-    def suspect(self, time_s: float, reason: str, is_shadow: bool = False) -> None:
-        """Process a sign that it is another object."""
+    def suspect(
+        self,
+        time_s: float,
+        reason: str,
+        is_shadow: bool = False,
+        left: tuple[float, Reach] | None = None,
+    ) -> None:
+        """Process a sign that it is another object; left: where the target was last, and when."""
+        self._left = self._left or left
         if not self.reason:
             self._news.append(f"{reason}: both positions are kept clear until you confirm what is seen")
         self.reason, self.is_shadow, self._since_s = reason, is_shadow, time_s
@@ -209,11 +217,13 @@ class AnotherObject:
         return tuple(Announce(time_s, "track", text) for text in news)
 
     def _look_for_step(self, speed_m_s: float) -> None:
-        if len(self._lately) < 2 * _GROUP or sum(one.objected for one in self._lately) < _OBJECTED:
+        if len(self._lately) < 2 * _GROUP:
             return
         lately = list(self._lately)
         before, after = lately[:_GROUP], lately[_GROUP:]
-        if sum(one.objected for one in after) < _OBJECTED:
+        long_s = max(_GAP_S, *(one[-1].time_s - one[0].time_s for one in (before, after)))
+        has_gap = after[0].time_s - before[-1].time_s >= long_s
+        if not has_gap and sum(one.objected for one in after) < _OBJECTED:
             return
         sigma_m = math.hypot(before[-1].sigma_m, after[0].sigma_m)
         (left_m, is_left_one), (now_m, is_now_one) = (_median(group, speed_m_s, sigma_m) for group in (before, after))
@@ -247,17 +257,16 @@ class AnotherObject:
         if speed_m_s > _SHADOW_SPEED_SHARE * ground_speed_m_s:
             return  # a target of that speed can drive as the aircraft flies
         own_m, seen_m = (np.array([getattr(one, name) for one in self._moved]) for name in ("aircraft_m", "place_m"))
-        flown_m = float(np.linalg.norm(own_m - own_m.mean(axis=0))) / math.sqrt(len(own_m))
-        if flown_m < _SHADOW_FLOWN_M:
-            return
         apart_m = seen_m - own_m
         differs_m = np.linalg.norm(apart_m - np.median(apart_m, axis=0), axis=1)
-        if float(np.quantile(differs_m, _SHADOW_QUANTILE)) < _SHADOW_SHARE * flown_m:
-            if self._left is None:
-                first = self._moved[0]
-                self._left = first.time_s, Reach(*first.place_m, 2.0 * first.sigma_m, speed_m_s)
+        limit_m = float(np.quantile(differs_m, _SHADOW_QUANTILE))
+        own_m = own_m[differs_m <= limit_m]  # the motion that rests on the others may be that of one outlier
+        flown_m = float(np.linalg.norm(own_m - own_m.mean(axis=0))) / math.sqrt(len(own_m))
+        if flown_m > _SHADOW_FLOWN_M and limit_m < _SHADOW_SHARE * flown_m:
+            first = self._moved[0]
+            left = first.time_s, Reach(*first.place_m, 2.0 * first.sigma_m, speed_m_s)
             reason = "the payload may follow another object: what it sees moves with the aircraft, as its shadow"
-            self.suspect(now_s, reason, is_shadow=True)
+            self.suspect(now_s, reason, is_shadow=True, left=left)
 
 
 class TargetNews:

@@ -27,6 +27,7 @@ _JUMPS = (
     "and what the gimbal points at"
 )
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 20
+_SECONDS_MIN = 10  # with sightings: after a long gap the track is wrong at first, not the sightings
 _FIXES_SHARE, _FIXES_MIN = 0.5, 10  # of fixes next to other sightings
 _POOR_NIS = 5.991  # chi-square of two numbers, 95 %
 _PITCH_LASTS_S = 20.0
@@ -94,7 +95,7 @@ class SightingsCheck:
         total, fixes = sum(given), given[_FIX]
         share = sum(rejected) / total if total >= _SIGHTINGS_MIN else 0.0
         off_fixes = _FIXES_MIN <= fixes < total and rejected[_FIX] > _FIXES_SHARE * fixes
-        covered = second - self._rejected[0][0] >= 0.8 * _WINDOW_S
+        covered = second - self._rejected[0][0] >= 0.8 * _WINDOW_S and len(self._rejected) >= _SECONDS_MIN
         jumps = len(jumps_s) == OFTEN and 0.0 <= time_s - jumps_s[0] < _JUMPS_S
         by_angles = 2 * given[_ANGLES] > total
         pitch_rad = pitch_error_rad() if by_angles else 0.0
