@@ -276,15 +276,16 @@ def fences_of(config: Config, plane: LocalPlane) -> Fences:
 
 
 def with_vehicle_fences(config: Config, found: VehicleFences, every: bool) -> Config:
-    """Return a configuration that keeps the fences of the vehicle, too.
+    """Return a configuration that keeps the fences of the vehicle, too, and has its rally points.
 
     every: whether to be inside all of its inclusion fences, or inside one. Raises InputError where they are no
     polygons, or leave no room with those of the configuration or for the circle.
     """
     corners = [corner for outline in (*found.inclusion, *found.exclusion) for corner in outline]
+    fences = config.fences.model_copy(update={"rally": [*config.fences.rally, *found.rally]})
     if not corners:
-        return config
-    plane, fences = LocalPlane(*corners[0]), config.fences
+        return config.model_copy(update={"fences": fences}) if found.rally else config
+    plane = LocalPlane(*corners[0])
     keep_in, holes = fences.keep_in, []
     try:
         if found.inclusion:

@@ -357,6 +357,8 @@ class FencesSection(Section):
     """The aircraft stays inside the union of these."""
     keep_out: Polygons = Field(default_factory=list, examples=[[[[47.405, 8.51], [47.41, 8.51], [47.41, 8.52]]]])
     """The aircraft stays outside each of these."""
+    rally: list[LatLon] = Field(default_factory=list, max_length=100, examples=[[[47.41, 8.52]]])
+    """Rally points, [latitude, longitude] in degrees, drawn on the live map with those that the vehicle stores."""
     floor_m: float | None = Field(None, ge=0, examples=[60.0])
     """Least height above home, m."""
     ceiling_m: float | None = Field(None, ge=0, examples=[150.0])

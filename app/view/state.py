@@ -64,6 +64,7 @@ def setting(
         "bank_max_rad": math.radians(config.aircraft.bank_max_deg),
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
+        "rally": outlines([config.fences.rally])[0] if plane is not None else [],
         "name": name,
         "display": config.display.model_dump(),
         "routes": [[_rounded(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()] for route in routes],

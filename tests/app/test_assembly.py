@@ -68,7 +68,10 @@ def test_the_vehicles_fences_are_kept_with_the_configured_ones():
             assert min(corner[axis] for corner in corners) == pytest.approx(least_m, abs=1.0)
             assert max(corner[axis] for corner in corners) == pytest.approx(most_m, abs=1.0)
         assert both.keep_out == [list(square(0, 0, 10)), list(excluded)]
-    assert with_vehicle_fences(config, VehicleFences(rally=square(0, 0, 1)), True) is config
+    assert with_vehicle_fences(config, VehicleFences(), True) is config
+    points = square(0, 0, 1)
+    assert with_vehicle_fences(config, VehicleFences(rally=points), True).fences.rally == list(points)
+    assert with_vehicle_fences(config, VehicleFences(inclusions, rally=points), True).fences.rally == list(points)
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ from tests.app.conftest import SCHEMES, SIZES
 START_S = 100.0
 PLANE = LocalPlane(47.4, 8.5)
 FENCES = {
+    "rally": [PLANE.latitude_longitude_deg(600, 300)],
     "keep_in": [[PLANE.latitude_longitude_deg(*c) for c in ((-500, -500), (1500, -500), (1500, 900), (-500, 900))]],
     "keep_out": [[PLANE.latitude_longitude_deg(*c) for c in ((600, 100), (800, 100), (800, 0))]],
 }
@@ -194,7 +195,9 @@ def test_map_and_plots_show_what_there_is(page):
     plots = page.locator(":is(#plots, #inner-plots) figure:not([hidden]) svg")
     assert plots.count() == 5
     assert all(plots.nth(n).locator("polyline").count() >= 1 for n in range(5))
+    assert page.locator("#map .rally").count() == 1
     assert page.locator("#legend li.fence").is_visible()
+    assert page.locator("#legend li.rally").is_visible()
 
 
 def test_the_side_asked_for_is_shaded(page):

@@ -160,8 +160,9 @@ def test_a_yielded_mission_reports_so(watching):
 
 def test_fences_are_drawn_once_the_plane_is_known():
     corners = [(47.0, 8.0), (47.001, 8.0), (47.001, 8.001)]
-    config = Config.model_validate({"fences": {"keep_in": [corners]}})
-    assert setting(config, None, "")["keep_in"] == []
+    config = Config.model_validate({"fences": {"keep_in": [corners], "rally": corners[:1]}})
+    assert setting(config, None, "")["keep_in"] == setting(config, None, "")["rally"] == []
+    assert setting(config, LocalPlane(47.0, 8.0), "")["rally"] == [[0.0, 0.0]]
     (outline,) = setting(config, LocalPlane(47.0, 8.0), "")["keep_in"]
     assert outline[0] == [0.0, 0.0]
     assert outline[1] == pytest.approx([0.0, 111.2], abs=0.2)

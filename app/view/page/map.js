@@ -387,7 +387,8 @@ export class FlightMap {
     this.routes.replaceChildren(...routes.map((line) => svg("polyline", { class: "route", points: points(line) })));
     const outlines = (kind) => (this.setting[kind.replace("-", "_")] ?? [])
       .map((outline) => svg("polygon", { class: kind, points: points(outline) }));
-    this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"));
+    const rally = (this.setting.rally ?? []).map((point) => svg("polyline", { class: "rally", points: points([point, point]) }));
+    this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"), ...rally);
   }
 
   // The background map. The tiles' zoom level is the one whose pixels are about as large as the screen's.

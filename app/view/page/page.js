@@ -123,6 +123,7 @@ function set(setting) {
   map.drawFixed();
   byId("legend").querySelector(".route").hidden = !setting.routes.length;
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
+  byId("legend").querySelector(".rally").hidden = !setting.rally?.length;
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
   for (const button of byId("buttons").querySelectorAll("button")) button.textContent = setting.fleet ? ALL[button.dataset.action] ?? button.textContent : button.textContent;
