@@ -397,8 +397,8 @@ class StandoffController:
                 self._changed_s = self.time_s
             announced += self._health_changes()
             if Input.SPEED in self.envelope.faults:
-                before_s, *before_m = self.envelope.target_before
-                before = Reach(*before_m, _BEFORE_M, self.settings.requirement.target_speed_max_m_s)
+                before_s, east_m, north_m = self.envelope.target_before
+                before = Reach(east_m, north_m, _BEFORE_M, self.settings.requirement.target_speed_max_m_s)
                 self._object.suspect(self.time_s, _TOO_FAST, left=(before_s, before))
             announced += self._object.announce(self.time_s)
             self._judge_traffic()
