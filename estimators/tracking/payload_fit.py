@@ -157,7 +157,7 @@ _CALM_DRIFT_M = 0.05
 _WORTH = 4.0  # evidence in sight, without which a drift is not fitted
 _PITCHED_RAD, _OPPOSITE_RAD = math.radians(8.0), math.radians(2.5)
 _DRIFT_FOUND_AFTER, _DRIFT_CLEARED_AFTER, _UNSEEMING_COUNT = 2, 3, 2  # judgements in a row
-_SUDDEN_RAD, _BEYOND_DOUBT = math.radians(1.0), 60.0
+_SUDDEN_RAD, _BEYOND_DOUBT, _BEYOND_DOUBT_LONG = math.radians(1.0), 60.0, 200.0
 _SEEN_AGAIN = 0.6  # of the evidence, for a yaw that drifted a judgement before
 _LONG_COUNT = 1  # of a range error that lasts, and that no fit of constant errors finds
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
@@ -910,6 +910,11 @@ class PayloadFit:
             loose = self._solve(readings, self._sigmas, np.zeros(SHARED), _LOOSE_M)
             if loose.scale_m < _CALM_M and loose.cost - best.cost <= _EVIDENCE:
                 is_better, sound = False, min(sound, loose, key=_cost)
+        if is_long and is_better and before is None and evidence < _BEYOND_DOUBT_LONG:
+            # A target that circles may look like one that stands, and the laser to be long. Heights know better.
+            off_m = float(best.shared[3]) + range_m * (1.0 - factor)
+            pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings, *_looks(readings))
+            is_better = pitch_rad / (off_m * pitch_of_range_rad_m) > _SINKS_MIN
         if is_large and is_possible and is_better:
             self._erring, self._factor = best, factor
             return best
@@ -979,10 +984,7 @@ class PayloadFit:
         calm_m = max(sound.scale_m, _CALM_DRIFT_M)
         if by_yaw.scale_m > calm_m:
             by_yaw = sound
-        looks = np.empty((len(readings.sights), 3))
-        look(readings, 0.0, looks)
-        looks[:, 0] = np.unwrap(looks[:, 0])
-        bearing_rad, down_rad = (np.interp(readings.ranges[:, 0], readings.sights[:, 0], looks[:, k]) for k in (0, 1))
+        bearing_rad, down_rad = _looks(readings)
         level_m = readings.ranges[:, 1] * np.cos(down_rad)
         if by_range.shared[3] > _RANGE_SHARE_MAX * float(np.median(level_m)):
             by_range = sound
@@ -1150,6 +1152,15 @@ def _sigma_at_end(found: Fit, error: int) -> float:
     """Return the standard deviation of the error of yaw (2) or range (3) that grows."""
     pair = found.information[np.ix_([error, error + 2], [error, error + 2])] / _READINGS_SIGMAS**2
     return math.sqrt(float(np.linalg.inv(pair + np.diag([1e-9, 1e-9]))[0, 0]))
+
+
+def _looks(readings: Readings) -> tuple[FloatArray, FloatArray]:
+    """Return bearing and depression of the line of sight (n,) at the times of the ranges, rad."""
+    looks = np.empty((len(readings.sights), 3))
+    look(readings, 0.0, looks)
+    looks[:, 0] = np.unwrap(looks[:, 0])
+    bearing_rad, down_rad = (np.interp(readings.ranges[:, 0], readings.sights[:, 0], looks[:, k]) for k in (0, 1))
+    return bearing_rad, down_rad
 
 
 def _growing(readings: Readings, span_s: float) -> Readings:
