@@ -134,6 +134,7 @@ _STARTS_S = (0.0, 0.0), (2.0, 2.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0)  # from t
 _STRAINED, _TURNS_M, _LOOSE_M, _EVIDENCE = 1.5, 0.15, 0.2, 50.0
 _CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
 _CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1  # the same as evidence of its own, where the ends lie on wrong hills
+_WILD_M = 1.0  # or where the target would turn as no target does
 _DELAYS_MAX_S = 0.95 * MAX_DELAY_S  # a delay at the end of its range fits nothing
 _YAW_MIN_RAD, _RANGE_MIN_M, _FACTOR_MIN = math.radians(4.0), 15.0, 0.08
 _RANGE_SHARE_MAX = 0.5  # ranges that shrink to nothing would put the target at the aircraft
@@ -887,6 +888,10 @@ class PayloadFit:
         elif not self._on_ground:
             other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
             tried.append((other, fit(other, sound.shared)))
+        pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings, *_looks(readings))
+        by_heights_m = pitch_rad / pitch_of_range_rad_m  # the error of the ranges, if the pitch has none
+        if before is None and not self._on_ground and abs(by_heights_m) > _RANGE_MIN_M:
+            tried.append((1.0, fit(1.0, np.array([0.0, 0.0, 0.0, by_heights_m, 0.0, 0.0]))))
         factor, best = min(tried, key=lambda one: one[1].cost)
         for _ in range(0 if self._on_ground else _FACTOR_STEPS):
             other = factor - float(best.shared[3]) / range_m
@@ -903,7 +908,9 @@ class PayloadFit:
         is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
         evidence = sound.cost - best.cost
         is_better = evidence > -_EVIDENCE if before is not None else evidence > _EVIDENCE and is_calmer
-        if self.on_hills:  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
+        if (
+            self.on_hills or sound.scale_m > _WILD_M
+        ):  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
             is_better |= best.scale_m < _CALM_ON_HILLS_M and best.scale_m < _CALMER_ON_HILLS * sound.scale_m
         if is_large and is_possible and is_better and before is None and not self.on_hills:
             # A path that is stiff at first may miss a calm one; a path that bends much circles with the aircraft.
@@ -913,8 +920,7 @@ class PayloadFit:
         if is_long and is_better and before is None and evidence < _BEYOND_DOUBT_LONG:
             # A target that circles may look like one that stands, and the laser to be long. Heights know better.
             off_m = float(best.shared[3]) + range_m * (1.0 - factor)
-            pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings, *_looks(readings))
-            is_better = pitch_rad / (off_m * pitch_of_range_rad_m) > _SINKS_MIN
+            is_better = by_heights_m / off_m > _SINKS_MIN
         if is_large and is_possible and is_better:
             self._erring, self._factor = best, factor
             return best
