@@ -85,6 +85,7 @@ class Craft(ClosedLoop[bytes]):
         self.begins_s = 0.0
         self._hidden: set[Input] = set()  # whose silence was reported, and is true
         self._seen_s = {Input.LASER: -math.inf, Input.GIMBAL: -math.inf}
+        self._unseen_until_s = dict(self._seen_s)  # of the last silence that is long enough to be reported
         self.simulation.on_truth = self._truth
         self.listeners.append(self._note)
         self.connect()
@@ -113,10 +114,11 @@ class Craft(ClosedLoop[bytes]):
 
     def _truth(self, row: TruthRow) -> None:
         now_s = self.simulation.time_s
-        if row.laser_valid:
-            self._seen_s[Input.LASER] = now_s
-        if row.in_sight:
-            self._seen_s[Input.GIMBAL] = now_s
+        for source, is_seen in ((Input.LASER, row.laser_valid), (Input.GIMBAL, row.in_sight)):
+            if is_seen:
+                if now_s - self._seen_s[source] >= _SILENT_AFTER_S[source]:
+                    self._unseen_until_s[source] = now_s
+                self._seen_s[source] = now_s
 
     def _note(self, _event: object, outputs: tuple[object, ...]) -> None:
         now_s = self.simulation.time_s
@@ -125,6 +127,7 @@ class Craft(ClosedLoop[bytes]):
             if isinstance(output, HealthChanged):
                 limit_s = _SILENT_AFTER_S.get(output.input, math.inf)
                 silent = now_s - self._seen_s.get(output.input, now_s) >= limit_s
+                silent |= now_s - self._unseen_until_s.get(output.input, -math.inf) < 1.0  # just seen again
                 if silent and output.state is InputState.STALE:
                     self._hidden.add(output.input)
                 true = output.input in self._hidden and output.state in (InputState.STALE, InputState.OK)
