@@ -178,12 +178,14 @@ class Comparison:
         self._expected: deque[object] = deque()
 
     def replayed(self, event: object, outputs: Iterable[object]) -> None:
+        """Note an event of the journal, and what the replay puts out for it."""
         if self._expected:
             self.flown(None)
         self._cause = event
         self._expected.extend(outputs)
 
     def flown(self, command: object) -> None:
+        """Compare the next recorded output with the replayed one; None: nothing more was recorded for the event."""
         replayed = self._expected.popleft() if self._expected else None
         self.compared += 1
         same = command is not None and replayed is not None and self._is_same(command, replayed)
@@ -203,6 +205,7 @@ class Comparison:
         return True
 
     def sameness(self) -> str:
+        """Return in words how alike the outputs are of a replay without a difference."""
         if not self.rounded:
             return "all the same to the last bit"
         digits = f"{self.rounded} differ in their last digits, by {self.greatest_rounding:.0e} of the value at most"

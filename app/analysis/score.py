@@ -130,6 +130,7 @@ class Judgement:
 
     @staticmethod
     def joined(parts: Sequence[Judgement]) -> Judgement:
+        """Return the judgements of several aircraft as one, in the order of time."""
         whole = [np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Judgement)]
         order = np.argsort(whole[0], kind="stable")
         return Judgement(*(values[order] for values in whole))

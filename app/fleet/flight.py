@@ -159,9 +159,11 @@ class FleetFlight:
         self._coordination.lost(craft.name, craft.outcome)
 
     def flown(self, craft: FlyingAircraft) -> tuple[float, MissionTrack]:
+        """Return the mission time less the time of the aircraft, s, and its track."""
         return self._coordinator.offset_s(craft.name) or 0.0, self._tracks[craft.name]
 
     def asked(self) -> dict[str, Asked]:
+        """Return by target the requirements, each with the mission time from which it holds."""
         changes = self._coordination.changes
         return {name: [(-math.inf, first), *changes[name]] for name, first in self._fleet.asked.items()}
 

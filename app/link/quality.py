@@ -95,6 +95,7 @@ class LinkQuality:
             counts.sent_bytes += size
 
     def asked(self, now_s: float) -> None:
+        """Note a request, so that an unanswered one counts from then on."""
         if self._answered_s is None:
             self._answered_s = now_s
 
@@ -106,10 +107,12 @@ class LinkQuality:
         self._rssi = (rssi, remote_rssi)
 
     def measured(self, now_s: float) -> Measured:
+        """Return the quality over the last seconds."""
         self._second(now_s)
         return self._measured(self._seconds, now_s)
 
     def total(self, now_s: float) -> Measured:
+        """Return the quality since the link was opened."""
         return self._measured([self.whole], now_s)
 
     def _measured(self, several: Sequence[_Counts], now_s: float) -> Measured:

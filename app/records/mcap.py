@@ -299,6 +299,7 @@ def line(name: str, places: Iterable[Place]) -> dict[str, Any]:
 
 
 def ball(name: str, place: Place) -> dict[str, Any]:
+    """Return the entity ``name`` as a sphere at a place, in the frame ``plane``."""
     sphere = {"pose": _pose(place), "size": _xyz((_BALL_M, _BALL_M, _BALL_M)), "color": _colour(name)}
     return _entity(name, spheres=[sphere])
 

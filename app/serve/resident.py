@@ -71,6 +71,7 @@ class ServiceDisplay:
 
     @property
     def trouble(self) -> str:
+        """The alarms of the flight in words, else why it is not known how well the target is watched."""
         present = self.snapshot
         alarms = () if present is None or present.vehicle is None else present.vehicle.alarms
         return "; ".join(alarm.text for alarm in alarms) or ("" if present is None else present.unknown)

@@ -316,6 +316,7 @@ def fleet_table(fleets: Fleets) -> Table:
 
 
 def values_of(runs: Sequence[object], name: str) -> np.ndarray:
+    """Return one value of each run (n,), NaN where it has none."""
     return np.array([getattr(run, name) for run in runs], float)
 
 

@@ -160,6 +160,7 @@ class Measure:
         return dict(zip(names, map(float, (known.mean(), np.percentile(known, self.tail), worst)), strict=True))
 
     def cell(self, values: FloatArray) -> str:
+        """Return mean and worst of the values as a table has them."""
         found = self.spread(self.shown(values))
         mean, worst = found["mean"], found["worst"]
         return "-" if mean is None else f"{mean:.{self.digits}f}/{worst:.{self.digits}f}"

@@ -58,10 +58,12 @@ STUDIED = Config.model_validate(
 
 
 def shaping(config: Config) -> dict[str, dict[str, Any]]:
+    """Return the values that the result of a study depends on, by section and key."""
     return config.model_dump(mode="json", include={section: {*keys} for section, keys in SHAPING.items()})
 
 
 def studied(**values: Any) -> Config:
+    """Return the configuration of a study with some keys changed; a name stands for its key in every section."""
     allowed = SHAPING | {"requirement": (*SHAPING["requirement"], "fleet_size")}
     sections = {name: {key: values[key] for key in keys if key in values} for name, keys in allowed.items()}
     return with_values(STUDIED, sections, "study")
@@ -153,6 +155,7 @@ class Design:
 
 
 def word(value: Value) -> str:
+    """Return a value of a sweep as it is printed."""
     return f"{value:g}" if isinstance(value, float) else value
 
 

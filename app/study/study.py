@@ -370,6 +370,7 @@ class Study:
 
 
 def flown(settings: StudySettings, planner: str, runs: Sequence[RunId], table: ValueTable | None) -> list[RunResult]:
+    """Fly some runs of a study, as a worker does; table: of the planner, None for one without."""
     return [one_flown(settings, planner, one.number, table) for one in runs]
 
 

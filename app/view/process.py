@@ -75,6 +75,7 @@ class Feed:
             self.alive = False
 
     def lines(self) -> list[bytes]:
+        """Return the requests that the page has sent since the last call, one line of JSON each."""
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._out, 65536):
                 self._unread += data
