@@ -2,9 +2,9 @@
 
     python -m tests.autopilot.jsbsim_airframe ARDUPLANE AIRCRAFT.xml OPTION...
 
-starts ARDUPLANE with the options and answers its JSON interface. Needs ``pip install jsbsim``. AIRCRAFT.xml is a model
-of JSBSim whose engines and systems lie next to it, such as Tools/autotest/aircraft/Rascal/Rascal.xml of ArduPilot's
-source tree; aileron, elevator, throttle and rudder are servos 1 to 4. Wind, and whether there is turbulence (moderate,
+starts ARDUPLANE with the options and answers its JSON interface (extra ``jsbsim``). AIRCRAFT.xml is a model of JSBSim
+whose engines and systems lie next to it, such as Tools/autotest/aircraft/Rascal/Rascal.xml of ArduPilot's source
+tree; aileron, elevator, throttle and rudder are servos 1 to 4. Wind, and whether there is turbulence (moderate,
 MIL-F-8785C), are read from SIM_WIND_SPD, SIM_WIND_DIR and SIM_WIND_TURB in the file own.parm.
 
 Source: libraries/SITL/examples/JSON/readme.md of ArduPilot; JSBSim reference manual.

@@ -12,8 +12,8 @@ alike. WIND=M_S is another wind for both. GUSTS=M_S is the standard deviation of
 (SIM_WIND_TURB); its study then flies in moderate gusts, whose vertical ones have 1.5 m/s. PX4 has none.
 ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records. If NAME.route.csv (east_m, north_m) stands
 next to a track, flight and study know it as the target's route. ``-k eights`` flies next to the first target with a
-gimbal that pans 120 degrees to each side. JSBSIM_AIRCRAFT=FILE.xml and ``-k airframe`` fly ArduPlane on an airframe of
-JSBSim (tests/autopilot/jsbsim_airframe.py), which may be worse by SIDE_AIRFRAME_MAX.
+gimbal that pans 120 degrees to each side. JSBSIM_AIRCRAFT=FILE.xml and ``-k airframe`` fly ArduPlane on an airframe
+of JSBSim (tests/autopilot/jsbsim_airframe.py), which may be worse by SIDE_AIRFRAME_MAX.
 """
 
 from __future__ import annotations
