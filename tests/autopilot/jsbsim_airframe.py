@@ -27,9 +27,10 @@ from tests.autopilot.real_vehicle import ROOT, Program
 FT_M, KT_M_S = 0.3048, 0.514444
 _PORT, _PER_INSTANCE = 9002, 10
 _PACKET, _MAGIC = struct.Struct("<HHI16H"), 18458
-_STEP_S, _STEPS = 1.0 / 400.0, 2  # of JSBSim, and how many of them an answer takes
+_STEP_S, _STEPS = 1.0 / 1000.0, 5  # of JSBSim, and how many of them an answer takes
 _MILSPEC, _MODERATE_FT_S, _SEVERITY = 3, 30.0 * KT_M_S / FT_M, 4
 _MODULE = "tests.autopilot.jsbsim_airframe"
+_SHELTERED_M = 10.0  # below half of it there is no wind: gusts would turn it over on the ground
 _EARTH_M = 6_378_137.0
 
 
@@ -70,13 +71,12 @@ class Airframe:
         for name, value in initial.items():
             fdm[f"ic/{name}"] = value
         assert fdm.run_ic()
-        speed_m_s, from_rad = parameters.get("SIM_WIND_SPD", 0.0), math.radians(parameters.get("SIM_WIND_DIR", 180.0))
-        fdm["atmosphere/wind-north-fps"] = -speed_m_s * math.cos(from_rad) / FT_M
-        fdm["atmosphere/wind-east-fps"] = -speed_m_s * math.sin(from_rad) / FT_M
-        if parameters.get("SIM_WIND_TURB", 0.0) > 0.0:
-            fdm["atmosphere/turb-type"] = _MILSPEC
-            fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = _MODERATE_FT_S
-            fdm["atmosphere/turbulence/milspec/severity"] = _SEVERITY
+        speed_ft_s = parameters.get("SIM_WIND_SPD", 0.0) / FT_M
+        from_rad = math.radians(parameters.get("SIM_WIND_DIR", 180.0))
+        self._wind_ft_s = -speed_ft_s * math.cos(from_rad), -speed_ft_s * math.sin(from_rad)
+        self._turbulence = _MILSPEC if parameters.get("SIM_WIND_TURB", 0.0) > 0.0 else 0
+        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = _MODERATE_FT_S
+        fdm["atmosphere/turbulence/milspec/severity"] = _SEVERITY
         fdm["propulsion/set-running"] = -1
 
     def advance(self, pwm_us: Sequence[int]) -> dict[str, Any]:
@@ -84,6 +84,9 @@ class Airframe:
         fdm = self._fdm
         for number, name in ((0, "aileron"), (1, "elevator"), (3, "rudder")):
             fdm[f"fcs/{name}-cmd-norm"] = (pwm_us[number] - 1500) / 500.0
+        share = min(max(fdm["position/h-agl-ft"] * FT_M / _SHELTERED_M - 0.5, 0.0), 1.0)
+        fdm["atmosphere/wind-north-fps"], fdm["atmosphere/wind-east-fps"] = (share * one for one in self._wind_ft_s)
+        fdm["atmosphere/turb-type"] = self._turbulence if share >= 1.0 else 0
         fdm["fcs/throttle-cmd-norm"] = min(max((pwm_us[2] - 1000) / 1000.0, 0.0), 1.0)
         for _ in range(_STEPS):
             fdm.run()
