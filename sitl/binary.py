@@ -136,10 +136,9 @@ class Binary:
         return f"it ended with code {self.process.returncode}: {text[-_LAST_WORDS:]}"
 
     def stop(self) -> None:
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            if self.ended:
-                break
-            os.killpg(self.process.pid, number)
+        for number in (signal.SIGTERM, signal.SIGKILL):  # what a script has started may outlive it
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter of a group that has ended
+                os.killpg(self.process.pid, number)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(_STOP_S)
 

@@ -1,6 +1,7 @@
 """Someone's own simulator program: its command line, its life and its end."""
 
 import math
+import os
 import stat
 import subprocess
 import sys
@@ -90,6 +91,17 @@ def test_it_ends_with_us_and_its_folder_too(tmp_path):
         assert folder.is_dir()
     assert running.ended
     assert not folder.exists()
+
+
+def test_what_a_script_has_started_ends_with_it(tmp_path):
+    reported = tmp_path / "reported"
+    waits = f"""sh -c 'trap "" TERM; echo $$ > {reported}; sleep 60' &"""  # as ArduPlane does for its physics
+    with started(ARDUPLANE, program(tmp_path / "arduplane", f"{waits}\nwait"), 1.0) as running:
+        while not (reported.exists() and reported.read_text()):
+            assert not running.ended
+    state = Path(f"/proc/{int(reported.read_text())}/stat")
+    while state.exists() and state.read_text().rpartition(")")[2].split()[0] not in "ZX":
+        pass  # the test's limit of time is that of a child that lives on
 
 
 def test_its_folder_stays_where_its_logs_are_wanted(tmp_path):
