@@ -1,7 +1,6 @@
 """Someone's own simulator program: its command line, its life and its end."""
 
 import math
-import os
 import stat
 import subprocess
 import sys
