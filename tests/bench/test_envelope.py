@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 LEAST_M, ALARM_S, UPLOADS_ALARM_S, REGAINED_S = 80.0, 5.0, 30.0, 30.0
 OFF_M, OFF_PATH_M, FLOOR_M, CEILING_M, FENCE_M = 15.0, 60.0, 60.0, 140.0, 900.0
 SEPARATED_M = 45.0  # of the least separation of 50 m
+ENVELOPE_KEYS = {"height", "fence", "home", "orders", "aircraft", "path"}
 CIRCLE, VERTEX = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 LOST = {  # what an autopilot does not receive
     "all": None,
@@ -95,7 +97,9 @@ def test_uploads_that_all_fail_raise_an_alarm_and_keep_the_circle():
         from_m = [math.hypot(one.east_m - circle.east_m, one.north_m - circle.north_m) for one in places_m]
         held_m = min(abs(one - circle.radius_m) for one in from_m)
         least_m = min(flight.range_m[round(begin_s) :])
-        asked_s = min((at_s for at_s, *_ in flight.found(UploadPlan, begin_s)), default=math.inf)
+        orders_s = [at_s for at_s, *_ in flight.found(UploadPlan, begin_s)]
+        # A single order that fails, without a wish to move after it, is no reason for an alarm.
+        asked_s = min((one for one, then in pairwise(orders_s) if then - one < UPLOADS_ALARM_S), default=math.inf)
         after_s = flight.alarm_s("orders") - asked_s if asked_s < math.inf else -math.inf
         print(
             f"\n{number} {autopilot.name} {track.name}, {kind}: alarm {after_s:.0f} s after the first order,", end=" "
@@ -174,7 +178,8 @@ def test_each_breach_raises_an_alarm_and_nothing_is_commanded_below_the_floor():
     for number in range(size(48, 2, "FLIGHTS")):
         rng, autopilot = np.random.default_rng((633, number)), AUTOPILOTS[number % 2]
         breach = list(BREACHES)[number // 2 % len(BREACHES)]
-        flight = Flight(autopilot, configured, seed=number, wind=drawn_wind(rng, 3.0)).undisturbed()
+        flight = Flight(autopilot, configured, seed=number, wind=drawn_wind(rng, 3.0)).fly(BEGIN_S)
+        assert not {one.key for _, one in flight.raised} & ENVELOPE_KEYS
         breach(flight, rng)
         since_s, claims_s, orders = math.inf, 0.0, []
         flight.listeners.append(partial(note_orders, flight, orders))
@@ -182,7 +187,8 @@ def test_each_breach_raises_an_alarm_and_nothing_is_commanded_below_the_floor():
             flight.fly(1.0)
             is_off = breached(flight, breach)
             since_s = min(since_s, flight.time_s) if is_off else since_s
-            is_judged = is_off and flight.time_s > since_s + ALARM_S and breach is not home_moved
+            is_late = is_off and flight.time_s > since_s + ALARM_S and breach is not home_moved
+            is_judged = is_late and flight.controller.phase.in_control  # not after a yield
             claims_s += is_judged and flight.claims[-1][1] is True
         after_s = min(map(flight.alarm_s, BREACHES[breach])) - since_s if since_s < math.inf else -math.inf
         below = [is_away for height_m, is_away in orders if height_m < FLOOR_M - 1.0]
