@@ -236,8 +236,11 @@ class Envelope:
     def step(self, now: Present) -> None:
         """Judge the present moment; ``faults`` has the result."""
         here, plan = now.aircraft, now.plan
-        if not (self.judges and now.phase.in_control) or here is None or plan is None:
+        if not self.judges or here is None or plan is None:
             self.faults.clear()
+            return
+        if not now.phase.in_control:
+            self._step_without_control(now, here, plan)
             return
         self._wind, self._now_s = now.wind, now.time_s
         if plan is not self._plan:
@@ -251,6 +254,15 @@ class Envelope:
         self._judge(now, Input.SPEED, *self._of_target(now), lasts_s=_PACE_LASTS_S)
         self._judge(now, Input.HOME, *_of_home(now), lasts_s=0.0)
         self._judge(now, Input.ORDERS, "orders", now.orders, lasts_s=0.0)
+
+    def _step_without_control(self, now: Present, here: AircraftState, plan: Plan) -> None:
+        """Judge what was breached when control was given up until it is over; the plan is not flown any more."""
+        for watched in tuple(self.faults):
+            kind, fault = self._of_height(now, here, plan) if watched is Input.HEIGHT else self._of_fences(here)
+            if watched not in (Input.HEIGHT, Input.FENCE) or kind == "plan":
+                del self.faults[watched]
+            else:
+                self._judge(now, watched, kind, fault)
 
     def _judge(self, now: Present, watched: Input, kind: str, fault: str, lasts_s: float = _LASTS_S) -> None:
         """Raise a fault that lasts, and drop it when it is over. kind: what of the input is breached."""

@@ -136,6 +136,19 @@ def test_aircraft_below_the_floor_flies_home_if_configured():
     assert height_m > 55.0
 
 
+def test_breach_is_not_over_because_control_is_given_up():
+    flight = Flight(AUTOPILOTS[0], {"fences": {"floor_m": 60.0}}).undisturbed()
+    sinks(flight)
+    while flight.craft.height_m > 50.0:
+        flight.fly(1.0)
+    flight.simulated.pilot_takes_over()
+    flight.fly(15.0)
+    assert not flight.controller.phase.in_control
+    assert flight.craft.height_m < 55.0
+    assert "below the floor" in flight.controller.breach
+    assert flight.claims[-1][1] is not True
+
+
 @BOTH
 def test_items_stored_with_another_height_are_reported(autopilot):
     flight = Flight(autopilot, {"fences": {"floor_m": 60.0}}).undisturbed()
