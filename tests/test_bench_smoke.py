@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-MODULES = "alarms encounters estimation faults joint_estimation records"
+MODULES = "alarms documents encounters estimation faults joint_estimation records"
 
 
 def run(*arguments, **environment):
