@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import FEW_FLIGHTS
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -91,10 +93,8 @@ def test_a_flight_with_a_live_map_starts_with_files_of_our_names_in_its_folder_a
 
 @pytest.mark.udp
 def test_a_flight_loads_none_of_the_large_libraries(tmp_path):
-    script = (
-        "import sys; sys.modules.update(dict.fromkeys(('scipy', 'matplotlib', 'filterpy', 'rasterio'))); "
-        "from sidelong.app.__main__ import main; main()"
-    )
+    without = "import sys; sys.modules.update(dict.fromkeys(('scipy', 'matplotlib', 'filterpy', 'rasterio')))"
+    script = without + FEW_FLIGHTS
 
     def run(*arguments):
         command = [sys.executable, "-P", "-c", script, *arguments]  # the checkout, whose kernels are compiled

@@ -68,7 +68,7 @@ PRINTED = {
     "report": r"report\.html",
     "route": r"way points|wrote",
     "sitl": r"ready system 1 .* -> 127\.0\.0\.1:\d+",
-    "study": r"time on side",
+    "study": r"time on side|on side, %",
     "terrain": r"\d %",
 }
 UNTIL_CTRL_C = {"sidelong sitl ": "ready", "replay .*--view": "replay: http"}  # and what is waited for
@@ -102,6 +102,9 @@ def reader(tmp_path, monkeypatch):
     time_s = np.arange(0.0, 120.0)
     rows = np.column_stack((time_s, 2.0 * time_s, 80.0 * np.sin(time_s / 40.0)))
     np.savetxt(tmp_path / "tracks/winding.csv", rows, "%.2f", ",", header="t_s,east_m,north_m", comments="")
+    np.savetxt(
+        tmp_path / "tracks/winding.route.csv", rows[::20, 1:], "%.2f", ",", header="east_m,north_m", comments=""
+    )
     np.full((1201, 1201), 300, dtype=">i2").tofile(tmp_path / "FOLDER/N47E008.hgt")
     for name, value in {
         "PATH": "/usr/bin:/bin",
@@ -133,6 +136,8 @@ def test_the_commands_of_a_document_run_as_printed(document, free_port):
             assert command.startswith(".venv/bin/"), f"{command}: not on the reader's path"
             printed = _run(_prepared(command, others, free_port))
             assert re.search(PRINTED.get(command.split()[1], ""), printed, re.DOTALL), f"{command}\n{printed}"
+            for written in re.findall(r"--(?:store|report|export|png) (\S+)", command):
+                assert Path(written).stat().st_size > 0
 
 
 def _prepared(command: str, others: contextlib.ExitStack, free_port) -> str:
@@ -142,8 +147,14 @@ def _prepared(command: str, others: contextlib.ExitStack, free_port) -> str:
     if re.search(r"\bRUN\b|runs/\d", command) and not any(Path("runs").iterdir()):
         _run(".venv/bin/sidelong launch")
     if "URL" in command:
-        port = free_port()
-        others.enter_context(_started(f".venv/bin/sidelong sitl --speed 5 --to 127.0.0.1:{port}", "ready"))
+        port, vehicle = free_port(), ".venv/bin/sidelong sitl --speed 5"
+        if Path("mission.toml").exists() and '\nurl = "udp://192.168.' in (
+            mission := Path("mission.toml").read_text()
+        ):
+            device = f"127.0.0.1:{free_port()}"  # the payload that it names is simulated, too
+            Path("mission.toml").write_text(re.sub(r"192\.168\.[\d.]+:\d+", device, mission))
+            vehicle += f" --set device=siyi@{device}"
+        others.enter_context(_started(f"{vehicle} --to 127.0.0.1:{port}", "ready"))
         command = command.replace("URL", f"udpin://127.0.0.1:{port}")
     if "plaintext://192.168.0.9" in command:
         device = PlainTextDevice()
