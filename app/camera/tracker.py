@@ -33,7 +33,7 @@ _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
 _CANDIDATES_MAX = 10
 _REMEMBERED_S, _SAME_SIZES = 60.0, 0.9
 _SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
-_FRESH_S, _NEAR_M = 2.0, 3.0
+_FRESH_S = 2.0
 _STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
 _ON_WAY_M = 8.0  # how far off its straight way the target may have stopped; what looks like it stands farther off
@@ -69,7 +69,7 @@ class Tracked:
     confidence: float = 0.0
 
 
-_HUES, _COLOUR_MIN = 24, 0.35
+_HUES, _COLOUR_MIN = 24, 0.12
 _LEARN, _LEARN_OWN = 0.1, 0.005  # of a learning: for the surroundings; for the object, once it was learnt often
 _RARE = 0.02  # share of a box: a colour that less of it has is hardly the object's
 _TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 1.5
@@ -157,6 +157,7 @@ class _Look:
 
     def _own_colour(self, hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
         share = self._inside / (self._inside + self._outside + _RARE)
+        share = np.maximum(2.0 * share - 1.0, 0.0)  # the ground around it has as much of other colours
         return share[hues[..., 0], hues[..., 1]]
 
 
@@ -232,7 +233,7 @@ class ObjectTracker:
         self._candidates: list[_Candidate] = []
         self._watched_m: tuple[float, float] | None = None  # the likeliest candidate
         self._trial: _Trial | None = None
-        self._alike: list[tuple[float, float, float]] = []  # time s, east m, north m of what looks like it
+        self._alike: list[_Candidate] = []  # what looks like it
 
     @property
     def state(self) -> TrackingState:
@@ -347,8 +348,7 @@ class ObjectTracker:
         if at is None:
             return None
         self._at_m, self._seen_s = at, time_s
-        passes = any(self._is_same(view, known[1:], at) for known in self._alike)
-        if passes and self._trial is None and math.hypot(*self._velocity_m_s) > _MOVES_M_S:
+        if self._trial is None and self._passes(view, at):
             self._trial = _Trial((time_s, *at), _Candidate(deque(maxlen=100)))  # what goes on may be that one
         if likeness > _LEARNT_FROM and time_s - self._learnt_s > _LEARN_EVERY_S:
             self._learn(window, *middle, time_s)
@@ -375,7 +375,7 @@ class ObjectTracker:
         if speed_m_s is None:
             return
         if speed_m_s < _STANDING_SHARE * math.hypot(*self._velocity_m_s):
-            self._alike.append((time_s, *self._at_m))
+            self._alike.append(trial.found)
             self._lose()
         self._trial = None
 
@@ -388,12 +388,23 @@ class ObjectTracker:
 
     def _remember_alike(self, picture: Picture, time_s: float, view: View) -> None:
         """Note what else looks like the object now."""
-        self._alike = [one for one in self._alike if time_s - one[0] < _REMEMBERED_S]
+        self._alike = [one for one in self._alike if time_s - one.latest[0] < _REMEMBERED_S]
         for east_m, north_m in self._matches(picture, view, self._at_m, _SURVEY_M):
             here = east_m, north_m
             if not self._is_same(view, here, self._at_m):
-                self._alike = [one for one in self._alike if not self._is_same(view, one[1:], here)]
-                self._alike.append((time_s, *here))
+                same = [one for one in self._alike if self._is_same(view, one.latest[1:], here)]
+                known = same[0] if same else _Candidate()
+                known.seen.append((time_s, *here))
+                self._alike = [one for one in self._alike if one not in same] + [known]
+
+    def _passes(self, view: View, at_m: tuple[float, float]) -> bool:
+        """Return whether the object moves past what looks like it and stands: the tracker may go over to that."""
+        speed_m_s = math.hypot(*self._velocity_m_s)
+        near = [one for one in self._alike if self._is_same(view, one.latest[1:], at_m)]
+        speeds_m_s = [one.speed_m_s(_STOOD_FOR_S) for one in near]
+        return speed_m_s > _MOVES_M_S and any(
+            other_m_s is not None and other_m_s < _STANDING_SHARE * speed_m_s for other_m_s in speeds_m_s
+        )
 
     def _is_same(self, view: View, one_m: tuple[float, float], other_m: tuple[float, float]) -> bool:
         """Whether two places are one as they are seen: along a low line of sight an error of the gimbal is far."""
@@ -490,17 +501,17 @@ class ObjectTracker:
         speed_m_s = math.hypot(*self._velocity_m_s)
         rated: list[tuple[float, bool, _Candidate]] = []  # how far off, whether it may be the object, which
         for one in self._candidates:
-            if any(self._is_same(view, known[1:], one.latest[1:]) for known in self._alike):
+            if any(self._is_same(view, known.latest[1:], one.latest[1:]) for known in self._alike):
                 continue  # it stood there before, next to the object
             off_m, seen_for_s = math.dist(one.latest[1:], expected_m), time_s - one.seen[0][0]
             fits = len(one.seen) >= _SEEN_TIMES and seen_for_s >= _SEEN_FOR_S and time_s - one.latest[0] < 0.3
             may_move = max(speed_m_s, self._velocity_sigma_m_s) > _MOVES_M_S
-            if may_move and not (hidden_s < _FRESH_S and off_m < _NEAR_M):
+            if may_move and not (hidden_s < _FRESH_S and self._is_same(view, one.latest[1:], expected_m)):
                 moved_m_s = one.speed_m_s(_STANDS_FOR_S)
                 stands = moved_m_s is not None and moved_m_s < _STANDING_SHARE * max(speed_m_s, _MOVES_M_S)
                 has_stood, is_on_way = seen_for_s >= _STOOD_FOR_S, self._is_on_way(one.latest[1:])
                 if stands and has_stood and not is_on_way:
-                    self._alike.append(one.latest)
+                    self._alike.append(one)
                 if stands and not (has_stood and is_on_way and hidden_s > _STOPPED_S):
                     continue  # what stands may have been hidden before, too
                 fits &= moved_m_s is not None

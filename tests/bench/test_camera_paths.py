@@ -207,7 +207,8 @@ def measured(kind: str, number: int) -> tuple[np.ndarray, np.ndarray]:
     wrong = float(np.mean(np.nan_to_num(off_m) > _WRONG_M))
     turned_deg, scaled = np.degrees(np.abs(np.diff(seen[:, 0]))), np.abs(np.diff(np.log(seen[:, 1])))
     scales = np.percentile(seen[:, 1], (95, 5))
-    on_side = 100.0 * float(track.judged.on_side[track.judged.side_known].mean())
+    known = track.judged.side_known
+    on_side = 100.0 * float(track.judged.on_side[known].mean()) if known.any() else math.nan
     shares = (
         100.0 * float(np.mean(~is_object)),
         100.0 * wrong,
@@ -225,8 +226,8 @@ def test_one_sided_circles_change_the_view_less_than_circles_around_the_target()
     print("\npath: " + ", ".join(_COLUMNS), end="")
     for kind in PATHS:
         rows = np.array([measured(kind, number)[0] for number in range(FLIGHTS)])
-        means[kind] = rows.mean(axis=0)
-        errors = rows.std(axis=0) / math.sqrt(FLIGHTS)
+        means[kind] = np.nanmean(rows, axis=0)
+        errors = np.nanstd(rows, axis=0) / math.sqrt(FLIGHTS)
         cells = (f"{mean:.1f} +- {error:.1f}" for mean, error in zip(means[kind], errors, strict=True))
         print(f"\n{kind}: " + ", ".join(cells), end="", flush=True)
     if not SMOKE:
