@@ -54,6 +54,11 @@ _STUDIES = (
     "tests/app/test_study",
     "tests/app/test_prediction",
 )
+# Then the longest of those that compute: begun at the end, one of them would leave the other workers idle.
+_LONG = (
+    *("tests/test_bench_smoke", "tests/test_examples", "tests/test_package", "tests/camera/test_flight"),
+    *("tests/mission/test_eights", "tests/exchange/test_fleet", "tests/faults/test_envelope"),
+)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -122,7 +127,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         (item for item in waiting if item not in second), key=lambda item: item.path.name == "test_fleet.py"
     )
     early = [item for start in _PLAIN for item in working if item.nodeid.startswith(start) and _is_plain(item)]
-    early += dict.fromkeys(item for start in _STUDIES for item in working if item.nodeid.startswith(start))
+    later = (*_STUDIES, *_LONG)
+    early += dict.fromkeys(item for start in later for item in working if item.nodeid.startswith(start))
     taken = set(early)
     others = [item for item in working if item not in taken]
     share = -(-len(items) // workers)  # of the last worker
