@@ -278,7 +278,7 @@ _LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
 # much tighter than any plan: it orbits a waypoint that it cannot reach, near its path all the time.
 _OFF_TRACK_S, _ORBITS = 6.0, 2.0
 # The aircraft cannot be moved when this number of plans in a row, or all of this time, have failed.
-_STUCK, _STUCK_S = 3, 30.0
+_STUCK, _STUCK_S = 3, 28.0  # the alarm follows within 30 s
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
 
@@ -339,8 +339,8 @@ class PlanChanges:
 
     def stuck(self, now_s: float) -> str:
         """Return why plans do not get through: several in a row, or all of some time, have failed; '' if they do."""
-        is_tried = self.in_vain > 1 and self.under_way is not None
-        if self.in_vain < _STUCK and not (is_tried and now_s - self._in_vain_since_s >= _STUCK_S):
+        is_long = self.in_vain > 1 and now_s - self._in_vain_since_s >= _STUCK_S
+        if self.in_vain < _STUCK and not is_long:
             return ""
         return f"{self.in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"
 
