@@ -478,11 +478,19 @@ def test_everybody_can_read_it(browser, display):
 # -- age ------------------------------------------------------------------------------------------------------------
 
 
+def until_visible(element, display):
+    """Let the program go on until an element is visible: on a busy machine its last state may be old already."""
+    while not element.is_visible():
+        display.pump()
+        with suppress(NotYet):
+            element.wait_for(timeout=500.0)
+
+
 def test_data_become_old_by_their_own_age_and_nothing_old_is_green(browser, display):
     with opened(browser, display, ages=True) as page:
         page.clock.install()
         page.reload()
-        page.locator("#band.good").wait_for()
+        until_visible(page.locator("#band.good"), display)
         page.clock.run_for(4000)  # no message of the program
         page.locator("#band.unknown").wait_for()
         assert page.locator(".good").filter(visible=True).count() == 0
@@ -490,11 +498,7 @@ def test_data_become_old_by_their_own_age_and_nothing_old_is_green(browser, disp
         page.get_by_role("button", name="Hold", exact=True).click()
         assert "old: the aircraft may be elsewhere" in page.locator("#question").inner_text()
         page.keyboard.press("n")
-        good = page.locator("#band.good")
-        while not good.is_visible():  # the request that waited while the clock was set counts as slow
-            display.pump()
-            with suppress(NotYet):
-                good.wait_for(timeout=500.0)
+        until_visible(page.locator("#band.good"), display)  # the request that waited for the clock counts as slow
 
         def late(route):
             answer = route.fetch()
@@ -502,11 +506,7 @@ def test_data_become_old_by_their_own_age_and_nothing_old_is_green(browser, disp
             route.fulfill(response=answer)
 
         page.route("**/state*", late)
-        unknown = page.locator("#band.unknown")
-        while not unknown.is_visible():
-            display.pump()
-            with suppress(NotYet):
-                unknown.wait_for(timeout=500.0)
+        until_visible(page.locator("#band.unknown"), display)
         page.unroute_all(behavior="ignoreErrors")
 
 
