@@ -29,7 +29,7 @@ from sidelong.mission.geometry.progress import nearest_arc_m
 from sidelong.mission.geometry.separation import circles_apart_m
 from tests.bench.size import size
 from tests.faults import undisturbed
-from tests.faults.test_envelope import BEGIN_S, PLANE, Flight, set_home_lower, sinks
+from tests.faults.test_envelope import BEGIN_S, HOME, PLANE, Flight, set_home_lower, sinks
 
 TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 LEAST_M, ALARM_S, UPLOADS_ALARM_S, REGAINED_S = 80.0, 5.0, 30.0, 30.0
@@ -153,6 +153,10 @@ BREACHES = {
 }
 
 
+def above_first_home_m(flight):
+    return flight.craft.height_m + flight.simulated.simulated.home.altitude_m - HOME.altitude_m
+
+
 def breached(flight, breach):
     """Return whether the aircraft breaches what it is to keep, by the truth."""
     craft = flight.craft
@@ -160,14 +164,13 @@ def breached(flight, breach):
         return max(abs(craft.east_m), abs(craft.north_m)) > FENCE_M + OFF_M
     if breach is bank_not_reached:
         return flight.controller.envelope.off_m > OFF_PATH_M
-    home_m = flight.simulated._start.home.altitude_m - 400.0
-    return breach is home_moved or abs(craft.height_m + home_m - 100.0) > OFF_M
+    return breach is home_moved or abs(above_first_home_m(flight) - 100.0) > OFF_M
 
 
 def note_orders(flight, orders, _event, outputs):
     """Note at which height each plan is ordered, and whether it is to another circle than the present one."""
     sent = [one for one in outputs if isinstance(one, UploadPlan)]
-    orders += [(flight.craft.height_m, one.plan.circle != flight.controller.present.circle) for one in sent]
+    orders += [(above_first_home_m(flight), one.plan.circle != flight.controller.present.circle) for one in sent]
 
 
 def test_each_breach_raises_an_alarm_and_nothing_is_commanded_below_the_floor():
