@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inner
 
 FloatArray = npt.NDArray[np.float64]
 Grid: TypeAlias = tuple[npt.NDArray[np.float32], float, float, float, float]
@@ -159,7 +159,7 @@ Raster = npt.NDArray[np.float32]
 _STEP_MAX_M = 10.0
 
 
-@compiled
+@inner
 def highest_at(highest: Raster, grid: Grid, east_m: float, north_m: float) -> float:
     """Return the highest ground about a place."""
     _, west_m, south_m, step_east_m, step_north_m = grid

@@ -42,7 +42,7 @@ class Side(StrEnum):
 
     @property
     def normal_turn_rad(self) -> float:
-        """What turns the target's course into the direction of this side."""
+        """Angle from the target's course to the direction of this side, rad, clockwise: -pi/2 on the left."""
         return -math.pi / 2 if self is Side.LEFT else math.pi / 2
 
 
@@ -94,12 +94,12 @@ class Requirement:
             raise TypeError(f"Requirement.side must be Side.LEFT or Side.RIGHT, not {self.side!r}") from None
 
     def middle_rad(self, course_rad: Angle) -> Angle | float:
-        """Return the direction from the target, on its course, to the middle of where it is to be watched from."""
+        """Return the bearing from the target to the middle of the allowed positions, rad; course: the target's."""
         return course_rad + self.side.normal_turn_rad if self.sector is None else self.sector.middle_rad
 
     @property
     def allowed_rad(self) -> float:
-        """How far from that direction an observation angle may be."""
+        """How far a bearing from the target may be from ``middle_rad``, rad, 0 to pi."""
         if self.sector is not None:
             return self.sector.half_width_rad
         return math.pi if self.either_side else math.pi / 2

@@ -88,7 +88,7 @@ def shapes_of(
 
 @compiled
 def eight_line(start: LinePoint, eight: int, signed_radius_m: float, ramp: float) -> FloatArray:
-    """Return the line (5, n) of an eight."""
+    """Return the line (5, n) of an eight; ramp: how fast its curvature changes, 1/m2."""
     leg, turn, leg_back = shapes_of(start.curvature_per_m, eight, signed_radius_m, ramp)
     line = laid_out(leg, start.east_m, start.north_m, start.course_rad)
     for shape in (turn, leg_back):
