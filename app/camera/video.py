@@ -91,7 +91,7 @@ class VideoSource:
                     self._put(picture)
                     if self._closing.is_set():
                         return
-            except (av.FFmpegError, OSError, ValueError) as error:
+            except (av.FFmpegError, OSError, ValueError, LookupError) as error:  # PyAV: a stream that damage invents
                 why = getattr(error, "strerror", None) or str(error) or type(error).__name__
                 if isinstance(error, av.ExitError):
                     why = "nothing arrives"  # what a timeout raises
