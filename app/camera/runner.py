@@ -28,6 +28,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.tracker import Tracker
 
 _WAIT_S = 0.1
+_STAMPS_APART_S = 1e-3
 _POINT_EVERY_S, _REPORT_EVERY_S = 0.1, 0.4  # a tracker's error lasts for seconds: more reports would say no more
 _CLICK_ABOVE_M = 40.0
 _MEGABYTE = 1e6
@@ -121,7 +122,7 @@ class CameraRunner:
             self._output = VideoOutput(settings.rate_hz, self._record, budget_bytes, address)
         self._marks = None if self._record is None else self._record.with_suffix(".jsonl").open("wb")
         self._height_m, self._heading_rad = 0.0, math.nan
-        self._point_s = self._report_s = -math.inf
+        self._point_s = self._report_s = self._stamped_s = -math.inf
         self._state = "idle"
         self._fault: Exception | None = None
 
@@ -214,7 +215,11 @@ class CameraRunner:
         self, output: VideoOutput, picture: Picture, pictured: Pictured | None, taken_s: float, line: bytes
     ) -> None:
         """Write a picture to the stream and the record."""
-        klv = b""
+        klv, self._stamped_s = (
+            b"",
+            max(taken_s, self._stamped_s + _STAMPS_APART_S),
+        )  # the clocks' offset may step back
+        taken_s = self._stamped_s
         metadata = self._metadata = self._metadata or self._new_metadata(picture)
         if pictured is not None:
             view, (width, height) = pictured.view, self._component.size_px

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import math
 import time
@@ -115,3 +116,13 @@ def test_an_error_of_the_camera_reaches_neither_the_flight_nor_the_link(tmp_path
     with pytest.raises(ZeroDivisionError):  # announced by the flight, which goes on
         asyncio.run(runner.run())
     assert vehicle.listeners == vehicle.bystanders == []
+
+
+def test_the_time_stamps_of_the_stream_never_step_back(tmp_path):
+    runner, stamps = run(tmp_path / "video.ts", 1, 0.0)[4], []
+    output = SimpleNamespace(
+        put=lambda _picture, time_s, stamp_us, _klv: stamps.append((time_s, stamp_us)), is_full=True
+    )
+    for after_s in (0.0, -0.3, -0.2, 0.1):
+        runner._write(output, np.zeros((*SIZE_PX[::-1], 3), np.uint8), None, BEGIN_S + 1.0 + after_s, b"")
+    assert all(now > before for two in zip(*stamps, strict=True) for before, now in itertools.pairwise(two))
