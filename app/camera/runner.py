@@ -215,11 +215,9 @@ class CameraRunner:
         self, output: VideoOutput, picture: Picture, pictured: Pictured | None, taken_s: float, line: bytes
     ) -> None:
         """Write a picture to the stream and the record."""
-        klv, self._stamped_s = (
-            b"",
-            max(taken_s, self._stamped_s + _STAMPS_APART_S),
-        )  # the clocks' offset may step back
-        taken_s = self._stamped_s
+        klv = b""
+        # The clocks' offset may step back.
+        taken_s = self._stamped_s = max(taken_s, self._stamped_s + _STAMPS_APART_S)
         metadata = self._metadata = self._metadata or self._new_metadata(picture)
         if pictured is not None:
             view, (width, height) = pictured.view, self._component.size_px

@@ -13,7 +13,14 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.readings import (
+    IMAGE_TRACKER,
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+)
 from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
 from sidelong.estimators.tracking.payload_fit import OFTEN, PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector
@@ -150,6 +157,7 @@ _STALE = {
     Input.GIMBAL: "no orientation from the gimbal for {age:.0f} s: check its power and its connection",
     Input.NEIGHBOURS: "no report of the fleet for {age:.0f} s: the other aircraft are assumed where they were",
 }
+_UNTRACKED = "no target in the camera's picture for {age:.0f} s: wait until it is found again, or click it there"
 _LINK_LOST = "link lost: the aircraft goes on circling"
 _JUDGED_WHILE_FRESH = (Input.POSITION, Input.LASER, Input.GIMBAL)
 _WORDS = {
@@ -321,7 +329,10 @@ class Health:
         stands = self.silent_s >= limit_s
         if (age_s > limit_s and ticks > _TICKS_MARGIN) or (stands and ticks > limit_s + _TICKS_MARGIN):
             if seen.state is not InputState.STALE:
-                text = _STALE[kind].format(age=max(age_s, float(ticks) if stands else 0.0))
+                is_camera = seen.source is not None and seen.source.message == IMAGE_TRACKER
+                text = (_UNTRACKED if is_camera else _STALE[kind]).format(
+                    age=max(age_s, float(ticks) if stands else 0.0)
+                )
                 changed.append(self._set(kind, InputState.STALE, now_s, text))
         elif seen.state is InputState.MISSING:
             self._set(kind, InputState.OK, now_s, "")  # the first reading is no news

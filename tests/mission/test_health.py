@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.readings import (
+    IMAGE_TRACKER,
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+)
 from sidelong.estimators.tracking.payload_fit import PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
@@ -234,6 +241,24 @@ def test_reading_before_the_clock_is_known_is_not_silent_indefinitely():
     health = Health(PayloadFit())
     health.received(RangeReading(1.0, 200.0, Source("DISTANCE_SENSOR", 154)), -math.inf)
     assert health.changes(30.0, *selectors()) == ()
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ("GIMBAL_DEVICE_ATTITUDE_STATUS", "no orientation from the gimbal"),
+        (IMAGE_TRACKER, "no target in the camera"),
+    ],
+)
+def test_camera_that_has_lost_its_object_is_no_silent_gimbal(message, words):
+    health, (lasers, gimbals), source = Health(PayloadFit()), selectors(), Source(message, 100)
+    gimbals.chosen, changes = source, []
+    for second in range(30):
+        if second < 10:
+            health.received(GimbalReading(float(second), (1.0, 0.0, 0.0, 0.0), "earth", source), float(second))
+        health.received(ClockTick(float(second), float(second)), float(second))
+        changes += health.changes(float(second), lasers, gimbals)
+    assert [one.text[: len(words)] for one in changes if one.state is InputState.STALE] == [words]
 
 
 def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
