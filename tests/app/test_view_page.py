@@ -558,8 +558,7 @@ def test_a_service_is_watched_and_released_on_its_page(browser):
         while not asked:
             display.pump()
         assert asked == [("watch", "operator at this machine")]
-        display.pump()
-        page.locator("#answer.accepted", has_text="watch: the watch begins").wait_for()
+        until_visible(page.locator("#answer.accepted", has_text="watch: the watch begins"), display)
         assert not page.get_by_role("button", name="End", exact=True).is_visible()
         page.close()
 
