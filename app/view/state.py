@@ -19,7 +19,8 @@ from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.line_kernel import line_at
+from sidelong.mission.geometry.progress import line_of, nearest_arc_m
 from sidelong.mission.route.route import Route, RouteProgress
 from sidelong.mission.viewpoint.watch_course import side_words
 
@@ -209,11 +210,11 @@ class StateEncoder:
             return None
         at_m = nearest_arc_m(plan, here)
         length_m = max(plan.transition_m - at_m, 0.0) + math.tau * plan.circle.radius_m
-        arcs_m = [at_m + share * length_m for share in np.linspace(0.0, 1.0, _AHEAD_POINTS).tolist()]
-        points = [point_at(plan, arc_m, here) for arc_m in arcs_m]
-        ground_m = self.ground.heights_at_m([one.east_m for one in points], [one.north_m for one in points])
+        arcs_m, found = at_m + np.linspace(0.0, length_m, _AHEAD_POINTS), np.empty((3, _AHEAD_POINTS))
+        line_at(*line_of(plan), arcs_m, here.east_m, here.north_m, found)
+        ground_m = self.ground.heights_at_m(found[0], found[1])
         one_height_m = self._height_m if snapshot.height_asked_m is None else snapshot.height_asked_m
-        heights_m = [one_height_m if plan.heights is None else plan.heights.at_m(arc_m) for arc_m in arcs_m]
+        heights_m = [one_height_m if plan.heights is None else plan.heights.at_m(arc_m) for arc_m in arcs_m.tolist()]
         return {
             "length_m": round(length_m),
             "ground_m": [_number(one, 0) for one in ground_m.tolist()],

@@ -882,16 +882,16 @@ class PayloadFit:
         def fit(factor: float, start: FloatArray, scale_m: float = 0.0) -> Fit:
             return self._solve(readings, self._sigmas, start, scale_m, erring=True, factor=factor)
 
-        tried = [(self._factor, fit(self._factor, sound.shared))]
+        tried, by_heights_m = [(self._factor, fit(self._factor, sound.shared))], 0.0
         if before is not None:
             tried.append((self._factor, fit(self._factor, before.shared, before.scale_m)))
         elif not self._on_ground:
             other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
             tried.append((other, fit(other, sound.shared)))
-        pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings, *_looks(readings))
-        by_heights_m = pitch_rad / pitch_of_range_rad_m  # the error of the ranges, if the pitch has none
-        if before is None and not self._on_ground and abs(by_heights_m) > _RANGE_MIN_M:
-            tried.append((1.0, fit(1.0, np.array([0.0, 0.0, 0.0, by_heights_m, 0.0, 0.0]))))
+            pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings, *_looks(readings))
+            by_heights_m = pitch_rad / pitch_of_range_rad_m  # the error of the ranges, if the pitch has none
+            if abs(by_heights_m) > _RANGE_MIN_M:
+                tried.append((1.0, fit(1.0, np.array([0.0, 0.0, 0.0, by_heights_m, 0.0, 0.0]))))
         factor, best = min(tried, key=lambda one: one[1].cost)
         for _ in range(0 if self._on_ground else _FACTOR_STEPS):
             other = factor - float(best.shared[3]) / range_m
@@ -908,9 +908,8 @@ class PayloadFit:
         is_calmer = best.scale_m < max(_CALM_M, _CALMER * sound.scale_m)
         evidence = sound.cost - best.cost
         is_better = evidence > -_EVIDENCE if before is not None else evidence > _EVIDENCE and is_calmer
-        if (
-            self.on_hills or sound.scale_m > _WILD_M
-        ):  # the ends of lines that are turned wrongly lie on other hills: they fit nothing well
+        # The ends of lines that are turned wrongly lie on other hills: they fit nothing well.
+        if self.on_hills or sound.scale_m > _WILD_M:
             is_better |= best.scale_m < _CALM_ON_HILLS_M and best.scale_m < _CALMER_ON_HILLS * sound.scale_m
         if is_large and is_possible and is_better and before is None and not self.on_hills:
             # A path that is stiff at first may miss a calm one; a path that bends much circles with the aircraft.

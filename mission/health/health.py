@@ -330,9 +330,8 @@ class Health:
         if (age_s > limit_s and ticks > _TICKS_MARGIN) or (stands and ticks > limit_s + _TICKS_MARGIN):
             if seen.state is not InputState.STALE:
                 is_camera = seen.source is not None and seen.source.message == IMAGE_TRACKER
-                text = (_UNTRACKED if is_camera else _STALE[kind]).format(
-                    age=max(age_s, float(ticks) if stands else 0.0)
-                )
+                words = _UNTRACKED if is_camera else _STALE[kind]
+                text = words.format(age=max(age_s, float(ticks) if stands else 0.0))
                 changed.append(self._set(kind, InputState.STALE, now_s, text))
         elif seen.state is InputState.MISSING:
             self._set(kind, InputState.OK, now_s, "")  # the first reading is no news
