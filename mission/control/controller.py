@@ -96,7 +96,7 @@ from sidelong.mission.core.plan import (
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import HOLD_S, LEAVE_S, Reach, escapes, orbits, paths_to, retreats
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
-from sidelong.mission.geometry.separation import PREDICTED_S, Encounter
+from sidelong.mission.geometry.separation import PREDICTED_S, Encounter, closest_of
 from sidelong.mission.health.health import Health
 from sidelong.mission.viewpoint.watch_course import TargetCourse
 
@@ -580,7 +580,7 @@ class StandoffController:
         return self.changes.upload(self.time_s, again, self._wind, "the other aircraft has passed: the old height")
 
     def _encounter_of(self, present: Plan, coming: Plan | None) -> Encounter | None:
-        return min(self._encounters_of(present, coming), key=lambda one: one.share, default=None)
+        return closest_of(self._encounters_of(present, coming))
 
     def _encounters_of(self, present: Plan, coming: Plan | None) -> list[Encounter]:
         flown = self.surroundings.flown

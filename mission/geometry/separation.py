@@ -92,7 +92,8 @@ class Separation:
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
         before, after = (
-            self.encounter(present or plan, coming, aircraft, height_m, wind, airspeed_m_s) for coming in (None, plan)
+            closest_of(self.encounters(present or plan, coming, aircraft, height_m, wind, airspeed_m_s))
+            for coming in (None, plan)
         )
         if after is not None and after.share < min(1.0, 1.0 if before is None else before.share):
             return str(after)
@@ -129,19 +130,6 @@ class Separation:
         """The foreign aircraft."""
         return tuple(other for other in self._others.values() if not other.ours)
 
-    def encounter(
-        self,
-        present: Plan,
-        coming: Plan | None,
-        aircraft: AircraftState,
-        height_m: float,
-        wind: Wind,
-        airspeed_m_s: float,
-    ) -> Encounter | None:
-        """Return the closest approach of the foreign aircraft that comes closest; see ``breach``."""
-        found = self.encounters(present, coming, aircraft, height_m, wind, airspeed_m_s)
-        return min(found, key=lambda one: one.share, default=None)
-
     def encounters(
         self,
         present: Plan,
@@ -151,7 +139,7 @@ class Separation:
         wind: Wind,
         airspeed_m_s: float,
     ) -> list[Encounter]:
-        """Return the closest approach of each foreign aircraft that has to be kept clear of."""
+        """Return the closest approach of each foreign aircraft that has to be kept clear of; see ``breach``."""
         others = [
             one
             for one in self._others.values()
@@ -206,6 +194,11 @@ class Separation:
         growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
         ours, theirs = np.ascontiguousarray(own[:, :n]), np.ascontiguousarray(theirs)
         return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
+
+
+def closest_of(encounters: list[Encounter]) -> Encounter | None:
+    """Return the encounter that comes closest to what has to be kept; None without any."""
+    return min(encounters, key=lambda one: one.share, default=None)
 
 
 def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighbour) -> Encounter:
