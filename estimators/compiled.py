@@ -54,9 +54,9 @@ def _kernel_digest() -> str:
 
 @cache
 def code_digest() -> str:
-    """Return twelve hexadecimal digits that change with any code that shapes decisions or estimates."""
+    """Return twelve hexadecimal digits that change with any code of the program, which all flies in a study."""
     digest = hashlib.sha256()
-    for folder in _FOLDERS:
+    for folder in ("app", "estimators", "mission", "sitl"):
         for file in sorted((_ROOT / folder).rglob("*.py")):
             digest.update(file.relative_to(_ROOT).as_posix().encode() + file.read_bytes())
     return digest.hexdigest()[:12]

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sidelong.app.config import Config, with_values
+from sidelong.app.errors import InputError
 from sidelong.app.study.judging import RunResult
-from sidelong.app.study.settings import PREDICTIVE, StudySettings, configured, designs
-from sidelong.app.study.study import one_flown, table_of
+from sidelong.app.study.settings import OWN_PLANNERS, PREDICTIVE, StudySettings, configured, designs
+from sidelong.app.study.study import ResultStore, one_flown, run_ids, table_of
+from sidelong.estimators.compiled import FOLDER
 
 FLIGHTS, FLIGHTS_MAX, FLIGHT_S = 20, 80, 600.0  # more flights while the verdict is in doubt
 LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below these is refused
+KEPT = FOLDER / "predictions.sqlite"  # next to the machine code, and gone with it
 
 
 def t_95(freedom: int) -> float:
@@ -113,12 +118,33 @@ def predict(
 ) -> Prediction:
     """Fly a configuration that its planner can fly next to random targets, in the closed loop.
 
+    Flights by planners of this package are kept: the same version does not fly them again.
+
     progress: called with the share 0..1 of the value table. flights: this many; None: until the verdict is clear.
     """
     settings = studied(config)
     (planner,) = settings.planners
     table = table_of(settings, progress) if planner == PREDICTIVE else None
-    return prediction_of(lambda number: one_flown(settings, planner, number, table), flights)
+    with closing(_kept_flights(planner)) as store:
+
+        def fly(number: int) -> RunResult:
+            runs = [*run_ids(replace(settings, only=(number,)), planner)]
+            with suppress(sqlite3.Error):
+                for _, kept in store.results(runs):
+                    return kept
+            found = one_flown(settings, planner, number, table)
+            with suppress(InputError):  # no room on the disk
+                store.add(zip(runs, [found], strict=True))
+            return found
+
+        return prediction_of(fly, flights)
+
+
+def _kept_flights(planner: str) -> ResultStore:
+    # The code of another distribution's planner can change without a sign.
+    with suppress(InputError):
+        return ResultStore(KEPT if planner in OWN_PLANNERS else None)
+    return ResultStore()
 
 
 def prediction_of(fly: Callable[[int], RunResult], flights: int | None = None) -> Prediction:

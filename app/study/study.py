@@ -77,6 +77,7 @@ def run_ids(settings: StudySettings, planner: str) -> Iterator[RunId]:
         if field.name not in _NOT_SHAPING and not (field.name == "legs_s" and settings.tracks)
     }
     values |= {"config": shaping(settings.config), "version": code_version()}
+    values["fleet_size"] = settings.config.requirement.fleet_size
     values["hills"] = None if settings.hills is None else settings.hills.digest
     design = json.dumps(values, sort_keys=True)
     for number in settings.numbers:

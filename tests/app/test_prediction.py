@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from sidelong.app.cli import app
 from sidelong.app.commands import flying
-from sidelong.app.config import Config, unflyable
+from sidelong.app.config import Config, unflyable, with_values
 from sidelong.app.study import prediction
 from sidelong.app.study.prediction import Prediction, Share, predict, t_95
 from sidelong.mission.paper.scope import infeasible
@@ -24,7 +24,8 @@ X8_AT_400_M = {
 
 
 @pytest.fixture(autouse=True)
-def short(monkeypatch):
+def short(monkeypatch, tmp_path):
+    monkeypatch.setattr(prediction, "KEPT", tmp_path / "kept.sqlite")
     monkeypatch.setattr(prediction, "FLIGHTS", 3)
     monkeypatch.setattr(prediction, "FLIGHTS_MAX", 6)
     monkeypatch.setattr(prediction, "FLIGHT_S", 200.0)
@@ -93,9 +94,48 @@ def test_a_wind_that_is_not_studied_ends_no_launch(monkeypatch):
     assert "a wind of 14 m/s is above 0.7 of the airspeed" in notes[0]
 
 
-def test_a_prediction_repeats_itself():
-    config = Config.model_validate({"planner": {"name": "paper"}})
-    assert predict(config) == predict(config)
+PAPER = Config.model_validate({"planner": {"name": "paper"}})
+
+
+def test_a_prediction_repeats_itself(monkeypatch, tmp_path):
+    first = predict(PAPER)
+    monkeypatch.setattr(prediction, "KEPT", tmp_path / "other.sqlite")
+    assert predict(PAPER) == first
+
+
+def flights_flown(monkeypatch, config=PAPER):
+    flown, fly = [], prediction.one_flown
+    with monkeypatch.context() as patch:
+        patch.setattr(prediction, "one_flown", lambda *run: flown.append(run[2]) or fly(*run))
+        found = predict(config, flights=2)
+    return found, flown
+
+
+def test_flights_are_flown_again_only_where_something_that_shapes_them_is_another(monkeypatch):
+    first, flown = flights_flown(monkeypatch)
+    assert flown == [0, 1]
+    assert flights_flown(monkeypatch) == (first, [])
+    for section, key, value in (("sensors", "range_sigma_m", 3.0), ("requirement", "side", "right")):
+        assert flights_flown(monkeypatch, with_values(PAPER, {section: {key: value}}, ""))[1] == [0, 1]
+    monkeypatch.setattr("sidelong.app.study.study.code_version", lambda: "other")
+    assert flights_flown(monkeypatch)[1] == [0, 1]
+
+
+def test_flights_of_a_planner_of_another_distribution_are_flown_each_time(monkeypatch):
+    monkeypatch.setattr(prediction, "OWN_PLANNERS", ())
+    assert flights_flown(monkeypatch)[1] == flights_flown(monkeypatch)[1] == [0, 1]
+
+
+@pytest.mark.parametrize("damage", ["no database", "a folder", "cut"])
+def test_damaged_flights_are_flown_again(monkeypatch, damage):
+    first, _ = flights_flown(monkeypatch)
+    whole = prediction.KEPT.read_bytes()
+    if damage == "a folder":
+        prediction.KEPT.unlink()
+        prediction.KEPT.mkdir()
+    else:
+        prediction.KEPT.write_bytes(b"no database" if damage == "no database" else whole[:4096])
+    assert flights_flown(monkeypatch) == (first, [0, 1])
 
 
 def test_the_interval_is_that_of_student_and_stays_within_bounds():
