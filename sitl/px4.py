@@ -8,6 +8,7 @@ from straight at the path (far away) to along it (on it).
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -323,6 +324,21 @@ class Px4Mode(IntEnum):
     STABILIZED = custom_mode(7)
 
 
+class LinkLost(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink has no types
+    """EVENT, unknown to pymavlink, with commander_failsafe_enter_hold: "GCS connection loss", RTL after a delay."""
+
+    crc_extra = 160
+
+    def __init__(self, time_boot_ms: int, delay_s: float) -> None:
+        super().__init__(410, "EVENT")
+        self._arguments = struct.pack("<IBHB", Px4Mode.MISSION, 6, round(delay_s), 2)
+        self._time_boot_ms = time_boot_ms
+
+    def pack(self, packer: Any) -> bytes:
+        body = struct.pack("<IIHBBB40s", 0x1D11DF6, self._time_boot_ms, 1, 0, 0, 0x42, self._arguments)
+        return bytes(self._pack(packer, self.crc_extra, body))
+
+
 # MAV_SYS_STATUS bits as the stock simulator sends them.
 _PRESENT = 0x300403F
 _ENABLED = 0x301403F
@@ -607,7 +623,8 @@ class SimulatedPx4(SimulatedAutopilot):
             self.failsafe = False
         elif not self.failsafe:
             self.failsafe = True
-            self.say(mavlink.MAV_SEVERITY_WARNING, "Connection to ground station lost\t")
+            # No ground station is received, so that PX4 sends no text, either.
+            self.radio.broadcast(LinkLost(self.boot_ms, self.parameters["COM_FAIL_ACT_T"]))
             self.set_mode(Px4Mode.HOLD)
         elif action == 2 and lost_for_s > self.parameters["COM_FAIL_ACT_T"]:
             self.set_mode(Px4Mode.RTL)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -123,6 +123,9 @@ class ArduPlane:
         if not isinstance(report, PositionTargetReported):
             return None
         return CircleOrder(report.x, report.y, 0.0, 0.0, 0.0)
+
+    def failsafe_cause(self, event_id: int, arguments: Sequence[int]) -> str:
+        return ""  # it sends texts
 
     def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
         # Only heartbeats of MAV_GCS_SYSID count.

@@ -197,6 +197,7 @@ class Autopilot(AutopilotDialect, Protocol):
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str: ...  # as the autopilot's own documentation has it
     def limits(self, values: Mapping[str, float]) -> Limits: ...
+    def failsafe_cause(self, event_id: int, arguments: Sequence[int]) -> str: ...  # of an EVENT; "": it is another
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
         """Return the parameters whose values prevent a mission, by key."""

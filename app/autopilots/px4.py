@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pymavlink.dialects.v20 import all as _mav
 
@@ -38,6 +38,13 @@ _LINK_LOST = {
     2.0: "losing the link holds it, then flies it home",
     3.0: "losing the link lands it",
 }
+# Where the cause stands in the arguments of commander_failsafe_enter and commander_failsafe_enter_hold. Source: PX4,
+# src/modules/commander/failsafe/framework.cpp (an id is the FNV-1a of the name) and src/lib/events/enums.json.
+_FAILSAFE_CAUSE_AT = {0x194CA8A: 5, 0x1D11DF6: 7}
+_FAILSAFE_CAUSES = (
+    *("", "Manual control loss", "GCS connection loss"),
+    *("Low battery level", "Critical battery level", "Emergency battery level", "Remaining flight time low"),
+)
 _PARAMETERS = (
     Parameter("FW_AIRSPD_TRIM", Purpose.AIRSPEED),
     Parameter("FW_AIRSPD_MIN", Purpose.AIRSPEED),
@@ -132,6 +139,10 @@ class Px4:
         if not isinstance(report, OrbitReported):
             return None
         return CircleOrder(report.x, report.y, 0.0, 0.0, report.signed_radius_m)
+
+    def failsafe_cause(self, event_id: int, arguments: Sequence[int]) -> str:
+        at = _FAILSAFE_CAUSE_AT.get(event_id)
+        return "" if at is None or arguments[at] >= len(_FAILSAFE_CAUSES) else _FAILSAFE_CAUSES[arguments[at]]
 
     def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
         # Any heartbeat of MAV_TYPE_GCS renews the clock of the data link, whatever its system id.

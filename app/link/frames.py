@@ -15,7 +15,8 @@ from sidelong.app.link.message import Message
 _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
-_CRC_EXTRA = {number: definition.crc_extra for number, definition in mavlink.mavlink_map.items()}
+_EVENT = 410  # pymavlink does not know it, MAVSDK decodes it: https://mavlink.io/en/messages/common.html#EVENT
+_CRC_EXTRA = {number: definition.crc_extra for number, definition in mavlink.mavlink_map.items()} | {_EVENT: 160}
 _FLAGS_AT, _SEQUENCE_AT = 2, 4
 FRAME_MIN_BYTES = 8  # MAVLink 1, without a payload
 

@@ -63,7 +63,7 @@ _CLOCKS = {number: _clock_of(definition) for number, definition in dialect.mavli
 
 def time_of(frame: Frame) -> float | None:
     """Return the time stamp of a frame's message, s, of the sender's clock; None where it has none."""
-    clock = _CLOCKS[frame.message_id]
+    clock = _CLOCKS.get(frame.message_id)
     if clock is None:
         return None
     offset, code, units_per_s = clock

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from sidelong.app.autopilots.autopilot import Release, release_in
+from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.errors import FlightError
 from sidelong.app.link.message import Message, plain
 from sidelong.app.link.quality import LinkReport
@@ -85,9 +86,10 @@ class StatusTexts:
     def _complete(self, arriving: _Arriving) -> StatusText | None:
         parts = (arriving.chunks.get(number, "...") for number in range(max(arriving.chunks) + 1))
         text = plain("".join(parts))  # PX4 ends a text with a tab where it is also sent as an event
-        if not text:
-            return None
-        completed = StatusText(text, arriving.severity, arriving.received_s)
+        return self.add(StatusText(text, arriving.severity, arriving.received_s)) if text else None
+
+    def add(self, completed: StatusText) -> StatusText:
+        """Take a whole text."""
         self._texts.append(completed)
         for listener in self.listeners:
             listener(completed)
@@ -149,8 +151,18 @@ class VehicleMessages:
             self.latest[message.name] = message
             if message.name == "STATUSTEXT":
                 self.texts.take(message)
+            elif message.name == "EVENT":
+                self._take_event(message)
         for listener in self.listeners:
             listener(message)
+
+    def _take_event(self, message: Message) -> None:
+        """Take what an event says of a failsafe as a text: PX4 sends no texts where it receives no ground station."""
+        heartbeat, fields = self.latest.get("HEARTBEAT"), message.fields
+        autopilot = heartbeat and autopilot_by_mav_autopilot(int(heartbeat.fields["autopilot"]))
+        cause = autopilot.failsafe_cause(int(fields["id"]), fields["arguments"]) if autopilot else ""
+        if cause:
+            self.texts.add(StatusText(cause, int(fields["log_levels"]) & 0xF, message.received_s))
 
     def listen(self, listener: Listener, *known: str) -> None:
         """Pass a listener the latest messages of the ``known`` names, if any, and each message from now on."""
@@ -352,7 +364,7 @@ _FLYING_HEIGHT_M = 25.0
 _REQUEST_S, _REQUESTS, _WARNED_S = 0.8, 3, 10.0
 _REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID, _GIMBAL_MANAGER_INFORMATION_ID = 512, 242, 148, 280
 _GIMBAL_MANAGER_INFORMATION = "GIMBAL_MANAGER_INFORMATION"
-_FAILSAFE_TEXT = re.compile("failsafe|lost|loss|low|breach|fence", re.IGNORECASE)
+_FAILSAFE_TEXT = re.compile("failsafe|lost|loss|low|level|breach|fence", re.IGNORECASE)
 _INFINITE_YAW = 2048  # GIMBAL_MANAGER_CAP_FLAGS
 
 

@@ -38,10 +38,7 @@ LINK_FAILSAFE = {  # values as they go over the link
     "arduplane": (("FS_GCS_ENABL", 1.0, INT8), ("FS_LONG_ACTN", 1.0, INT8)),
     "px4": (("NAV_DLL_ACT", 2.8e-45, INT32), ("COM_DL_LOSS_T", 1.4e-44, INT32)),  # 2, and 10 s
 }
-LINK_REASON = {  # PX4 sends no texts over a link without a ground station
-    "arduplane": "GCS Failsafe On",
-    "px4": "by a failsafe of the autopilot",
-}
+LINK_REASON = {"arduplane": "GCS Failsafe On", "px4": "GCS connection loss"}
 REASON_WITHIN_S = 3.0
 PILOTS_MODE = {"arduplane": (5, 0), "px4": (4, 3)}  # FBWA; AUTO LOITER: its simulated pilot has no sticks
 

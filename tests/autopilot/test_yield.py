@@ -36,6 +36,7 @@ def test_another_station_changes_the_mode(vehicle_of, launch, seed):
 
 
 LINK_FAILSAFE = {"arduplane": {"FS_GCS_ENABL": 1, "FS_LONG_ACTN": 1}, "px4": {"NAV_DLL_ACT": 2}}
+LINK_REASON = {"arduplane": "GCS Failsafe", "px4": "GCS connection loss"}
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
@@ -51,7 +52,7 @@ def test_a_companion_does_not_stand_in_for_a_silent_ground_station(vehicle_of, l
 
     vehicle.do(receive_a_station_for_the_last_time)
     application.wait_for("commanding nothing more")
-    application.wait_for("by a failsafe of the autopilot: ")
+    application.wait_for(f"by a failsafe of the autopilot: {LINK_REASON[flavour]}")
     announced_s = vehicle.simulation.time_s
     vehicle.wait(30.0)
     assert commands_after(vehicle, announced_s) == []
