@@ -245,6 +245,7 @@ class Resident:
             display.request(OperatorRequest(snapshot.time_s, "end", who=who))
         else:
             life.stopped.set()
+        self._become(self._state, "ending: released")
         return True, "the watch ends; the aircraft goes on with what it flies"
 
     def _confirm(self, who: str) -> tuple[bool, str]:
@@ -453,7 +454,7 @@ class Resident:
 
     def _follow(self) -> None:
         snapshot = None if self._display is None else self._display.snapshot
-        if snapshot is None:
+        if snapshot is None or (self._released and snapshot.phase is not Phase.ENDED):
             return
         match snapshot.phase:
             case Phase.YIELDED:

@@ -544,6 +544,19 @@ def test_a_service_that_is_stopped_in_a_watch_ends_with_it(serving):
     assert serving(stands_by, until).begun == 1
 
 
+def test_a_watch_that_is_released_is_shown_as_ending_at_once(serving):
+    async def stands_by(resident):
+        resident.request("watch", "a command")
+
+    async def until(resident):
+        while not resident.begun:
+            await asyncio.sleep(0.01)
+        assert resident.request("release", "a command")[0]
+        assert str(resident.status) == "watching: ending: released"
+
+    serving(stands_by, until)
+
+
 def test_a_fault_is_shown_until_a_check_fails(tmp_path):
     resident = Watched(tmp_path, None)
     resident._become(State.FAULT, "the link is lost")
