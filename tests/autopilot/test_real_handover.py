@@ -3,12 +3,13 @@
 SIDELONG_PROGRAMS=/path/to/programs python -m pytest tests/autopilot/test_real_handover.py -s
 
 In real time. CYCLES is how often the aircraft is handed over and back. TAKEOVERS is how often a station selects a
-mode at a random moment, every second time soon after an order.
+mode at a random moment, every second time soon after an order, REAL_SPEED times as fast as the clock, drawn by SEED.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
 import re
@@ -23,12 +24,13 @@ from pymavlink.dialects.v20 import all as mavlink
 from tests.autopilot.changing_relay import ChangingRelay
 from tests.autopilot.conftest import COMMANDING
 from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, configured
-from tests.bench.test_service import Service
+from tests.bench.test_service import PATIENCE_S, Service
 
 pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(1800)]
 
 CYCLES = int(os.environ.get("CYCLES", "3"))
-TAKEOVERS = int(os.environ.get("TAKEOVERS", "12"))
+TAKEOVERS = int(os.environ.get("TAKEOVERS", "16"))
+SPEED, SEED = float(os.environ.get("REAL_SPEED", "3")), os.environ.get("SEED", "1")
 WATCHED = "watched from now on"
 RESUMED_WITHIN_S = 10.0
 WATCHED_S, PILOTS_S = 20.0, 15.0
@@ -82,43 +84,45 @@ STATIONS_MODES = {
     "arduplane": {"RTL": (11, 0), "LOITER": (12, 0), "FBWA": (5, 0), "CRUISE": (7, 0)},
     "px4": {"RTL": (4, 5), "HOLD": (4, 3), "POSITION": (3, 0), "LAND": (4, 6)},
 }
-YIELDED_WITHIN_S, KEPT_S, ORDER_WITHIN_S = 2.0, 4.0, 25.0
+YIELDED_WITHIN_S, KEPT_S, ORDER_WITHIN_S, SOON_S = 2.0, 4.0, 40.0, 2.0
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_no_mode_that_a_station_selects_is_taken_back(flavour, tmp_path):
     more = '[requirement]\ntarget_speed_max_m_s = 4\n[link]\ntake_over_from = ["RTL", "LAND", "failsafe"]\n'
-    config, chance = configured(tmp_path / "mission.toml", flavour, more), random.Random(flavour)
+    config, chance = configured(tmp_path / "mission.toml", flavour, more), random.Random(f"{flavour} {SEED}")
     sticks = mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0)
+    modes = STATIONS_MODES[flavour]
+    cases = [(name, soon) for soon in (True, False) for name in modes] * math.ceil(TAKEOVERS / (2 * len(modes)))
+    chance.shuffle(cases)
     with (
-        RealVehicle(flavour, "--target", "circle") as vehicle,
+        RealVehicle(flavour, "--target", "circle", "--speed", SPEED) as vehicle,
         ChangingRelay(vehicle.urls[0]) as relay,
         Service(relay.url, tmp_path, str(config)) as service,
         # PX4 refuses Position without; ArduPlane does not arm with a throttle that is not idle.
-        said(relay, sticks, 0.2) if flavour == "px4" else nullcontext(),
+        said(relay, sticks, 0.2 / SPEED) if flavour == "px4" else nullcontext(),
     ):
         service.until("ready")
         asked(service, "watch")
         service.wait_for(WATCHED)
-        took_s, taken_back, refused = {}, [], 0
-        for number in range(TAKEOVERS):
-            time.sleep(chance.uniform(1.0, 8.0))
-            if number % 2:
-                before, begin_s = relay.commanded["MISSION_SET_CURRENT"], time.monotonic()
-                while (
-                    relay.commanded["MISSION_SET_CURRENT"] == before and time.monotonic() < begin_s + ORDER_WITHIN_S
-                ):
-                    time.sleep(0.01)
-                time.sleep(chance.uniform(0.0, 2.0))
-            own_mode, (name, mode) = relay.mode, chance.choice(list(STATIONS_MODES[flavour].items()))
-            answer, begin_s = relay.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *mode), time.monotonic()
+        took_s, taken_back, refused, after_order = {}, [], 0, 0
+        for name, soon in cases[:TAKEOVERS]:
+            wait(relay, chance.uniform(1.0, 8.0))
+            if soon:
+                before, begin_ms = relay.commanded["MISSION_SET_CURRENT"], relay.time_boot_ms
+                while relay.commanded["MISSION_SET_CURRENT"] == before and since_s(relay, begin_ms) < ORDER_WITHIN_S:
+                    time.sleep(0.005)
+                after_order += relay.commanded["MISSION_SET_CURRENT"] > before
+                wait(relay, chance.uniform(0.0, SOON_S))
+            own_mode, begin_ms = relay.mode, relay.time_boot_ms
+            answer = relay.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *modes[name])
             if answer.result != mavlink.MAV_RESULT_ACCEPTED:
                 refused += 1
                 continue
-            service.until("yielded", None)
-            took_s.setdefault(name, []).append(time.monotonic() - begin_s)
+            until_yielded(service)
+            took_s.setdefault(name, []).append(since_s(relay, begin_ms))
             commanded = sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"})
-            time.sleep(KEPT_S)
+            wait(relay, KEPT_S)
             sent = sum(relay.commanded[kind] for kind in COMMANDING - {"COMMAND_LONG"}) - commanded
             if relay.mode == own_mode or sent or service.status["state"] != "yielded":
                 taken_back.append((name, relay.mode, sent))
@@ -126,9 +130,30 @@ def test_no_mode_that_a_station_selects_is_taken_back(flavour, tmp_path):
             asked(service, "watch")
             service.wait_for(WATCHED, times=watched + 1)
         each = ", ".join(f"{name} {len(one)} (at most {max(one):.1f} s)" for name, one in sorted(took_s.items()))
-        print(f"{flavour}: yielded to {each}; {refused} refused by the autopilot; taken back: {taken_back}")
+        print(f"{flavour}: yielded to {each}; {after_order} within {SOON_S:g} s of an order;", end=" ")
+        print(f"{refused} refused by the autopilot; taken back: {taken_back}")
         assert taken_back == []
         assert max(map(max, took_s.values())) <= YIELDED_WITHIN_S
+
+
+def since_s(relay, begin_ms):
+    """Return how much of the vehicle's time has passed."""
+    return (relay.time_boot_ms - begin_ms) / 1000.0
+
+
+def wait(relay, seconds):
+    """Wait for this much of the vehicle's time."""
+    begin_ms, deadline_s = relay.time_boot_ms, time.monotonic() + PATIENCE_S
+    while since_s(relay, begin_ms) < seconds:
+        assert time.monotonic() < deadline_s, "the simulation does not go on"
+        time.sleep(0.005)
+
+
+def until_yielded(service):
+    deadline_s = time.monotonic() + PATIENCE_S
+    while service.status["state"] != "yielded":
+        assert time.monotonic() < deadline_s, (service.status, service.announced)
+        time.sleep(0.02)
 
 
 @contextmanager
