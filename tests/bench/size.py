@@ -16,3 +16,8 @@ def size(full: int, smoke: int, name: str = "") -> int:
         name: of an environment variable that sets the number; "": there is none.
     """
     return int(os.environ.get(name) or (smoke if SMOKE else full))
+
+
+def numbers(full: int, smoke: int, name: str) -> range:
+    """Return the numbers of what is flown, of as many as ``size`` returns; the variable FIRST: the first of them."""
+    return range(int(os.environ.get("FIRST") or 0), size(full, smoke, name))

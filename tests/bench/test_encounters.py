@@ -1,6 +1,7 @@
 """Encounters with other aircraft in the closed loop: how near they come, how early the alarm is, what it costs.
 
-python -m pytest -s tests/bench/test_encounters.py; ENCOUNTERS=200 flies that many of each.
+python -m pytest -s tests/bench/test_encounters.py; ENCOUNTERS=200 flies that many of each; FIRST=100:
+not the first hundred.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from sidelong.mission.core.events import TrafficReported
 from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.plan import AircraftState, ClimbRates
 from sidelong.mission.geometry.separation import NEAR_COLLISION_M, WELL_CLEAR_M
-from tests.bench.size import size
+from tests.bench.size import numbers
 
-ENCOUNTERS = size(40, 1, "ENCOUNTERS")
+ENCOUNTERS = numbers(40, 1, "ENCOUNTERS")
 DURATION_S, FIRST_S = 360.0, 130.0
 RECEIVED_S = 100.0  # before an aircraft is where it meets the own one it is received for the first time
 DROPOUT, REPORT_ERROR_M = 0.2, 10.0
@@ -155,7 +156,7 @@ def encounters(rng, log, count, passing=False):
 
 def test_encounters_are_avoided_and_announced():
     rows, lost_side = [], []
-    for number in range(ENCOUNTERS):
+    for number in ENCOUNTERS:
         rng = np.random.default_rng((66, number))
         alone, _, log = flown(number, [], rng)
         intruders = encounters(rng, log, 1 + number % 3)
@@ -172,7 +173,8 @@ def test_encounters_are_avoided_and_announced():
     found = np.array(rows)
     _, met, kept, possible, collision, ahead_s, received_s = found.T
     avoidable, in_time = possible >= 1.0, received_s >= AHEAD_S + REACTION_S
-    print(f"\n{ENCOUNTERS} flights, {len(found)} aircraft, {met.sum():.0f} of which would not have stayed well clear")
+    print(f"\n{len(ENCOUNTERS)} flights, {len(found)} aircraft, {met.sum():.0f} of which would not have", end=" ")
+    print("stayed well clear")
     print(f"{avoidable.sum()} can be avoided: {np.mean(kept[avoidable] >= 1.0):.1%} well clear, least share", end=" ")
     print(f"{kept[avoidable].min():.2f}; of the others {kept[~avoidable].min(initial=math.inf):.2f}", end=" ")
     print(f"(bound {possible[~avoidable].min(initial=math.inf):.2f}); near collisions: {np.sum(collision < 1.0)}")
@@ -188,12 +190,12 @@ def test_encounters_are_avoided_and_announced():
 
 def test_traffic_that_passes_clear_raises_no_alarm():
     alarmed = []
-    for number in range(ENCOUNTERS):
+    for number in ENCOUNTERS:
         rng = np.random.default_rng((67, number))
         _, _, log = flown(number, [], rng)
         intruders = encounters(rng, log, 1 + number % 3, passing=True)
         _, alarms_s, with_them = flown(number, intruders, rng)
         if alarms_s:
             alarmed.append((number, len(alarms_s), min(shares(with_them, one)[1].min() for one in intruders)))
-    print(f"\nfalse alarms in {len(alarmed)} of {ENCOUNTERS} flights: {alarmed}")
+    print(f"\nfalse alarms in {len(alarmed)} of {len(ENCOUNTERS)} flights: {alarmed}")
     assert not [one for one in alarmed if one[2] > 1.1]

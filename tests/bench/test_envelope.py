@@ -2,7 +2,8 @@
 
     python -m pytest tests/bench/test_envelope.py -s
 
-The cases of tests/faults/test_envelope.py with drawn numbers. FLIGHTS is how many are flown of each table.
+The cases of tests/faults/test_envelope.py with drawn numbers. FLIGHTS is how many are flown of each table; FIRST=8: not
+the first eight.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from sidelong.mission.core.events import UploadPlan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.progress import nearest_arc_m
 from sidelong.mission.geometry.separation import circles_apart_m
-from tests.bench.size import size
+from tests.bench.size import numbers
 from tests.faults import undisturbed
 from tests.faults.test_envelope import BEGIN_S, HOME, PLANE, Flight, set_home_lower, sinks
 
@@ -51,7 +52,7 @@ def drawn_wind(rng, most_m_s):
 
 def test_limits_that_are_not_reached_keep_the_range():
     least_m = []
-    for number in range(size(40, 2, "FLIGHTS")):
+    for number in numbers(40, 2, "FLIGHTS"):
         rng, autopilot = np.random.default_rng((631, number)), AUTOPILOTS[number % 2]
         bank_deg, roll_deg_s = rng.uniform(15.0, 30.0), (5.0, 5.0, 60.0, 60.0)[number % 4]
         body = Body(15.0, math.radians(bank_deg), math.radians(roll_deg_s))
@@ -84,7 +85,7 @@ def on_its_circle(flight):
 
 def test_uploads_that_all_fail_raise_an_alarm_and_keep_the_circle():
     tracks, late, near = recorded_targets([TRACKS], 6.0).flown, [], []
-    for number in range(size(40, 2, "FLIGHTS")):
+    for number in numbers(40, 2, "FLIGHTS"):
         autopilot, track, kind = AUTOPILOTS[number % 2], tracks[number // 2 % len(tracks)], list(LOST)[number % 3]
         flight = Flight(autopilot, {"requirement": {"target_speed_max_m_s": 6.0}}, seed=number, target=track)
         flight.fly(BEGIN_S + 15.0 * (number // (2 * len(tracks))))
@@ -178,7 +179,7 @@ def test_each_breach_raises_an_alarm_and_nothing_is_commanded_below_the_floor():
     square = [list(PLANE.latitude_longitude_deg(FENCE_M * east, FENCE_M * north)) for east, north in corners]
     configured = {"fences": {"keep_in": [square], "floor_m": FLOOR_M, "ceiling_m": CEILING_M}}
     late, low, claimed = [], [], []
-    for number in range(size(48, 2, "FLIGHTS")):
+    for number in numbers(48, 2, "FLIGHTS"):
         rng, autopilot = np.random.default_rng((633, number)), AUTOPILOTS[number % 2]
         breach = list(BREACHES)[number // 2 % len(BREACHES)]
         flight = Flight(autopilot, configured, seed=number, wind=drawn_wind(rng, 3.0)).fly(BEGIN_S)
@@ -229,7 +230,7 @@ def drawn_fences(rng):
 
 def test_fences_of_the_vehicle_are_never_crossed():
     crossed, moved = [], 0
-    for number in range(size(100, 2, "FLIGHTS")):
+    for number in numbers(100, 2, "FLIGHTS"):
         rng = np.random.default_rng((635, number))
         items, inside, outside = drawn_fences(rng)
         fences = with_vehicle_fences(Config(), fences_of(items), every=True).fences
@@ -259,7 +260,7 @@ def apart(crafts):
 
 def test_fleets_regain_their_separation():
     longest = {}
-    for number in range(size(12, 1, "FLIGHTS")):
+    for number in numbers(12, 1, "FLIGHTS"):
         rng = np.random.default_rng((634, number))
         described = undisturbed.Flown(number, "fleet")
         crafts, advance = undisturbed._fleet(undisturbed._settings(number, np.random.default_rng(number)), described)
