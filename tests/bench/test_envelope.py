@@ -2,8 +2,8 @@
 
     python -m pytest tests/bench/test_envelope.py -s
 
-The cases of tests/faults/test_envelope.py with drawn numbers. FLIGHTS is how many are flown of each table; FIRST=8: not
-the first eight.
+The cases of tests/faults/test_envelope.py with drawn numbers. FLIGHTS is how many are flown of each table; FIRST=8:
+not the first eight.
 """
 
 from __future__ import annotations
