@@ -42,7 +42,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import LinkError
 from sidelong.app.records.run_folder import RunFolder, rotate
 from sidelong.app.serve.control_socket import serving
-from sidelong.app.serve.standby import Request, Standby, Triggers, VehicleGoneError
+from sidelong.app.serve.standby import MODES, Request, Standby, Triggers, VehicleGoneError
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.present import Phase, Present
 from sidelong.mission.core.events import Announce, OperatorRequest
@@ -257,11 +257,11 @@ class Resident:
 
     def _on_message(self, message: Message) -> None:
         request = None if self._triggers is None else self._triggers.take(message)
-        if request is None or (message.name == "HEARTBEAT" and request == "release" and not self._is_beginning):
+        if request is None or (message.name in MODES and request == "release" and not self._is_beginning):
             return  # once sidelong has control, another mode is a takeover
         accepted, _ = self.request(request, _WHO["vehicle"])
         session = self._session
-        if message.name == "HEARTBEAT" or session is None:
+        if message.name in MODES or session is None:
             return
         own_id = session.vehicle.link.own_id
         to = message.fields.get("target_system"), message.fields.get("target_component")

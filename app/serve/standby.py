@@ -34,6 +34,7 @@ _SWITCH_GAP_MS = 3000  # after a longer silence a movement begins again
 _JUMP_US, _JUMPS = 150, 2  # this many other channels jump this far in the same report
 _MODE_HEARTBEATS = 3  # two seconds
 _HIGH, _LOW = 2.0, 0.0
+MODES = ("HEARTBEAT", "CURRENT_MODE")  # what states the mode, once a second and at each change
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _REPEATED_S = 2.0  # a command that is not acknowledged comes again
 
@@ -182,7 +183,8 @@ class Triggers:
     _rc: _Switch = field(default_factory=_Switch)
     _unhealthy: bool = False  # the receiver, as the autopilot reports
     _mode: str | None = None
-    _chosen: int = 0  # heartbeats since the mode was selected; 0: it was not
+    _heartbeat: Mapping[str, Any] = field(default_factory=dict)  # the latest, with the latest mode
+    _chosen: int | None = None  # heartbeats since the mode was selected; None: it was not
     _commanded: tuple[float, Request] | None = None
 
     def take(self, message: Message) -> Request | None:
@@ -198,20 +200,25 @@ class Triggers:
             self._rc.take_health(fields)
         elif message.name == "RC_CHANNELS" and config.rc_channel is not None:
             return self._rc.take(message.fields, config.rc_channel)
-        elif message.name == "HEARTBEAT" and config.flight_mode is not None:
-            return self._mode_changed(message.fields, config.flight_mode)
+        elif message.name in MODES and config.flight_mode is not None:
+            beats, fields = message.name == "HEARTBEAT", message.fields
+            if beats or self._heartbeat:
+                self._heartbeat = fields if beats else {**self._heartbeat, "custom_mode": fields["custom_mode"]}
+                return self._mode_changed(self._heartbeat, config.flight_mode, beats)
         return None
 
-    def _mode_changed(self, fields: Mapping[str, Any], wanted: str) -> Request | None:
+    def _mode_changed(self, fields: Mapping[str, Any], wanted: str, beats: bool) -> Request | None:
         mode = mode_name(*(int(fields[name]) for name in ("autopilot", "base_mode", "custom_mode")))
         before, self._mode = self._mode, mode
         failing = self._unhealthy or int(fields.get("system_status") or 0) in FAILSAFE_STATES
         if mode.upper() != wanted.upper() or mode in self._own_modes or failing:
+            self._chosen = None
+        elif self._chosen is None and before not in (None, mode):
             self._chosen = 0
-        elif self._chosen or (before is not None and mode != before):
+        if self._chosen is not None and beats:
             self._chosen += 1
-        if self._chosen == _MODE_HEARTBEATS:
-            return "watch"
+            if self._chosen == _MODE_HEARTBEATS:
+                return "watch"
         left = before is not None and before.upper() == wanted.upper() != mode.upper()
         return "release" if left and mode not in self._own_modes else None
 

@@ -137,6 +137,17 @@ def test_a_mode_requests_when_a_person_selects_it():
     assert requests(own, map(beat, (5, 10, 10, 10))) == []  # sidelong selects it itself
 
 
+def test_a_mode_is_selected_anew_after_sidelong_had_control_between_two_heartbeats():
+    triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE, ("AUTO",))
+
+    def changed(custom_mode):
+        return message("CURRENT_MODE", 1, VEHICLE, custom_mode=custom_mode)
+
+    assert requests(triggers, map(beat, (5, 12, 12, 12, 12))) == ["watch"]
+    assert requests(triggers, [changed(10), changed(12), beat(12), beat(12)]) == []
+    assert requests(triggers, [beat(12)]) == ["watch"]
+
+
 def test_a_mode_that_a_failsafe_selects_requests_nothing():
     triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE)
     assert requests(triggers, [beat(5), *(beat(12, system_status=5) for _ in range(9))]) == []

@@ -230,7 +230,7 @@ def test_the_switch_and_the_flight_mode_arrive(vehicle_of, tmp_path, monkeypatch
             transmitter.move(1000)
             await come(lambda: switch.up is False)
             vehicle.do(lambda: vehicle.autopilot.set_mode(by_pilot))
-            await come(lambda: resident._triggers._chosen == 0 and resident._triggers._mode != name)
+            await come(lambda: resident._triggers._chosen is None and resident._triggers._mode != name)
             vehicle.do(lambda: vehicle.autopilot.set_mode(mode))
             await come(lambda: watching.begun == 3)
 
