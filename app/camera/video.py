@@ -248,10 +248,12 @@ class VideoOutput:
             at = slice_unit.start()
             encoded = encoded[:at] + stanag4609.encode_avc_timestamp_sei(stamp_us) + encoded[at:]
         pts = self._pts % 2**33
-        packets += muxer.mux_pes(_VIDEO, encode_pes_packet(encoded, stream_id=0xE0, pts=pts, unbounded=True))
-        if klv:
-            packets += muxer.mux_sync_klv(_METADATA, klv, pts=pts)
-        self._write(packets)
+        video = [*muxer.mux_pes(_VIDEO, encode_pes_packet(encoded, stream_id=0xE0, pts=pts, unbounded=True))]
+        metadata = muxer.mux_sync_klv(_METADATA, klv, pts=pts) if klv else ()
+        apart = 1 + len(video) // max(len(metadata), 1)
+        for number, packet in enumerate(metadata):  # a decoder's buffer of 512 bytes takes no three of them at once
+            video.insert(1 + number * apart, packet)
+        self._write(packets + video)
 
     def close(self) -> None:
         """Close the file and the socket."""

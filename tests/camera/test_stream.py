@@ -27,9 +27,9 @@ _KEY = bytes.fromhex("060e2b34")
 DOWN_RAD = math.radians(30.0)
 
 
-def send(output: VideoOutput, size_px=lambda _k: (WIDTH, HEIGHT), pictures=PICTURES) -> None:
+def send(output: VideoOutput, size_px=lambda _k: (WIDTH, HEIGHT), pictures=PICTURES, name="a flight") -> None:
     """Send pictures of an aircraft that looks south at a box in the middle."""
-    metadata = UasMetadata("a flight", PLANE, BOOTED, 488.0, (math.radians(20.0), math.radians(11.3)))
+    metadata = UasMetadata(name, PLANE, BOOTED, 488.0, (math.radians(20.0), math.radians(11.3)))
     rng = np.random.default_rng(3)
     for k in range(pictures):
         time_s = 100.0 + k / RATE_HZ
@@ -76,6 +76,15 @@ def test_a_verifier_of_the_standards_finds_no_error(stream):
     report = verifier.finish()
     assert [(one.code, one.message) for one in report.findings if one.status is VerificationStatus.ERROR] == []
     assert {"st0604.timestamp.syntax", "st0902.profile", "st0903.vmti"} <= {one.code for one in report.findings}
+
+
+def test_metadata_of_three_packets_fits_the_buffer_of_a_decoder(tmp_path):
+    verifier, name = FMVVerifier(), "long-name-" * 11
+    send(VideoOutput(RATE_HZ, tmp_path / "a.ts"), lambda _k: (1280, 720), 5, name)
+    verifier.feed((tmp_path / "a.ts").read_bytes())
+    report = verifier.finish()
+    assert [one.message for one in report.findings if one.status is VerificationStatus.ERROR] == []
+    assert any(one.code == "st0902.profile" for one in report.findings)
 
 
 def test_the_clock_is_sent_each_tenth_of_a_second_also_between_pictures(tmp_path):
