@@ -37,6 +37,7 @@ _FRESH_S = 2.0
 _STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
 _ON_WAY_M = 8.0  # how far off its straight way the target may have stopped; what looks like it stands farther off
+_UNSURE_M_S, _MOVED_FOR_S = 1.5, 0.8  # then its own motion in the pictures is known better
 _UNKNOWN_M_S = 3.0  # what the target's velocity is off, before there is an estimate of it
 _SLACK_M, _SLACK_M_S, _SEARCH_MAX_M = 4.0, 1.0, 45.0  # how far it may be from where it was seen, and how this grows
 _OBJECT_M = 4.5
@@ -75,6 +76,8 @@ _RARE = 0.02  # share of a box: a colour that less of it has is hardly the objec
 _TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 1.5
 _TURNED_DEG = (0.0, -20.0, 20.0)
 _CORRELATION = 0.8  # of an object with itself some seconds before
+_CENTRED_PX, _DRIFT_PX = 1.0, 4.0  # by a picture; what the tracker is off when it begins again
+_MEAN_SHIFT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.5)
 
 
 class _Look:
@@ -134,6 +137,16 @@ class _Look:
         alike = mean[: window.shape[0] - height + 1, : window.shape[1] - width + 1]
         return np.asarray(alike / max(self._colour, 1e-3), np.float32)
 
+    def middle(self, window: Picture, x_px: float, y_px: float, size_px: tuple[int, int]) -> tuple[float, float]:
+        """Return the middle of the object's colours next to a place of the window; the place itself without them."""
+        if not self.has_colour:
+            return x_px, y_px
+        width, height = size_px
+        near: Picture = cv2.getRectSubPix(window, (3 * width, 3 * height), (x_px, y_px))  # type: ignore[assignment]
+        own = cv2.convertScaleAbs(self._own_colour(_hues(near)), alpha=255.0)
+        _, (left, top, *_) = cv2.meanShift(own, (width, height, width, height), _MEAN_SHIFT)
+        return x_px + left - width, y_px + top - height
+
     def by_pictures(self, window: Picture, size_px: tuple[int, int], *, turned: bool) -> npt.NDArray[np.float32]:
         """Return the same by correlation with recent pictures of the object; turned: also as it turns."""
         width, height = size_px
@@ -191,6 +204,14 @@ class _Candidate:
         speed_m_s = self.speed_m_s(_STANDS_FOR_S)
         return speed_m_s is not None and speed_m_s > _STANDING_SHARE * _MOVES_M_S
 
+    @property
+    def velocity_m_s(self) -> tuple[float, float] | None:
+        """Its mean velocity since it was first seen; None where it was not seen for long enough."""
+        (begin_s, *begin_m), (end_s, *end_m) = self.seen[0], self.latest
+        if end_s - begin_s < _MOVED_FOR_S:
+            return None
+        return (end_m[0] - begin_m[0]) / (end_s - begin_s), (end_m[1] - begin_m[1]) / (end_s - begin_s)
+
     def speed_m_s(self, over_s: float) -> float | None:
         """Return its mean speed over the last ``over_s``; None where it was not seen for all of it.
 
@@ -222,6 +243,7 @@ class ObjectTracker:
     def __init__(self, kind: TrackerKind = "kcf") -> None:
         self._kind = kind
         self._tracker: Any = None
+        self._shift_px = (0.0, 0.0)  # of the object from the tracker's box, in the window
         self._size_m = (_OBJECT_M, _OBJECT_M)
         self._look = _Look()
         self._state: TrackingState = "idle"
@@ -230,6 +252,7 @@ class ObjectTracker:
         self._velocity_m_s, self._velocity_sigma_m_s = (0.0, 0.0), _UNKNOWN_M_S
         self._seen_s = self._learnt_s = self._searched_s = self._surveyed_s = -math.inf
         self._doubts = 0
+        self._followed_path = _Candidate()
         self._candidates: list[_Candidate] = []
         self._watched_m: tuple[float, float] | None = None  # the likeliest candidate
         self._trial: _Trial | None = None
@@ -276,8 +299,14 @@ class ObjectTracker:
         self._size_m = (_OBJECT_M, _OBJECT_M) if box is None else (box.width_px / scale, box.height_px / scale)
         self._velocity_m_s, self._velocity_sigma_m_s = (0.0, 0.0), _UNKNOWN_M_S
         self._alike, self._candidates, self._trial = [], [], None
-        self._look, self._learnt_s = _Look(), -math.inf
-        self._follow(picture, time_s, view, at)
+        for _ in range(2):  # the click may be at an edge of the object: its middle is known then
+            self._look, self._learnt_s = _Look(), -math.inf
+            self._follow(picture, time_s, view, at)
+            window = _Window.around(picture, view, at, self._size_m, _WINDOW_PX)
+            if window is not None:
+                side = 0.5 * _WINDOW_PX
+                middle = self._look.middle(window.picture, side, side, _size_px(self._size_m))
+                at = view.ground(*window.pixel(*middle)) or at
         return True
 
     def stop(self) -> None:
@@ -319,12 +348,21 @@ class ObjectTracker:
         window = _Window.around(picture, view, at_m, self._size_m, _WINDOW_PX)
         if window is None:
             return
-        self._tracker = (cv2.TrackerCSRT if self._kind == "csrt" else cv2.TrackerKCF).create()
-        self._tracker.init(window.picture, window.middle_box(self._size_m))
+        middle = 0.5 * _WINDOW_PX, 0.5 * _WINDOW_PX
+        self._begin_at(window, *middle)
         self._state, self._at_m, self._seen_s, self._doubts = "object", at_m, time_s, 0
+        self._followed_path = _Candidate(deque([(time_s, *at_m)], maxlen=40))
         self._candidates, self._watched_m, self._confidence = [], None, 1.0
         if self._learnt_s == -math.inf:
-            self._learn(window, 0.5 * _WINDOW_PX, 0.5 * _WINDOW_PX, time_s)
+            self._learn(window, *middle, time_s)
+
+    def _begin_at(self, window: _Window, x_px: float, y_px: float) -> None:
+        """Begin the tracker at a place of the window."""
+        width, height = _size_px(self._size_m)
+        box = round(x_px - 0.5 * width), round(y_px - 0.5 * height), width, height
+        self._tracker = (cv2.TrackerCSRT if self._kind == "csrt" else cv2.TrackerKCF).create()
+        self._tracker.init(window.picture, box)
+        self._shift_px = 0.0, 0.0
 
     def _followed(self, picture: Picture, time_s: float, view: View) -> Box | None:
         """Return where it is seen; None where it is not, and then it is lost or about to be."""
@@ -334,7 +372,7 @@ class ObjectTracker:
             self._lose()
             return None
         ok, (x, y, w, h) = self._tracker.update(window.picture)
-        middle = x + 0.5 * w, y + 0.5 * h
+        middle = self._centred(window, x + 0.5 * w, y + 0.5 * h) if ok else (0.0, 0.0)
         likeness = self._likeness(window, *middle) if ok else 0.0
         self._confidence += 0.3 * (max(likeness, 0.0) - self._confidence)
         if likeness < _HIDDEN_BELOW:
@@ -348,6 +386,8 @@ class ObjectTracker:
         if at is None:
             return None
         self._at_m, self._seen_s = at, time_s
+        if self._trial is None:
+            self._followed_path.seen.append((time_s, *at))
         if self._trial is None and self._passes(view, at):
             self._trial = _Trial((time_s, *at), _Candidate(deque(maxlen=100)))  # what goes on may be that one
         if likeness > _LEARNT_FROM and time_s - self._learnt_s > _LEARN_EVERY_S:
@@ -357,6 +397,16 @@ class ObjectTracker:
             self._remember_alike(picture, time_s, view)
         scale = view.scale_px_m(*at)
         return Box(*pixel, scale * self._size_m[0], scale * self._size_m[1])
+
+    def _centred(self, window: _Window, x_px: float, y_px: float) -> tuple[float, float]:
+        """Return where the object is at the tracker's place: that drifts, and the object's colours do not."""
+        x_px, y_px = x_px + self._shift_px[0], y_px + self._shift_px[1]
+        off_px = np.subtract(self._look.middle(window.picture, x_px, y_px, _size_px(self._size_m)), (x_px, y_px))
+        right_px, down_px = np.clip(off_px, -_CENTRED_PX, _CENTRED_PX).tolist()
+        self._shift_px = self._shift_px[0] + right_px, self._shift_px[1] + down_px
+        if math.hypot(*self._shift_px) > _DRIFT_PX:
+            self._begin_at(window, x_px + right_px, y_px + down_px)
+        return x_px + right_px, y_px + down_px
 
     def _learn(self, window: _Window, x_px: float, y_px: float, time_s: float) -> None:
         self._learnt_s = time_s
@@ -380,8 +430,15 @@ class ObjectTracker:
         self._trial = None
 
     def _lose(self) -> None:
-        if self._trial is not None:  # it was not the object: that was last seen before
-            self._seen_s, self._at_m, self._trial = self._trial.lost[0], self._trial.lost[1:], None
+        trial, self._trial, followed = self._trial, None, self._followed_path
+        if trial is not None:
+            moved_m_s = trial.found.speed_m_s(_MOVED_FOR_S)
+            if moved_m_s is None or moved_m_s < _STANDING_SHARE * max(math.hypot(*self._velocity_m_s), _MOVES_M_S):
+                self._seen_s, self._at_m = trial.lost[0], trial.lost[1:]  # it was not the object
+            else:
+                followed = trial.found
+        if self._velocity_sigma_m_s > _UNSURE_M_S and (velocity_m_s := followed.velocity_m_s) is not None:
+            self._velocity_m_s = velocity_m_s
         self._state, self._tracker, self._doubts = "lost", None, 0
         self._candidates, self._watched_m, self._searched_s = [], None, -math.inf
         self._look.forget_lately()
@@ -472,8 +529,9 @@ class ObjectTracker:
                 continue
             exact = look.likeness(near.picture, _size_px(self._size_m), turned=True)
             _, value, _, (x, y) = cv2.minMaxLoc(exact)
-            full_width, full_height = _size_px(self._size_m)
-            at = view.ground(*near.pixel(x + 0.5 * full_width, y + 0.5 * full_height))
+            full = _size_px(self._size_m)
+            middle = look.middle(near.picture, x + 0.5 * full[0], y + 0.5 * full[1], full)
+            at = view.ground(*near.pixel(*middle))
             if value < _ALIKE_FROM or at is None or math.dist(at, around_m) > radius_m:
                 continue
             if not any(self._is_same(view, at, other) for other in found):
@@ -572,12 +630,6 @@ class _Window:
     def pixel(self, x_px: float, y_px: float) -> tuple[float, float]:
         """Return the place in the picture of one in the window."""
         return self.corner_px[0] + x_px / self.scale, self.corner_px[1] + y_px / self.scale
-
-    def middle_box(self, size_m: tuple[float, float]) -> tuple[int, int, int, int]:
-        """Return the object's box in the middle of the window, as OpenCV takes it."""
-        side = self.picture.shape[0]
-        width, height = _size_px(size_m)
-        return (side - width) // 2, (side - height) // 2, width, height
 
 
 def _size_px(size_m: tuple[float, float], share: float = 1.0) -> tuple[int, int]:

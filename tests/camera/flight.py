@@ -34,7 +34,7 @@ _PIPELINE_S = 0.15
 _POINT_EVERY_S, _REPORT_EVERY_S, _VIEW_EVERY_S = 0.1, 0.4, 1.0
 _DO_GIMBAL_MANAGER_PITCHYAW, _YAW_LOCK = 1000, 16
 _ON_CIRCLE_WITHIN_S = 300.0
-_CLICK_ABOVE_M = 40.0
+_CLICK_ABOVE_M, _CLIMBED_SHARE = 40.0, 0.95
 _CHI2_95 = 5.991
 _JUDGED_EVERY_S = 0.5
 _WRONG_M, _CLICK_AGAIN_S = 10.0, 20.0
@@ -101,7 +101,7 @@ class PixelFlight(ClosedLoop[bytes]):
             self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
             self.simulation.camera.on_picture = lambda _time_s, image: self._pictures.append((vehicle.now_s, image))
         self.listeners.append(self._follow_events)
-        self.requirement = config.requirement.requirement()
+        self.requirement, self.height_m = config.requirement.requirement(), config.aircraft.height_m
 
     def _estimate(self, time_s: float):
         return self.controller.tracker.estimate(time_s)
@@ -193,11 +193,18 @@ class PixelFlight(ClosedLoop[bytes]):
             return simulation.motions[simulation.looks_at].at(time_s)
         return simulation.camera.scenery.target_m(time_s)
 
+    def _is_watching(self) -> bool:
+        """Return whether it has climbed and come within the band, which a takeoff may leave first."""
+        craft, wanted = self.simulation.vehicle.craft, self.requirement
+        range_m = math.dist((craft.east_m, craft.north_m), self._target_m(self.simulation.time_s))
+        has_climbed = craft.height_m > _CLIMBED_SHARE * self.height_m
+        return has_climbed and self.controller.estimate is not None and range_m < wanted.range_max_m
+
     def fly(self, duration_s: float) -> Pixels:
-        """Take off, and watch for a time."""
+        """Take off, and watch for a time, from when the aircraft is at its height and in the band."""
         self.take_over()
         self.run(_ON_CIRCLE_WITHIN_S, lambda: self.has_control)
-        self.run(_ON_CIRCLE_WITHIN_S, lambda: self.controller.estimate is not None)
+        self.run(_ON_CIRCLE_WITHIN_S, self._is_watching)
         for name in ("in_picture", "in_middle", "off_m", "inside", "times_s", "cost_s"):
             getattr(self.pixels, name).clear()
         self.pixels.clicks = 0

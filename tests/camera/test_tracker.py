@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,17 @@ from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.sitl.world.picture import CameraPose, Scenery
 
 RATE_HZ, VIEW_RAD, SIZE_PX = 15.0, math.radians(12.0), (640, 360)
-SPEED_M_S = 3.0
+SPEED_M_S, MIDDLE_M = 3.0, 0.75  # of the target, and the height of its middle
 _PATH = np.array([(SPEED_M_S * t, 0.15 * t) for t in range(120)])
 
 
-def run(scenery: Scenery, begin_s: float, end_s: float, tracker: ObjectTracker) -> list[tuple[float, str, float]]:
+def run(
+    scenery: Scenery,
+    begin_s: float,
+    end_s: float,
+    tracker: ObjectTracker,
+    clicked_off_px: tuple[float, float] = (0.0, 0.0),
+) -> list[tuple[float, str, float]]:
     """Follow the target from a circling camera that looks at where it is; return time, state and error in metres."""
     rows = []
     for k in range(int((end_s - begin_s) * RATE_HZ)):
@@ -31,11 +38,13 @@ def run(scenery: Scenery, begin_s: float, end_s: float, tracker: ObjectTracker) 
         focal_px = 0.5 * SIZE_PX[0] / math.tan(0.5 * VIEW_RAD)
         view = View(here, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), focal_px, SIZE_PX, lambda _e, _n: 0.0)
         if k == 0:
-            assert tracker.start(picture, time_s, view, 0.5 * SIZE_PX[0], 0.5 * SIZE_PX[1], None)
+            x_px, y_px = (0.5 * side + off for side, off in zip(SIZE_PX, clicked_off_px, strict=True))
+            assert tracker.start(picture, time_s, view, x_px, y_px, None)
         tracked = tracker.update(picture, time_s, view, (SPEED_M_S, 0.15))
         off_m = math.nan
         if tracked.state == "object":
-            off_m = math.dist(view.ground(tracked.box.x_px, tracked.box.y_px), target)
+            seen_m = replace(view, ground_m=lambda _e, _n: MIDDLE_M).ground(tracked.box.x_px, tracked.box.y_px)
+            off_m = math.dist(seen_m, target)
         rows.append((time_s, tracked.state, off_m))
     return rows
 
@@ -49,6 +58,13 @@ def test_follows_a_target_that_moves_and_turns_in_the_picture(kind):
     rows = run(scenery(), 5.0, 15.0 if kind == "kcf" else 9.0, ObjectTracker(kind))
     assert all(state == "object" for _, state, _ in rows)
     assert max(off_m for *_, off_m in rows) < 4.0
+
+
+@pytest.mark.parametrize("clicked_off_px", [(-18.0, 0.0), (18.0, 8.0)])
+def test_finds_the_middle_of_a_target_that_was_clicked_at_its_edge_and_stays_there(clicked_off_px):
+    rows = run(scenery(), 5.0, 25.0, ObjectTracker(), clicked_off_px)
+    assert all(state == "object" for _, state, _ in rows)
+    assert max(off_m for *_, off_m in rows[15:]) < 0.6
 
 
 def test_finds_the_target_again_after_an_occlusion():
