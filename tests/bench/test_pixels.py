@@ -26,7 +26,8 @@ from tests.camera.test_tracker import run, scenery
 
 FLIGHTS, DURATION_S = size(8, 1, "PIXEL_FLIGHTS"), float(size(600, 60, "PIXEL_FLIGHT_S"))
 OCCLUSIONS = size(60, 2, "PIXEL_OCCLUSIONS")
-SPEED_MAX_M_S = 3.5
+# Airspeed, m/s, and radius of the circles, m, of the aircraft for targets up to a speed, m/s.
+_AIRCRAFT = {3.5: (15.0, 50.0), 9.0: (20.0, 70.0), 14.0: (30.0, 105.0)}
 _BUILT_IN = ("walk", "turning", "stop-and-go", "demo")
 _TAKEOFF_S = 120.0
 _HOME = HomePosition(*HOME_DEG, 400.0)
@@ -40,7 +41,7 @@ def motions() -> list[str]:
     folder = os.environ.get("SIDELONG_TARGETS")
     names = list(_BUILT_IN)
     if folder is not None:
-        flown = recorded_targets([Path(folder)], SPEED_MAX_M_S).flown
+        flown = recorded_targets([Path(folder)], max(_AIRCRAFT)).flown
         files = {
             one.name: Path(folder) / f"{one.name}.csv" for one in flown if one.duration_s > DURATION_S + _TAKEOFF_S
         }
@@ -49,15 +50,20 @@ def motions() -> list[str]:
 
 
 def flown(kind: str, number: int, motion: str, folder: Path) -> tuple[Pixels, Pixels]:
-    """Fly next to a target, by pixels and by laser."""
+    """Fly next to a target, by pixels and by laser, with an aircraft that is fast enough for it."""
+    recorded = [] if motion in _BUILT_IN else recorded_targets([Path(motion)], max(_AIRCRAFT)).flown
+    speed_max_m_s = min(limit for limit in _AIRCRAFT if all(one.speed_p95_m_s <= limit for one in recorded))
+    airspeed_m_s, radius_m = _AIRCRAFT[speed_max_m_s]
     settings = settings_of("arduplane" if number % 2 else "px4", motion, 1 + number)
+    targets = (replace(settings.targets[0], speed_max_m_s=speed_max_m_s),)
+    settings = replace(settings, airspeed_m_s=airspeed_m_s, targets=targets)
     terrain: dict[str, object] = {"flat": True}
     if kind == "hills":
         write_low_hills(folder)
         settings = replace(settings, home=_HOME, home_on_ground=True, terrain=folder)
         terrain = {"folder": str(folder)}
-    wanted = {"target_speed_max_m_s": SPEED_MAX_M_S}
-    config = Config.model_validate({"terrain": terrain, "requirement": wanted})
+    wanted, aircraft = {"target_speed_max_m_s": speed_max_m_s}, {"airspeed_m_s": airspeed_m_s, "radius_m": radius_m}
+    config = Config.model_validate({"terrain": terrain, "requirement": wanted, "aircraft": aircraft})
     pixels, laser = (PixelFlight(config, one).fly(DURATION_S) for one in (settings, replace(settings, camera=None)))
     return pixels, laser
 
