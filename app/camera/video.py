@@ -122,7 +122,7 @@ class VideoSource:
         options = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp"}
         url = self._source
         if url.startswith("udp:"):
-            url += ("&" if "?" in url else "?") + "overrun_nonfatal=1&fifo_size=50000"
+            url += ("&" if "?" in url else "?") + "overrun_nonfatal=1&fifo_size=8000"  # packets of 188 bytes
             options |= {"probesize": "65536", "analyzeduration": "200000"}
         kind = "v4l2" if url.startswith("/dev/") else None
         with av.open(url, format=kind, options=options, timeout=(_OPEN_S, _READ_S)) as container:
