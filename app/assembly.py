@@ -45,6 +45,7 @@ from sidelong.mission.exchange.dialect import ExchangeSettings, Home
 from sidelong.mission.exchange.mission_controller import MissionController
 from sidelong.mission.geometry.line_kernel import Trapezoid, laid_out, trapezoid
 from sidelong.mission.geometry.progress import ground_speeds_m_s, nearest_arc_m, point_at
+from sidelong.mission.predictive.planner import PredictivePlanner, foreseen, scene_at
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import RoutePlanner, route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline, intersection
@@ -67,7 +68,7 @@ _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
 _COMPILED = 175  # functions of a first compilation, about
-_PARTS = "decisions", "tables and filter"  # of the first compilation, each in a process of its own
+_PARTS = "decisions", "tables, filter and routes"  # of the first compilation, each in a process of its own
 
 
 def tracker_of(config: Config) -> Tracker:
@@ -218,7 +219,8 @@ def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None])
 def _warm_up_planner(config: Config, make_planner: CheckedPlannerFactory) -> None:
     requirement = config.requirement.requirement()
     planner = make_planner(config.aircraft.aircraft(), requirement, Surroundings())
-    warm_up_planner(planner, requirement.range_max_m - 190.0, config.route.is_known)
+    with_route = config.route.is_known or config.requirement.fleet_size > 1  # of a target that it is moved to
+    warm_up_planner(planner, requirement.range_max_m - 190.0, with_route)
 
 
 def winds_m_s(config: Config) -> list[float]:
@@ -381,12 +383,16 @@ def _compile_part(part: str) -> None:
     """Compile one part for the configuration and the planner that come in."""
     gc.disable()  # to search for garbage takes a tenth of the time
     config, kind = pickle.loads(sys.stdin.buffer.read())
+    aircraft, wanted = config.aircraft.aircraft(), config.requirement.requirement()
     if part == _PARTS[1]:
         kind.factory(planner_needs(config, lambda _share: None))
         warm_up_exchange()
         warm_up_track(_track_of(config))
+        if isinstance(kind, CompilesInParts):
+            warm_up_foresight(kind.without_values(aircraft, wanted))
     elif isinstance(kind, CompilesInParts):
-        _warm_up_planner(config, lambda aircraft, wanted, _check: kind.without_values(aircraft, wanted))
+        planner = kind.finished(kind.without_values(aircraft, wanted))
+        warm_up_planner(planner, wanted.range_max_m - 190.0, with_route=False)
     else:
         _warm_up_planner(config, kind.factory(planner_needs(config, lambda _share: None)))
 
@@ -404,8 +410,6 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
     beyond_m: in the last decisions the target is this much farther away, out of the band, so that the planner lays
     out a new circle as well.
     """
-    if with_route and isinstance(planner, RoutePlanner):
-        planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
     shape, plan = _shape(), Plan(_CIRCLE)
     for time_s in (0.0, 0.5, 1.0):
         course_rad = 0.1 * time_s
@@ -420,6 +424,16 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
         aircraft = replace(_HERE, east_m=east_m, north_m=north_m, course_rad=course_rad)
         if planner.decide(aircraft, far, Plan(_CIRCLE), Wind(), 0.5).plan is not None:
             break
+    if with_route and isinstance(planner, RoutePlanner):
+        planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
+        planner.decide(_HERE, _TARGET, Plan(_CIRCLE), Wind(), 0.5)
+
+
+def warm_up_foresight(planner: PredictivePlanner) -> None:
+    """Run what decisions know beforehand of a target near a route. The planner must not be flown afterwards."""
+    planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
+    question = planner.questions[0]
+    foreseen(scene_at(_HERE, _TARGET, Plan(_CIRCLE), Wind(), 0.5, question), question)
 
 
 def warm_up_exchange() -> None:

@@ -57,7 +57,9 @@ class PlannerKind(Protocol):
 class CompilesInParts(Protocol):
     """A ``PlannerKind`` whose decisions one process compiles while another computes its tables."""
 
-    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner: ...  # with made-up tables
+    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner: ...  # made-up tables
+
+    def finished(self, planner: PredictivePlanner) -> Planner: ...  # what decides: the planner or one made of it
 
 
 class Paper(PlannerKind):
@@ -101,11 +103,11 @@ class Predictive(PlannerKind):
     about = "decides every second by looking ahead"
 
     def is_compiled(self) -> bool:
-        from sidelong.mission.predictive.decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
+        from sidelong.mission.predictive.decision_kernel import foresee, look_two_moves_ahead  # noqa: PLC0415
 
-        return is_cached(look_ahead)
+        return is_cached(look_two_moves_ahead) and is_cached(foresee)
 
-    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> Planner:
+    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
         import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
 
         from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration  # noqa: PLC0415
@@ -115,7 +117,7 @@ class Predictive(PlannerKind):
         shape = configuration.shape  # values that grow along one axis let it move
         slope = np.broadcast_to(np.linspace(0.0, 1e3, shape[-1], dtype=np.float32), shape)
         table = completed(configuration, slope.copy())
-        return self.finished(PredictivePlanner(aircraft, requirement, table, self.settings()))
+        return PredictivePlanner(aircraft, requirement, table, self.settings())
 
     def settings(self) -> PredictiveSettings:
         from sidelong.mission.predictive.planner import USUAL  # noqa: PLC0415  # see PlannerKind

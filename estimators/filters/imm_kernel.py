@@ -305,7 +305,7 @@ def _inverted(a: FloatArray, found: FloatArray) -> float:
     return float(determinant)
 
 
-@compiled
+@inner
 def _squared(residual: FloatArray, inverse: FloatArray) -> float:
     total = 0.0
     for i in range(3):

@@ -28,7 +28,6 @@ import numpy as np
 
 from sidelong.estimators.compiled import compiled, inner, inner_inlined
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import speed_m_s
 from sidelong.mission.predictive.decision_kernel import (
     Question,
@@ -36,10 +35,8 @@ from sidelong.mission.predictive.decision_kernel import (
     along_route,
     alternatives,
     commitment,
-    foresee,
-    look_two_moves_ahead,
 )
-from sidelong.mission.predictive.moves_kernel import MOVES, ramp_on
+from sidelong.mission.predictive.moves_kernel import ramp_on
 from sidelong.mission.predictive.rollout_kernel import (
     STEP_S,
     IntArray,
@@ -236,7 +233,6 @@ _TAIL_S = 30.0  # duration for which the positions at the end of a line count
 _CIRCLING_S = 60.0  # and the circle that it ends in
 _LAP = 4  # places of a lap
 _CONTINUED = 12  # seconds after the end of a line in which the edges of the band count
-_WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at again, is out of the question
 _QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 
 
@@ -453,29 +449,22 @@ def role_value(scene: Scene, question: Question) -> float:
 @compiled
 def team_decide(
     scene: Scene,
+    futures: Scenarios,
     others: FloatArray,
     first_s: FloatArray,
     question: Question,
     team: Team,
-    sight: Sight,
     costs: FloatArray,
 ) -> tuple[float, float]:
     """Fill in what each move costs (MOVES,); return what staying costs, and what a move has to beat.
 
-    others, first_s: see :func:`cover_of`.
+    futures: what the target may do, of the same estimate. others, first_s: see :func:`cover_of`.
     """
-    foreseen, table, prices, depth = foresee(scene, question)
-    answered_by = Question(question.context, table, prices, depth)
-    every = foreseen
+    every = futures
     if len(question.context.route.way.points) > 0:  # without the layers of time
         every = winding(scene, question.context.motions, question.context.watcher, question.context.turns)
         every, _ = along_route(scene, question, every)
     f = first_of(every, 1)
     cover, scratch = cover_of(scene, f, others, first_s, question, team), new_scratch(len(team.turns_rad))
     stay_cost = team_look_ahead(Joint(scene, f, cover, question, team, scratch), costs)
-    if scene.mirror == team.wanted:
-        alone = np.empty(MOVES)
-        alone_stay = look_two_moves_ahead(scene, foreseen, answered_by, sight, 0.0, alone)
-        for i in range(MOVES):
-            costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
     return stay_cost, stay_cost - team.price * commitment(scene, f, question)

@@ -21,13 +21,14 @@ from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.team_kernel import Team
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
-from sidelong.mission.predictive.decision_kernel import Question
+from sidelong.mission.predictive.decision_kernel import Question, look_two_moves_ahead
 from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.planner import (
     PRICE_SHARE,
     PredictivePlanner,
     PredictiveSettings,
     cheapest_allowed,
+    foreseen,
     scene_at,
 )
 from sidelong.mission.predictive.rollout_kernel import STEP_S
@@ -44,6 +45,7 @@ _CROSSED = 0.43
 # remaining aircraft keeps these, as others may join it. By tight turns one gets back to the side sooner where a turn
 # of the target has put all of them off it. Another can look where one is beyond its pan limit.
 IN_TEAM = PredictiveSettings(min_share=PRICE_SHARE, turn_share=0.5, keeps_pan_limits=False)
+_WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at again, is out of the question
 _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 
@@ -156,15 +158,20 @@ class TeamPlanner:
         if target.speed_m_s < _STANDING_M_S:
             team = for_standing_target(team)
         scene, costs = scene_at(aircraft, target, present, wind, latency_s, question), np.empty(MOVES)
+        futures, answered_by = foreseen(scene, question)
         stay_cost, bar = kernel.team_decide(
             scene,
+            futures,
             np.stack([self._predicted(other, wind) for other in others]),
             np.array([other.state.time_s for other in others]),
             question,
             team,
-            self._alone.sight_in(scene),
             costs,
         )
+        if scene.mirror == team.wanted:
+            alone, sight = np.empty(MOVES), self._alone.sight_in(scene)
+            alone_stay = look_two_moves_ahead(scene, futures, answered_by, sight, 0.0, alone)
+            costs += team.own * np.minimum(alone - alone_stay, _WORSE_MAX_S)
         values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}
         move, plan, broken = cheapest_allowed(scene, question, costs, bar, self._alone.check)
         if plan is not None:

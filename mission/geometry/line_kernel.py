@@ -114,7 +114,7 @@ def remainder(angle_rad: float) -> float:
     return angle_rad - math.tau * round(angle_rad / math.tau)
 
 
-@compiled
+@inner
 def speed_m_s(course_rad: float, air: Air) -> float:
     """Return the speed over the ground on a course: the long side of the wind triangle; NaN if it cannot be held."""
     if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
@@ -125,7 +125,7 @@ def speed_m_s(course_rad: float, air: Air) -> float:
     return along_m_s + math.sqrt(air.airspeed_m_s * air.airspeed_m_s - across_m_s * across_m_s)
 
 
-@compiled
+@inner
 def nose_rad(course_rad: float, air: Air) -> float:
     """Return where the nose points on a course over the ground."""
     across_m_s = air.wind_x_m_s * math.cos(course_rad) - air.wind_y_m_s * math.sin(course_rad)
@@ -182,7 +182,7 @@ def with_last_ramp(shape: Trapezoid, ramp: float) -> Trapezoid:
     return Trapezoid(start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m)
 
 
-@compiled
+@inner
 def turned_rad(shape: Trapezoid, arc_m: float) -> float:
     """Return the change of course since the start, exactly."""
     first = min(arc_m, shape.first_end_m)

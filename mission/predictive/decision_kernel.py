@@ -16,7 +16,6 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Air, line_at, nose_rad, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.moves_kernel import (
-    EIGHTS,
     MOVE_BRANCHES,
     MOVES,
     STAY_BRANCHES,
@@ -194,7 +193,7 @@ def doubtful(scene: Scene, motions: Motions) -> bool:
     return other_wind or scene.doubt.position_m > UNCERTAIN_M
 
 
-@compiled
+@inner
 def likely(futures: Scenarios) -> Scenarios:
     """Return the first future alone, with the second where that is more probable."""
     both = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
@@ -322,18 +321,20 @@ def look_two_moves_ahead(
     lay_out(question, scene.radius_m, air.airspeed_m_s, math.hypot(air.wind_x_m_s, air.wind_y_m_s))
     ahead, end = staying_ahead(scene, under_way)
     stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second, np.inf)
-    order = np.argsort(costs, kind="mergesort")
-    for i in range(MOVES):
-        move = order[i]
-        if i >= depth.beam:
-            costs[move] = np.inf
-        elif costs[move] < np.inf:
-            ahead, end = moving_ahead(scene, question.context.watcher.craft, move)
-            costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price - min_gain)
+    deep_costs = np.full(MOVES, np.inf)
+    for _ in range(depth.beam):
+        move = int(np.argmin(costs))
+        if costs[move] == np.inf:
+            break
+        ahead, end = moving_ahead(scene, question.context.watcher.craft, move)
+        bar = stay_cost - price - min_gain
+        deep_costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, bar)
+        costs[move] = np.inf
+    costs[:] = deep_costs
     return stay_cost
 
 
-@compiled
+@inner
 def leaves(scene: Scene, futures: Scenarios, question: Question, near_m: float, far_m: float) -> bool:
     """Return whether the present plan leads out of a band, or beyond the pan limits, within threat_s in a future."""
     place, air, terms = futures.place, scene.air, question.context.terms
@@ -592,14 +593,12 @@ def _fill_after_turn(f: Scenarios, turn_rad: float, scene: Scene, question: Ques
 
 @compiled
 def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, SwitchingCosts, LookaheadDepth]:
-    """Return what the target may do, and the table, prices and depth to answer the question with.
+    """Return what the target may do near a route, and the table, prices and depth to answer the question with.
 
     Processes the target's estimate: call it once for each, in order of time.
     """
     context, table = question.context, question.table
     every, s = winding(scene, context.motions, context.watcher, context.turns), context.route
-    if len(s.way.points) == 0:
-        return every, table, question.prices, question.depth
     update_progress(s.way, scene.target, s.progress)
     f, on_route = along_route(scene, question, every)
     part, state = s.progress.state[0].part, s.state[0]
@@ -633,17 +632,3 @@ def foresee(scene: Scene, question: Question) -> tuple[Scenarios, Table, Switchi
         question.depth.beam, question.depth.horizon_s, s.least, question.depth.min_after_turn, every_future
     )
     return f, timed, prices, depth
-
-
-@compiled
-def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float, FloatArray]:
-    """Return what staying costs, what a move must gain beyond its price, and what each move costs (moves,).
-
-    Processes the target's estimate, as :func:`foresee` does.
-    """
-    futures, table, prices, depth = foresee(scene, question)
-    answered_by = Question(question.context, table, prices, depth)
-    # Figures of eight are for a gimbal that cannot pan all around.
-    costs = np.empty(MOVES + EIGHTS if question.context.terms.blind > 0.0 else MOVES)
-    min_gain = commitment(scene, futures, answered_by)
-    return look_two_moves_ahead(scene, futures, answered_by, sight, min_gain, costs), min_gain, costs

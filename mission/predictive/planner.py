@@ -43,13 +43,15 @@ from sidelong.mission.predictive.decision_kernel import (
     Question,
     RouteValues,
     SwitchingCosts,
+    commitment,
+    foresee,
     layer_s,
+    look_two_moves_ahead,
     resample,
-    weigh,
 )
-from sidelong.mission.predictive.moves_kernel import MOVES, move_line, new_line_cache, new_second_moves
-from sidelong.mission.predictive.rollout_kernel import Table
-from sidelong.mission.predictive.scene_kernel import FlownPlan, Scene, Turns, Watcher, scene_of
+from sidelong.mission.predictive.moves_kernel import EIGHTS, MOVES, move_line, new_line_cache, new_second_moves
+from sidelong.mission.predictive.rollout_kernel import Scenarios, Table
+from sidelong.mission.predictive.scene_kernel import FlownPlan, Scene, Turns, Watcher, scene_of, winding
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable, WatchCost, compute
 from sidelong.mission.route.progress_kernel import Progress, RouteArrays, fresh_progress
 from sidelong.mission.route.route import Route, way_of
@@ -317,6 +319,28 @@ class PredictivePlanner:
         across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
         velocity_m_s = across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
         return self._sight(scene.frame_east_m, scene.frame_north_m, *velocity_m_s)
+
+
+def foreseen(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
+    """Return what the target may do, and the question with the table, prices and depth that answer it.
+
+    Processes the target's estimate: call it once for each, in order of time.
+    """
+    context = question.context
+    if len(context.route.way.points) == 0:
+        return winding(scene, context.motions, context.watcher, context.turns), question
+    futures, table, prices, depth = foresee(scene, question)
+    return futures, Question(context, table, prices, depth)
+
+
+def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float, FloatArray]:
+    """Return what staying costs, what a move must gain beyond its price, and what each move costs (moves,)."""
+    # One kernel of all would contain the machine code of each once more: a tenth of the first compilation.
+    futures, answered_by = foreseen(scene, question)
+    # Figures of eight are for a gimbal that cannot pan all around.
+    costs = np.empty(MOVES + EIGHTS if question.context.terms.blind > 0.0 else MOVES)
+    min_gain = commitment(scene, futures, answered_by)
+    return look_two_moves_ahead(scene, futures, answered_by, sight, min_gain, costs), min_gain, costs
 
 
 def scene_at(

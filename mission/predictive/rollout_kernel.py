@@ -160,7 +160,7 @@ def table_value(
     return float(total)
 
 
-@compiled
+@inner
 def least(costs: FloatArray) -> float:
     """Return the smallest of costs (n,), infinity of none. numba's own ``min`` has scipy loaded at each start."""
     smallest = np.inf

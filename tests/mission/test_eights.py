@@ -34,9 +34,16 @@ from sidelong.mission.geometry.line_kernel import (
     trapezoid,
 )
 from sidelong.mission.geometry.progress import ground_speed_m_s, nearest_arc_m, point_at
-from sidelong.mission.predictive.decision_kernel import Question, commitment, foresee
+from sidelong.mission.predictive.decision_kernel import commitment
 from sidelong.mission.predictive.moves_kernel import BACK, BEND, EIGHTS, OUTWARD, TURNED, eight_line, eights_from
-from sidelong.mission.predictive.planner import USUAL, PredictivePlanner, price_s, scene_at, table_configuration
+from sidelong.mission.predictive.planner import (
+    USUAL,
+    PredictivePlanner,
+    foreseen,
+    price_s,
+    scene_at,
+    table_configuration,
+)
 from sidelong.mission.predictive.rollout_kernel import Sampling, blind_rate
 from sidelong.mission.predictive.value_table import WatchCost, compute
 
@@ -144,8 +151,7 @@ def test_a_young_plan_is_given_up_where_it_leads_beyond_the_pan_limits(table, le
     target = TargetEstimate(0.0, 0.0, 0.0, 0.0, 2.0, np.diag([1.0, 1.0, 0.04, 0.04]), TrackQuality.GOOD, 0.0)
     question = planner.questions[0]
     scene = scene_at(state, target, plan, Wind(), 0.5, question)
-    futures, *judged_by = foresee(scene, question)
-    answered_by = Question(question.context, *judged_by)
+    futures, answered_by = foreseen(scene, question)
     context = question.context
     anywhere = answered_by._replace(context=context._replace(terms=context.terms._replace(blind=0.0)))
     assert commitment(scene, futures, anywhere) == question.prices.commit > 0.0
