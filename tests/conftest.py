@@ -110,7 +110,7 @@ def free_port() -> Callable[[], int]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Give all workers but the last the tests that wait for the clock, so that the last one computes in the meantime.
+    """Give the first two workers the tests that wait for the clock, so that the others compute in the meantime.
 
     Each worker begins with an equal share of the list; an idle worker then steals from the end of another's share. So
     what waits, and shares its flights, comes first in a share.
@@ -121,11 +121,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     waiting, working = ([item for item in items if _waits(item) == waits] for waits in (True, False))
     # Those that need no planner keep the second worker busy while the first one compiles it.
     second = [item for item in waiting if _is_plain(item)]
-    second += [item for item in waiting if item.nodeid.startswith("tests/autopilot/")]
-    # A fleet comes last: by then the studies have compiled most of what it needs.
-    first = sorted(
-        (item for item in waiting if item not in second), key=lambda item: item.path.name == "test_fleet.py"
-    )
+    second += [item for item in waiting if item.nodeid.startswith(("tests/autopilot/", "tests/serve/"))]
+    # The slow start of an installed program comes first, and a fleet last: by then the studies have compiled it.
+    order = {"test_package.py": 0, "test_fleet.py": 2}
+    first = sorted((item for item in waiting if item not in second), key=lambda item: order.get(item.path.name, 1))
     early = [item for start in _PLAIN for item in working if item.nodeid.startswith(start) and _is_plain(item)]
     later = (*_STUDIES, *_LONG)
     early += dict.fromkeys(item for start in later for item in working if item.nodeid.startswith(start))

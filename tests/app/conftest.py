@@ -233,7 +233,7 @@ def receiver():
     """Return a UDP socket of the loopback."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(20.0)
+        receiver.settimeout(60.0)
         yield receiver
 
 

@@ -30,9 +30,9 @@ with process.ends_within(0.2, "closing"):
 IN_TIME = """
 import threading
 from sidelong.app import process
-with process.ends_within(0.05, "closing"):
+with process.ends_within(0.5, "closing"):
     pass
-threading.Event().wait(0.2)
+threading.Event().wait(0.7)
 process.exit_process(0)
 """
 
@@ -47,7 +47,7 @@ process.exit_process(0)
     ids=["left", "held up", "in time"],
 )
 def test_it_ends(code, exit_code, out, complaint):
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30.0, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (exit_code, out, complaint)
 
 
@@ -61,7 +61,7 @@ process.exit_process(3)
 
 
 def test_a_signal_at_the_very_end_changes_no_exit_code():
-    done = subprocess.run([sys.executable, "-c", LATE_SIGNAL], capture_output=True, timeout=30.0, check=False)
+    done = subprocess.run([sys.executable, "-c", LATE_SIGNAL], capture_output=True, timeout=60.0, check=False)
     assert (done.returncode, done.stderr) == (3, b"")
 
 
@@ -82,7 +82,7 @@ cli.main()
 @pytest.mark.parametrize("then", ["signal.pause()", "raise RuntimeError('no compiled object yet')"])
 def test_an_interrupt_that_is_dropped_ends_it_all_the_same(then):
     code = [sys.executable, "-c", DEAF.format(then)]
-    done = subprocess.run(code, capture_output=True, timeout=15.0, check=False)
+    done = subprocess.run(code, capture_output=True, timeout=60.0, check=False)
     assert (done.returncode, done.stderr) == (130, b"sidelong: interrupted.\n")
 
 

@@ -33,7 +33,7 @@ def serving(run_folder, *options):
         yield url
     finally:
         process.send_signal(signal.SIGINT)
-        rest, _ = process.communicate(timeout=20)
+        rest, _ = process.communicate(timeout=60)
     assert process.returncode == 0, rest
 
 

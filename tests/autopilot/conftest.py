@@ -107,7 +107,7 @@ class Vehicle:
         """Let the simulation's thread do something, and return what it returns."""
         answer: queue.Queue = queue.Queue()
         self._work.put((action, answer))
-        return answer.get(timeout=30.0)
+        return answer.get(timeout=PATIENCE_S)
 
     def at_item(self, count, act):
         """Do something just before the count-th item from now on reaches the vehicle."""
@@ -127,7 +127,7 @@ class Vehicle:
 
     def close(self):
         self._ended.set()
-        self._thread.join(10.0)
+        self._thread.join(60.0)
 
     def _serve(self):
         stations = [("127.0.0.1", port) for port in self.ports]
@@ -176,7 +176,7 @@ class Application:
     def __exit__(self, *_):
         if self.process.poll() is None:
             self.kill()
-        self.process.wait(10.0)
+        self.process.wait(60.0)
 
     @property
     def announced(self):

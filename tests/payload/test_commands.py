@@ -36,7 +36,7 @@ def test_driver_alone_publishes_mavlink_of_component_154(kind, free_port, tmp_pa
     port, vehicle_port = free_port(), free_port()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, simulated(kind, port, vehicle_port):
         udp.bind(("127.0.0.1", 0))
-        udp.settimeout(5.0)
+        udp.settimeout(60.0)
         to = f"udpout:127.0.0.1:{udp.getsockname()[1]}"
         done = sidelong(
             "payload", f"{kind}://127.0.0.1:{port}", "--to", to, "--duration", 2, "--json", tmp_path / "payload.json"
