@@ -8,6 +8,7 @@ not the first eight.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from dataclasses import replace
 from functools import partial
@@ -15,19 +16,23 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pymavlink.dialects.v20 import all as mavlink
 from shapely import Point, Polygon
 
 from sidelong.app.assembly import with_vehicle_fences
 from sidelong.app.autopilots.registry import AUTOPILOTS
-from sidelong.app.config import Config
-from sidelong.app.link.stored import fences_of
+from sidelong.app.config import Config, LinkSection
+from sidelong.app.flight.session import connected
+from sidelong.app.link.stored import fences_of, read_fences
 from sidelong.app.simulation.kinematic import Body
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.mission.core.events import UploadPlan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.progress import nearest_arc_m
 from sidelong.mission.geometry.separation import circles_apart_m
+from sidelong.sitl.protocol.transfer import Item
+from tests.autopilot.conftest import vehicle_of  # noqa: F401  # a fixture
 from tests.bench.size import numbers
 from tests.faults import undisturbed
 from tests.faults.test_envelope import BEGIN_S, HOME, PLANE, Flight, set_home_lower, sinks
@@ -226,6 +231,37 @@ def drawn_fences(rng):
             command = (CIRCLE if is_circle else VERTEX) + (not is_inclusion)
             items.append({"command": command, "param1": reach_m if is_circle else 6.0, "x": x, "y": y})
     return items, inside, outside
+
+
+@pytest.mark.udp
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_fences_of_the_vehicle_are_read(vehicle_of, flavour):  # noqa: F811
+    """Over a socket and MAVSDK; what they say is compared below, by never being crossed."""
+    vehicle, wrong, flown = vehicle_of(flavour, speed=1.0), [], numbers(100, 2, "FLIGHTS")[flavour == "px4" :: 2]
+
+    def stored(items):
+        store = vehicle.autopilot.transfers[mavlink.MAV_MISSION_TYPE_FENCE].store
+        store.begin(len(items))
+        for index, item in enumerate(items):
+            size = (item["param1"], 0.0, 0.0, 0.0)
+            store.put(index, Item(item["command"], mavlink.MAV_FRAME_GLOBAL, size, item["x"], item["y"], 0.0), False)
+        store.finish()
+
+    async def read():
+        async with connected(LinkSection(url=vehicle.url, role="companion"), lambda _text: None) as session:
+            for number in flown:
+                items, *_ = drawn_fences(np.random.default_rng((635, number)))
+                await asyncio.to_thread(vehicle.do, lambda items=items: stored(items))
+                found, right = await read_fences(session.vehicle), fences_of(items)
+                agrees = [np.allclose(*pair, atol=1e-6) for pair in zip(flat(found), flat(right), strict=True)]
+                wrong.extend([number] * (not agrees or not all(agrees)))
+
+    def flat(fences):
+        return (*fences.inclusion, *fences.exclusion)
+
+    asyncio.run(read())
+    print(f"\n{flavour}: read wrongly: {wrong} of {len(flown)}")
+    assert not wrong
 
 
 def test_fences_of_the_vehicle_are_never_crossed():
