@@ -45,6 +45,7 @@ from sidelong.app.view.panel import Panel
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading
 from tests.app.conftest import steps
+from tests.bench.size import numbers
 
 CONFIG = Config.model_validate({"planner": {"name": "paper"}, "simulation": {"speed": 5.0}})
 FLOWN_S = 200.0  # of the vehicle's time
@@ -116,7 +117,7 @@ def test_the_first_picture_is_there_within_1_s():
 
 
 SLOW_BYTES_S, STALLS_S, STALE_S = 6000.0, (1.0, 2.0, 4.0, 8.0, 15.0, 30.0), 3.0
-SLOW_RUNS = int(os.environ.get("SLOW_RUNS", "2"))
+SLOW_RUNS = numbers(2, 1, "SLOW_RUNS")
 
 
 class SlowLine:
@@ -161,7 +162,7 @@ def test_behind_a_slow_line_with_stalls_nothing_old_is_green():
         present = _present()
         display.begin(LocalPlane(47.4, 8.5), lambda _request: None)
         display.engage(time.monotonic(), None)
-        rng, line = random.Random(1), SlowLine(int(display.url.rstrip("/").rpartition(":")[2]))
+        line = SlowLine(int(display.url.rstrip("/").rpartition(":")[2]))
 
         def fly(page, until_s):
             nonlocal greens, stale, oldest_green_s
@@ -178,7 +179,7 @@ def test_behind_a_slow_line_with_stalls_nothing_old_is_green():
                     stale += age_s > STALE_S + 1.0  # the page shows whole seconds
                     oldest_green_s = max(oldest_green_s, age_s)
 
-        for run in range(SLOW_RUNS):
+        for run in SLOW_RUNS:
             page = browser.new_page()
             begun_s = time.monotonic()
             page.goto(f"http://127.0.0.1:{line.port}/", wait_until="commit")
@@ -190,11 +191,11 @@ def test_behind_a_slow_line_with_stalls_nothing_old_is_green():
             line.stalled = True
             fly(page, time.monotonic() + stall_s)
             line.stalled = False
-            fly(page, time.monotonic() + rng.uniform(4.0, 8.0))
+            fly(page, time.monotonic() + random.Random(run).uniform(4.0, 8.0))
             page.close()
         browser.close()
     print(
-        f"{SLOW_RUNS} runs: {greens} looks at green, {stale} older than {STALE_S:g} s, the oldest "
+        f"{len(SLOW_RUNS)} runs: {greens} looks at green, {stale} older than {STALE_S:g} s, the oldest "
         f"{oldest_green_s:.1f} s with the rounding of the clock; green within {loaded_s:.0f} s of opening"
     )
     assert greens > 0
