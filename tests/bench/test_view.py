@@ -11,7 +11,6 @@ import contextlib
 import http.client
 import itertools
 import json
-import os
 import random
 import re
 import shutil
