@@ -130,7 +130,10 @@ class ServicePage:
         await self.open()
         self._view.adopt(display)
         self._view.show_stage("taking over", "the watch begins")
-        yield self._view
+        try:
+            yield self._view
+        finally:
+            self._view.let_go()
 
 
 def _from_any_thread(loop: asyncio.AbstractEventLoop, log: Any, text: str) -> None:

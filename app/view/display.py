@@ -74,6 +74,10 @@ class ShownAircraft:
         self.encoder.plane, self._request = plane, request
         self._page.comes_to("taking over")
 
+    def let_go(self) -> None:
+        """Pass on no further wish: the flight has ended. Its last state stays."""
+        self._request = None
+
     def film(self, picture: Callable[[], bytes]) -> None:
         self._page.isolated("the camera's picture", partial(self._page.put_picture, self), picture)
 
@@ -365,7 +369,7 @@ class ViewDisplay(ShownAircraft):
             self._announced.append([None, "operator" if accepted else "refused", f"{action}: {text}"])
             return
         asked = self._filmed if action == "track" else self._shown.get(press.get("aircraft", ""), self)
-        if not asked.is_flown and self._is_service and action == "end":  # a watch that is only beginning
+        if self._is_service and action == "end":  # also a watch that is only beginning, or that is to be the next one
             self._pressed(press | {"action": "release"})
             return
         if not asked.is_flown:

@@ -74,6 +74,25 @@ def requests_after(display: ViewDisplay) -> list[OperatorRequest]:
     return got[:-1]
 
 
+def test_an_end_on_a_services_page_releases_and_nothing_else_reaches_a_flight_that_has_ended(flight):
+    console, flown, released = Panel(Console(), quiet=True).of(), [], []
+    with ViewDisplay({"": console}, {"": Config()}, PageAddress(port=0), is_service=True) as display:
+        display.service = lambda request, who: released.append(request) or (True, "")
+        display.begin(PLANE, flown.append)
+        for _, _, controller in flight(5.0):
+            display.show(controller.snapshot())
+        press(display, {"action": "hold"})
+        while not flown:
+            display.pump()
+        display.let_go()
+        press(display, {"action": "hold"})
+        press(display, {"action": "end"})
+        while not released:
+            display.pump()
+    assert [one.action for one in flown] == ["hold"]
+    assert released == ["release"]
+
+
 def test_the_page_and_all_it_needs_are_served_here(shown):
     page = urlopen(shown.url).read().decode()
     names = re.findall(r'(?:href|src)="([^"]+)"', page)
