@@ -15,6 +15,8 @@ from collections.abc import Callable, Generator
 import pytest
 from hypothesis import settings
 
+from sidelong.app.study.settings import PREDICTIVE
+from sidelong.app.study.study import is_compiled
 from sidelong.estimators import compiled
 from tests.autopilot.matrix import pytest_runtest_makereport, pytest_terminal_summary  # noqa: F401  # hooks
 
@@ -79,7 +81,8 @@ def _compile_once() -> None:
     folder = os.open(compiled.FOLDER, os.O_RDONLY)
     try:
         fcntl.flock(folder, fcntl.LOCK_EX)
-        subprocess.run([sys.executable, "-c", _COMPILE], check=True)
+        if not is_compiled(PREDICTIVE):
+            subprocess.run([sys.executable, "-c", _COMPILE], check=True)
     finally:
         os.close(folder)
 

@@ -97,6 +97,7 @@ class Flight(FaultyLoop[bytes]):
         super().__init__(SitlVehicle(self.simulation), Link(NO_FAULTS, rngs[1]), Link(NO_FAULTS, rngs[0]), speed)
         self._late = Link(NO_FAULTS, rngs[0])  # holds MISSION_CURRENT up on its way to us
         self.events, self.outputs, self._each_output = [], [], []
+        self.has_control = False
         self.lines: dict[int, tuple] = {}  # of each plan, by number; 0: the first circle
         self.output_listeners: list[Callable[[object], object]] = []
         self.observers: list[Callable[[], object]] = []  # of each step
@@ -132,16 +133,13 @@ class Flight(FaultyLoop[bytes]):
         self.faults = self.up.faults = self.down.faults = faults
         self._late.faults = LinkFaults(delay_s=late_current_s)
 
-    @property
-    def has_control(self):
-        return any(isinstance(output, ControlAcquired) for output in self._each_output)
-
     def found(self, kind):
         return [output for output in self._each_output if isinstance(output, kind)]
 
     def forget_outputs(self):
         self.outputs.clear()
         self._each_output.clear()
+        self.has_control = False
 
     def to_vehicle(self, name, *, source=OWN_ID, **fields):
         """Send the vehicle a message from any station, without faults."""
@@ -184,6 +182,7 @@ class Flight(FaultyLoop[bytes]):
         self.outputs.append(outputs)
         self._each_output.extend(outputs)
         for output in outputs:
+            self.has_control |= isinstance(output, ControlAcquired)
             if isinstance(output, UploadPlan) and self.config.planner.guidance == "mission":
                 plan = replace(output.plan, circle=output.commanded)
                 with contextlib.suppress(UnflyableError):  # the core refuses it, too
