@@ -61,6 +61,8 @@ _LONG = (
     *("tests/test_bench_smoke", "tests/test_examples", "tests/test_package", "tests/camera/test_flight"),
     *("tests/mission/test_eights", "tests/exchange/test_fleet", "tests/faults/test_envelope"),
 )
+# Of those that wait for the clock, the second worker takes these.
+_SECOND = ("tests/autopilot/", "tests/serve/", "tests/faults/test_public_reports")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -124,7 +126,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     waiting, working = ([item for item in items if _waits(item) == waits] for waits in (True, False))
     # Those that need no planner keep the second worker busy while the first one compiles it.
     second = [item for item in waiting if _is_plain(item)]
-    second += [item for item in waiting if item.nodeid.startswith(("tests/autopilot/", "tests/serve/"))]
+    second += [item for item in waiting if item.nodeid.startswith(_SECOND)]
     # The slow start of an installed program comes first, and a fleet last: by then the studies have compiled it.
     order = {"test_package.py": 0, "test_fleet.py": 2}
     first = sorted((item for item in waiting if item not in second), key=lambda item: order.get(item.path.name, 1))

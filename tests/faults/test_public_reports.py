@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pymavlink import mavutil
+from pymavlink.dialects.v20 import all as mavlink
 
 from tests.app.test_track_file import KML, LINE, gpx, iso, kmz, walk
 from tests.command_line import sidelong
@@ -110,6 +111,7 @@ def test_targets_of_a_study(tmp_path: Path, name: str) -> None:
     assert ("is used, 1 further line" in words(done.stdout + done.stderr)) is name.startswith(("ais", "two"))
 
 
+@pytest.mark.udp
 def test_the_selected_walker_is_the_target_of_a_launch(tmp_path: Path) -> None:
     track = write(tmp_path / "two.gpx", two_walkers())
     done = sidelong(
@@ -210,12 +212,16 @@ class Wing:
         while (message := self._link.recv_msg()) is not None:
             if message.get_type() == "COMMAND_LONG":
                 send.command_ack_send(message.command, 0)
+                if message.param1 == mavlink.MAVLINK_MSG_ID_HOME_POSITION:
+                    send.home_position_send(460_000_000, 80_000_000, 500_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
             if message.get_type() == "PARAM_REQUEST_READ":
                 send.param_value_send(message.param_id.encode(), 0, 9, 1, 0)
             if message.get_type() == "MISSION_REQUEST_LIST":
-                send.mission_count_send(message.get_srcSystem(), message.get_srcComponent(), 0)
+                asked_by = message.get_srcSystem(), message.get_srcComponent()
+                send.mission_count_send(*asked_by, 0, message.mission_type)
 
 
+@pytest.mark.udp
 def test_connect_names_a_range_that_is_not_usable(
     free_port: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -243,6 +249,7 @@ def with_chat(k: int) -> list[bytes]:
     return [own, *([others[k % 6]] if k % 6 in others else [])]
 
 
+@pytest.mark.udp
 def test_a_phone_is_the_beacon_of_a_launch(tmp_path: Path, free_port: Callable[[], int]) -> None:
     port = free_port()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as phone:
