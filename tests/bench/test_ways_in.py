@@ -119,7 +119,9 @@ def settled(status, requested, off):
 
 
 def until_settled(service, requested, off):
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not settled(service.status, requested, off):
+    """Wait until the service has done what was requested for a second: a press needs a moment to arrive."""
+    deadline_s, looks = time.monotonic() + PATIENCE_S, 0
+    while looks < 10:
+        looks = looks + 1 if settled(service.status, requested, off) else 0
         assert time.monotonic() < deadline_s, (requested, service.status, service.announced)
         time.sleep(0.1)
