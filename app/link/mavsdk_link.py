@@ -60,7 +60,7 @@ _LOCAL = re.compile(r"serial.*|\w+://(127\.|localhost|0\.0\.0\.0).*")
 Role = Literal["companion", "ground"]
 
 SETTLING_S = 2.2  # two heartbeat periods: every vehicle present has sent one by then
-_POLL_S, _EARLY_MAX = 0.1, 10_000
+_POLL_S, _EARLY_MAX, _LATE_S = 0.1, 10_000, 2.0
 
 
 @mavsdk.logging.LogCallback  # type: ignore[untyped-decorator]  # MAVSDK has no types; the module keeps it alive
@@ -152,9 +152,13 @@ class MavsdkLink:
             instance = Mavsdk(Configuration.create_manual(*own, True))
             # The asyncio wrapper does not offer the subscription, the object beneath it does.
             instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
-            await instance.add_any_connection("raw://", ForwardingOption.OFF)
-            instance._mavsdk.pass_received_raw_bytes(vehicles[chosen].data)
-            system = await instance.first_autopilot(timeout_s)
+            system = None
+            # MAVSDK waits for its own callback, which may not come.
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(timeout_s + _LATE_S):
+                    await instance.add_any_connection("raw://", ForwardingOption.OFF)
+                    instance._mavsdk.pass_received_raw_bytes(vehicles[chosen].data)
+                    system = await instance.first_autopilot(timeout_s)
             if system is None:
                 raise InputError(_not_received(where, timeout_s, raw.reports()))
             link = cls(instance, system, chosen, own, raw, ours)

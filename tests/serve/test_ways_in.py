@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from itertools import product
 
 import pytest
+from mavsdk.asyncio import Mavsdk
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.config import config_from
@@ -95,7 +96,7 @@ async def come(condition):
 
 
 @asynccontextmanager
-async def serving(vehicle, out, monkeypatch, **control):
+async def serving(vehicle, out, monkeypatch, heartbeat_timeout_s=10.0, **control):
     """Serve a live vehicle; yield the service, what it watches with, and a station."""
 
     async def prepared(_resident):
@@ -104,7 +105,8 @@ async def serving(vehicle, out, monkeypatch, **control):
     watching = Watching()
     monkeypatch.setattr(Resident, "_prepare", prepared)
     monkeypatch.setattr(service.Shell, "fly", lambda shell: watching.fly(shell._life))
-    config = config_from({"link": {"url": vehicle.url}, "control": control}, "test")
+    link = {"url": vehicle.url, "heartbeat_timeout_s": heartbeat_timeout_s}
+    config = config_from({"link": link, "control": control}, "test")
     resident, stopped = Resident(config, out / "runs", lambda _text: None), asyncio.Event()
     running = asyncio.create_task(resident.run(stopped, out / "serve.sock"))
     station = Station(vehicle.ports[0])
@@ -173,6 +175,21 @@ def test_a_command_to_us_is_answered_once_as_accepted(vehicle_of, tmp_path, monk
             assert answers == [(255, mavlink.MAV_RESULT_ACCEPTED)] * 2
 
     asyncio.run(pressed())
+
+
+def test_a_connection_that_mavsdk_never_completes_is_tried_again(vehicle_of, tmp_path, monkeypatch):  # noqa: F811
+    asked, first_autopilot = [], Mavsdk.first_autopilot
+
+    async def silent_at_first(instance, timeout_s):
+        asked.append(timeout_s)
+        return await (asyncio.Event().wait() if len(asked) == 1 else first_autopilot(instance, timeout_s))
+
+    async def served():
+        monkeypatch.setattr(Mavsdk, "first_autopilot", silent_at_first)
+        async with serving(vehicle_of("px4", speed=2.0), tmp_path, monkeypatch, heartbeat_timeout_s=1.0):
+            assert len(asked) == 2
+
+    asyncio.run(served())
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
