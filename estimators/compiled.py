@@ -118,7 +118,32 @@ def _hidden(package: str) -> Iterator[None]:
 with _hidden("scipy"):
     import numba
     import numba.np.arraymath
+    from llvmlite.binding import parse_bitcode  # type: ignore[import-untyped]
+    from numba.core.codegen import CPUCodeLibrary
 
+
+def _parse_when_linked(library: Any = CPUCodeLibrary) -> None:
+    """Keep the LLVM module of cached code as bitcode until another kernel is linked with it.
+
+    Parsed, the modules of a flight take 30 MB, and only the compiler needs them.
+    """
+    load, module_of = library._unserialize.__func__, library._get_module_for_linking
+
+    def loaded(cls: Any, codegen: Any, state: Any) -> Any:
+        made = load(cls, codegen, state)
+        if state[1] == "object":
+            made._bitcode, made._shared_module = state[2][1], None
+        return made
+
+    def module_for_linking(self: Any) -> Any:
+        if self._shared_module is None and hasattr(self, "_bitcode"):
+            self._shared_module = parse_bitcode(self._bitcode)
+        return module_of(self)
+
+    library._unserialize, library._get_module_for_linking = classmethod(loaded), module_for_linking
+
+
+_parse_when_linked()
 numba.config.CACHE_DIR = str(FOLDER)  # type: ignore[attr-defined]
 
 KERNELS: list[Any] = []

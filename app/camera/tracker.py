@@ -132,7 +132,7 @@ class _Look:
             Shape (height - object's height + 1, width - object's width + 1), by upper left corner.
         """
         width, height = size_px
-        own = self._own_colour(_hues(window)).astype(np.float32)
+        own = self._own_colour(_hues(window))
         mean = cv2.boxFilter(own, -1, size_px, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
         alike = mean[: window.shape[0] - height + 1, : window.shape[1] - width + 1]
         return np.asarray(alike / max(self._colour, 1e-3), np.float32)
@@ -168,24 +168,25 @@ class _Look:
         both = 0.5 * (np.maximum(alike, 0.6) + colour)
         return np.where(colour < _HIDDEN_BELOW, colour, both).astype(np.float32)
 
-    def _own_colour(self, hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+    def _own_colour(self, hues: Picture) -> npt.NDArray[np.float32]:
         share = self._inside / (self._inside + self._outside + _RARE)
         share = np.maximum(2.0 * share - 1.0, 0.0)  # the ground around it has as much of other colours
-        return share[hues[..., 0], hues[..., 1]]
+        return share.astype(np.float32)[hues[..., 0], hues[..., 1]]
 
 
-def _shares(hues: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+def _shares(hues: Picture) -> npt.NDArray[np.float64]:
     """Return the share of each cell in cells of shape (n, 2)."""
     share, *_ = np.histogram2d(hues[:, 0], hues[:, 1], _HUES, ((0, _HUES), (0, _HUES)))
     return share / max(len(hues), 1)
 
 
-def _hues(picture: Picture) -> npt.NDArray[np.intp]:
+def _hues(picture: Picture) -> Picture:
     """Return the cells of blue and red for each pixel, shape (..., 2)."""
-    levels = picture.astype(np.float32) + 8.0  # dark pixels have no colour
-    share = levels[..., (0, 2)] / levels.sum(axis=2, keepdims=True)
-    cells: npt.NDArray[np.intp] = np.clip(share * (1.5 * _HUES), 0, _HUES - 1).astype(np.intp)
-    return cells
+    levels = picture.astype(np.float32)
+    levels += 8.0  # dark pixels have no colour
+    share = levels[..., (0, 2)]
+    share *= 1.5 * _HUES / levels.sum(axis=2, keepdims=True)
+    return np.minimum(share, _HUES - 1, out=share).astype(np.uint8)
 
 
 @dataclass(slots=True)

@@ -73,6 +73,14 @@ def test_function_is_compiled_into_another_from_the_cache(tmp_path):
     assert outer(tmp_path) == ["7.0", "0", "1"]
 
 
+def test_cached_code_keeps_no_parsed_module_in_memory(tmp_path):
+    parsed = "print([one.library._shared_module for one in outer.overloads.values()])"
+    (tmp_path / "caller.py").write_text(CALLER + parsed)
+    (tmp_path / "callee.py").write_text(CALLEE)
+    outer(tmp_path)
+    assert outer(tmp_path) == ["3.0", "1", "[None]"]
+
+
 def test_cache_falls_back_to_the_temporary_folder_without_a_writable_home(tmp_path):
     (tmp_path / "caller.py").write_text(CALLER + "from sidelong.estimators.compiled import FOLDER\nprint(FOLDER)")
     (tmp_path / "callee.py").write_text(CALLEE)
