@@ -17,7 +17,7 @@ from tests.bench.size import size
 from tests.camera.test_runner import RATE_HZ, run
 
 PICTURES = size(300, 20, "CAMERA_PICTURES")
-LAUNCH_S, MEMORY_MAX_MB = size(120, 20, "CAMERA_LAUNCH_S"), 350.0
+LAUNCH_S, MEMORY_MAX_MIB = size(120, 20, "CAMERA_LAUNCH_S"), 350.0
 
 
 def test_a_camera_leaves_most_of_a_core_to_the_flight(tmp_path):
@@ -50,7 +50,7 @@ def test_a_launch_with_a_camera_fits_into_its_memory(tmp_path):
         printed = process.stdout.read()
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-    print(f"\nat most {used.ru_maxrss / 1e3:.0f} MB")
+    print(f"\nat most {used.ru_maxrss / 1024:.0f} MiB")
     assert process.returncode == 0
     assert "the camera follows the object" in printed
-    assert used.ru_maxrss / 1e3 <= MEMORY_MAX_MB
+    assert used.ru_maxrss / 1024 <= MEMORY_MAX_MIB
