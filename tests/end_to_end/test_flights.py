@@ -18,7 +18,7 @@ def flown(request, tmp_path_factory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp(request.param)
     summary = folder / "summary.json"
     done = new_process(
-        *("launch", "--autopilot", request.param, "--duration", 150, "--set", "simulation.speed=30", "--seed", 3),
+        *("launch", "--autopilot", request.param, "--duration", 150, "--set", "simulation.speed=20", "--seed", 3),
         *("--target", "walk"),
         *("--planner", "paper", "--out", folder / "runs", "--json", summary),
     )
