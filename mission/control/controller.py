@@ -748,7 +748,8 @@ class StandoffController:
         rest = present if flown_m < present.transition_m else replace(present, transition=None)
         clear_m = density.clearance_m(rest, airframe.airspeed_m_s, LEAVE_S, flown_m)
         is_around = math.hypot(circle.east_m - density.east_m, circle.north_m - density.north_m) < circle.radius_m
-        if (is_around and clear_m >= keep_m) or self.time_s - self._retreated_s < _SEARCH_S:
+        waits = self.time_s - self._retreated_s < _SEARCH_S and not self.changes.in_vain
+        if (is_around and clear_m >= keep_m) or waits:
             return self._hold(_UNSEEN)
         start = dead_reckoned(aircraft, latency_s)
         plans = orbits(start, density.after(latency_s), airframe, keep_m)
