@@ -328,7 +328,8 @@ class UnseenTarget:
         kept = math.exp(-unseen_s / _COURSE_LASTS_S)
         ahead_s = _COURSE_LASTS_S * (1.0 - kept)
         velocity_m_s = seen.velocity_east_m_s, seen.velocity_north_m_s
-        speed_m_s = max(self._speed_m_s, min(seen.speed_m_s, speed_max_m_s), _LEAST_SPEED_SHARE * speed_max_m_s)
+        usual_m_s = max(seen.speed_m_s, self._speed_m_s)  # infinite if it came out of sight before the first decision
+        speed_m_s = max(min(usual_m_s, speed_max_m_s), _LEAST_SPEED_SHARE * speed_max_m_s)
         variance_m2 = 0.5 * float(seen.covariance[:2, :2].trace()) + (_WAY_SHARE * speed_m_s * unseen_s) ** 2
         return replace(
             estimate,

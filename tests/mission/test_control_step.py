@@ -363,6 +363,8 @@ def test_a_target_that_is_not_seen_is_searched_from_a_circle_around_where_it_can
     assert circle.radius_m > off_m + keep_m + target.ellipse_95.semi_major_m
     assert kinds(fly(controller, 52.0, 54.0, seen=False), Announce) == []
     assert controller.snapshot().estimate.reason == "no sighting for 23 s"
+    controller.step(PlanStatus(54.0, searched.number, "failed", "it cannot be flown"))
+    assert kinds(fly(controller, 54.0, 55.0, seen=False), UploadPlan)  # another way, at once
 
 
 def test_an_operator_holds_resumes_changes_side_and_ends():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -63,3 +64,10 @@ def test_unseen_recorded_targets_are_where_they_are_predicted(ahead_s):
             errors.append(math.hypot(disk.east_m - at.east_m, disk.north_m - at.north_m) / disk.radius_m)
     assert np.mean(np.array(errors) <= 1.0) >= 0.93
     assert np.mean(errors) > 0.25  # the disk is not far too large
+
+
+def test_a_target_that_was_seen_before_the_first_decision_only_is_somewhere():
+    seen = TargetEstimate(10.0, 0.0, 0.0, 1.0, 0.0, np.eye(4), TrackQuality.GOOD, 10.0)
+    unseen = UnseenTarget(SimpleNamespace(last_seen=seen))
+    later = replace(seen, time_s=70.0, quality=TrackQuality.LOST)
+    assert unseen.density(unseen.predicted(later, 5.0, 60.0)).radius_m < 5.0 * 60.0 * 1.1
