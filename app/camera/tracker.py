@@ -27,6 +27,7 @@ TrackingState = Literal["idle", "object", "lost"]
 _SIDE_PX = 36  # of the object in the window
 _WINDOW_PX, _SEARCH_MAX_PX = 180, 480
 _HIDDEN_BELOW, _LEARNT_FROM, _ALIKE_FROM = 0.45, 0.75, 0.65  # shares of how much it looks like itself
+_USUAL_RATE, _USUAL_SHARE = 0.05, 0.85  # an object that has looked less alike lately is found by this share of it
 _HIDDEN_PICTURES = 3
 _LEARN_EVERY_S = 0.25
 _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
@@ -248,7 +249,7 @@ class ObjectTracker:
         self._size_m = (_OBJECT_M, _OBJECT_M)
         self._look = _Look()
         self._state: TrackingState = "idle"
-        self._confidence = 0.0
+        self._confidence, self._usual = 0.0, 1.0  # how much the object looks like itself, now and as a rule
         self._at_m = (0.0, 0.0)  # where it was last seen
         self._velocity_m_s, self._velocity_sigma_m_s = (0.0, 0.0), _UNKNOWN_M_S
         self._seen_s = self._learnt_s = self._searched_s = self._surveyed_s = -math.inf
@@ -301,7 +302,7 @@ class ObjectTracker:
         self._velocity_m_s, self._velocity_sigma_m_s = (0.0, 0.0), _UNKNOWN_M_S
         self._alike, self._candidates, self._trial = [], [], None
         for _ in range(2):  # the click may be at an edge of the object: its middle is known then
-            self._look, self._learnt_s = _Look(), -math.inf
+            self._look, self._learnt_s, self._usual = _Look(), -math.inf, 1.0
             self._follow(picture, time_s, view, at)
             window = _Window.around(picture, view, at, self._size_m, _WINDOW_PX)
             if window is not None:
@@ -382,6 +383,7 @@ class ObjectTracker:
                 self._lose()
             return None
         self._doubts = 0
+        self._usual += _USUAL_RATE * (min(likeness, 1.0) - self._usual)
         pixel = window.pixel(*middle)
         at = view.ground(*pixel)
         if at is None:
@@ -512,7 +514,7 @@ class ObjectTracker:
         if window is None:
             return []
         width, height = size = _size_px(self._size_m, share)
-        look = self._look
+        look, alike_from = self._look, min(_ALIKE_FROM, _USUAL_SHARE * self._usual)
         alike = (
             look.by_colour(window.picture, size)
             if look.has_colour
@@ -521,7 +523,7 @@ class ObjectTracker:
         found: list[tuple[float, float]] = []
         for _ in range(_CANDIDATES_MAX):
             _, value, _, (x, y) = cv2.minMaxLoc(alike)
-            if value < _ALIKE_FROM:
+            if value < alike_from:
                 break
             alike[max(y - height, 0) : y + height + 1, max(x - width, 0) : x + width + 1] = -1.0
             at = view.ground(*window.pixel(x + 0.5 * width, y + 0.5 * height))
@@ -533,7 +535,7 @@ class ObjectTracker:
             full = _size_px(self._size_m)
             middle = look.middle(near.picture, x + 0.5 * full[0], y + 0.5 * full[1], full)
             at = view.ground(*near.pixel(*middle))
-            if value < _ALIKE_FROM or at is None or math.dist(at, around_m) > radius_m:
+            if value < alike_from or at is None or math.dist(at, around_m) > radius_m:
                 continue
             if not any(self._is_same(view, at, other) for other in found):
                 found.append(at)
