@@ -12,7 +12,7 @@ import { showWatch } from "./watch.js";
 const byId = (id) => document.getElementById(id);
 const degrees = (radians) => Math.round(((radians * 180) / Math.PI + 360) % 360);
 const LOG_KEPT = 300;
-const OLD_S = 3; // data of that age is shown in grey
+const OLD_S = 2.5; // data of that age is shown in grey: nothing older than 3 s is green, and a busy browser is late
 const AGAIN_MS = 1500;
 const GIVEN_UP_MS = 40000;
 const ANSWER_MS = { accepted: 12000, refused: 60000 };
