@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -31,6 +32,12 @@ def vehicles(port: int, *options: tuple[object, ...]) -> Iterator[None]:
             ]
             process = stack.enter_context(subprocess.Popen([*command, "--while-input"], stdin=subprocess.PIPE))
             stack.callback(process.terminate)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+            station.bind(("127.0.0.1", port))
+            station.settimeout(120.0)
+            begun: set[object] = set()
+            while len(begun) < len(options):  # on a busy machine the last begins long after the first
+                begun.add(station.recvfrom(4096)[1])
         yield
 
 
