@@ -43,7 +43,8 @@ _UNKNOWN_M_S = 3.0  # what the target's velocity is off, before there is an esti
 _SLACK_M, _SLACK_M_S, _SEARCH_MAX_M = 4.0, 1.0, 45.0  # how far it may be from where it was seen, and how this grows
 _OBJECT_M = 4.5
 _LOOK_S, _TURNS_M = 2.0, 20.0
-_LOOKS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))  # ahead and aside of where it was last seen
+# Ahead and aside of where it was last seen; ahead is as far as it has come by now if it went straight on.
+_LOOKS = ((1.0, 0.0), (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,6 +288,8 @@ class ObjectTracker:
             far_m = _SLACK_M
         longer = max(far_m, _TURNS_M) / far_m
         ahead, aside = _LOOKS[int((hidden_s - _STOPPED_S) / _LOOK_S) % len(_LOOKS)]
+        if ahead > 0.0:
+            longer = max(longer, hidden_s / _STOPPED_S)
         return (
             self._at_m[0] + longer * (ahead * east_m + aside * north_m),
             self._at_m[1] + longer * (ahead * north_m - aside * east_m),

@@ -90,3 +90,14 @@ def test_is_lost_rather_than_follow_something_else_while_the_target_is_gone():
     world.hidden_s.append((10.0, 60.0))
     rows = run(world, 5.0, 18.5, ObjectTracker())
     assert {state for time_s, state, _ in rows if time_s > 10.5} == {"lost"}
+
+
+def test_a_target_hidden_for_long_is_looked_for_where_it_is_if_it_went_straight_on():
+    world, tracker = scenery(), ObjectTracker()
+    world.hidden_s.append((10.0, 60.0))
+    rows = run(world, 8.0, 21.0, tracker)
+    assert rows[-1][1] == "lost"
+    looked_m = [tracker.expected_m(10.0 + hidden_s) for hidden_s in np.arange(15.0, 35.0)]
+    went_m = [world.target_m(10.0 + hidden_s) for hidden_s in np.arange(15.0, 35.0)]
+    off_m = [math.dist(*two) for two in zip(looked_m, went_m, strict=True)]
+    assert sum(off < 10.0 for off in off_m) >= 6
