@@ -28,6 +28,7 @@ _SIDE_PX = 36  # of the object in the window
 _WINDOW_PX, _SEARCH_MAX_PX = 180, 480
 _HIDDEN_BELOW, _LEARNT_FROM, _ALIKE_FROM = 0.45, 0.75, 0.65  # shares of how much it looks like itself
 _USUAL_RATE, _USUAL_SHARE = 0.05, 0.85  # an object that has looked less alike lately is found by this share of it
+_TURNS_PER_S, _END_ON = 0.04, 0.38  # hidden, it may turn: end on it fills less of its box
 _HIDDEN_PICTURES = 3
 _LEARN_EVERY_S = 0.25
 _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
@@ -117,6 +118,13 @@ class _Look:
             self._unproved.append((time_s, patch))
         while self._unproved and time_s - self._unproved[0][0] > _PROVED_AFTER_S:
             self._templates.append(self._unproved.popleft()[1])
+
+    def turned(self, window: Picture, x_px: float, y_px: float, size_px: tuple[int, int]) -> None:
+        """Take that the object, found again at a place of the window, fills less of its box than before."""
+        patch: Picture = cv2.getRectSubPix(window, size_px, (x_px, y_px))  # type: ignore[assignment]
+        if self.has_colour:
+            share = float(self._own_colour(_hues(patch)).mean())
+            self._colour = min(self._colour, max(share, 1.05 * _COLOUR_MIN))
 
     def forget_lately(self) -> None:
         """Drop what was learnt just now: it may show what hides the object."""
@@ -360,6 +368,8 @@ class ObjectTracker:
         self._candidates, self._watched_m, self._confidence = [], None, 1.0
         if self._learnt_s == -math.inf:
             self._learn(window, *middle, time_s)
+        else:
+            self._look.turned(window.picture, *middle, _size_px(self._size_m))
 
     def _begin_at(self, window: _Window, x_px: float, y_px: float) -> None:
         """Begin the tracker at a place of the window."""
@@ -492,7 +502,7 @@ class ObjectTracker:
         radius_m = min(radius_m, _SEARCH_MAX_M)
         if time_s - self._searched_s >= _SEARCH_EVERY_S:
             self._searched_s = time_s
-            found_m = self._matches(picture, view, around_m, radius_m)
+            found_m = self._matches(picture, view, around_m, radius_m, hidden_s)
             self._take_candidates(time_s, found_m)
             chosen = self._chosen(view, time_s, hidden_s, expected_m)
             if chosen is not None:
@@ -507,7 +517,7 @@ class ObjectTracker:
         return Box(*pixel, scale * self._size_m[0], scale * self._size_m[1])
 
     def _matches(
-        self, picture: Picture, view: View, around_m: tuple[float, float], radius_m: float
+        self, picture: Picture, view: View, around_m: tuple[float, float], radius_m: float, hidden_s: float = 0.0
     ) -> list[tuple[float, float]]:
         """Return where something looks like the object, within a radius, the most alike first."""
         share = 1.0 if self._look.has_colour else 0.5  # correlation is slow: at half the resolution
@@ -517,7 +527,8 @@ class ObjectTracker:
         if window is None:
             return []
         width, height = size = _size_px(self._size_m, share)
-        look, alike_from = self._look, min(_ALIKE_FROM, _USUAL_SHARE * self._usual)
+        look, alike_from = self._look, min(_ALIKE_FROM, _USUAL_SHARE * self._usual) - _TURNS_PER_S * hidden_s
+        alike_from = max(alike_from, _END_ON)
         alike = (
             look.by_colour(window.picture, size)
             if look.has_colour

@@ -67,12 +67,13 @@ def test_finds_the_middle_of_a_target_that_was_clicked_at_its_edge_and_stays_the
     assert max(off_m for *_, off_m in rows[15:]) < 0.6
 
 
-def test_finds_the_target_again_after_an_occlusion():
+@pytest.mark.parametrize(("begin_s", "end_s"), [(10.0, 14.0), (22.5, 29.3)])  # the second time it turns end on
+def test_finds_the_target_again_after_an_occlusion(begin_s, end_s):
     world = scenery()
-    world.hidden_s.append((10.0, 14.0))
-    rows = run(world, 5.0, 22.0, ObjectTracker())
-    assert all(state == "lost" for time_s, state, _ in rows if 10.5 < time_s < 13.9)
-    later = [(state, off_m) for time_s, state, off_m in rows if time_s > 20.0]
+    world.hidden_s.append((begin_s, end_s))
+    rows = run(world, begin_s - 5.0, end_s + 8.0, ObjectTracker())
+    assert all(state == "lost" for time_s, state, _ in rows if begin_s + 0.5 < time_s < end_s - 0.1)
+    later = [(state, off_m) for time_s, state, off_m in rows if time_s > end_s + 6.0]
     assert all(state == "object" and off_m < 5.0 for state, off_m in later)
 
 
