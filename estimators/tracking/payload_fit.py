@@ -148,6 +148,7 @@ SURE_S = 0.045  # standard deviation of a delay that is known
 _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
 # 4. drifts
 _DRIFT_S, _DRIFT_SPAN_MIN_S, _GROWS_S = 100.0, 40.0, 50.0  # a drift may have begun within the window
+_HALVINGS = 3
 _DRIFT_EVERY_S = 15.0, 10.0  # while nothing drifts, and while something seems to
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
@@ -919,7 +920,7 @@ class PayloadFit:
         if is_long and is_better and before is None and evidence < _BEYOND_DOUBT_LONG:
             # A target that circles may look like one that stands, and the laser to be long. Heights know better.
             off_m = float(best.shared[3]) + range_m * (1.0 - factor)
-            is_better = by_heights_m / off_m > _SINKS_MIN
+            is_better = math.isnan(by_heights_m) or by_heights_m / off_m > _SINKS_MIN
         if is_large and is_possible and is_better:
             self._erring, self._factor = best, factor
             return best
@@ -953,7 +954,6 @@ class PayloadFit:
             start[:2] = self._sound.shared[:2] + self._settings.latencies_s - np.array(self.used_s)
         if self._erring is not None:
             known, sigmas[3] = [2, 3], self._sigmas[3]
-        long = _growing(readings, _DRIFT_S)
 
         def fit(growth: int = 0, given: Readings = readings, sigma: float = 0.0, scale_m: float = 0.0) -> Fit:
             """Return the best fit; growth: which shared number may be large, with this standard deviation."""
@@ -965,13 +965,23 @@ class PayloadFit:
                     heavy[growth - 2], one[growth - 2] = True, self._sigmas[growth - 2]
             return Fit(*fit_readings(given, one, heavy, start, scale_m))
 
+        def drifting(growth: int) -> Fit:
+            """Return the best fit of a drift, over when it began: a fast one fits from its own beginning only."""
+            if growth == 5:
+                return min(fit(growth), fit(growth, _growing(readings, _DRIFT_S)), key=_cost)
+            fits: dict[float, Fit] = {}
+            spans_s = [0.5 * _GROWS_S, _GROWS_S, _DRIFT_S]
+            for _ in range(1 + _HALVINGS):
+                fits |= {one: fit(growth, _growing(readings, one), scale_m=_LOOSE_M) for one in spans_s}
+                tried_s = sorted(fits)
+                best = tried_s.index(min(fits, key=lambda one: fits[one].cost))
+                spans_s = [*map(statistics.mean, itertools.pairwise(tried_s[max(best - 1, 0) : best + 2]))]
+            return min(fits.values(), key=_cost)
+
         sound = fit()
         seems = bool(self._drift_seen or self._drift or self._wander[0])
         by_yaw, by_range = (
-            min(fit(rate), fit(rate, long), key=_cost)
-            if seems or _gain_of_freeing(sound, sigmas, rate) > _WORTH
-            else sound
-            for rate in (4, 5)
+            drifting(rate) if seems or _gain_of_freeing(sound, sigmas, rate) > _WORTH else sound for rate in (4, 5)
         )
         if sound.cost - min(by_yaw.cost, by_range.cost) > _SUSPICIOUS:  # it may have ended in a lesser minimum
             sound = min(sound, fit(scale_m=min(by_yaw, by_range, key=_cost).scale_m), key=_cost)
@@ -1082,7 +1092,10 @@ class PayloadFit:
         return bound_m if bound_m > _WANDER_MIN_M else 0.0
 
     def _pitch_drift(self, readings: Readings, bearing_rad: FloatArray, down_rad: FloatArray) -> tuple[float, ...]:
-        """Return the pitch error at the end, its change, and what a metre of range error looks like, by heights."""
+        """Return the pitch error at the end, its change, and what a metre of range error looks like, by heights.
+
+        All are NaN where less than half of the ground is known.
+        """
         time_s, slant_m, _ = readings.ranges.T
         rows = self._since(time_s[0] - _GAP_MAX_S)
         level_m = slant_m * np.cos(down_rad)
@@ -1098,9 +1111,10 @@ class PayloadFit:
                 for k, way in ((1, np.sin), (2, np.cos))
             )
             off -= list(map(self.ground, east_m.tolist(), north_m.tolist()))
-        if np.isnan(off).any():  # the ground is not known everywhere
-            return 0.0, 0.0, 1.0
-        rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS), -off / level, 1).tolist()
+        known = ~np.isnan(off)
+        if 2 * known.sum() < _BLOCKS:
+            return math.nan, math.nan, math.nan
+        rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS)[known], (-off / level)[known], 1).tolist()
         newest = blocks[-1]
         return end, rate, float(np.median(np.tan(down_rad[newest]) / slant_m[newest]))
 

@@ -202,7 +202,7 @@ def fit_readings(
                     by_e, by_n = north + east * tan_yaw, north * tan_yaw - east
                     by_shared[0] = speed_n * east - speed_e * north + ahead_m * looks[n, 2]
                     by_shared[2], by_shared[4] = ahead_m, ahead_m * since
-                    sigma = readings.noise[0] * max(abs(ahead_m), _NEAR_M)
+                    sigma = readings.noise[0] * max(abs(ahead_m), _NEAR_M) * (1.0 + tan_yaw * tan_yaw)
                 else:
                     while sight < len(sights) - 2 and sights[sight + 1, 0] - shared[0] < time_s:
                         sight += 1
