@@ -807,10 +807,12 @@ class PayloadFit:
         strained = best.scale_m > _TURNS_M or (abs(best.shared) > _STRAINED * sigmas).any()
         span_s = float(readings.ranges[-1, 0] - readings.ranges[0, 0])
         if self._erring is not None or (strained and self._may_err and span_s > _ERRING_SPAN_S):
-            plain = self._solve(
-                readings, self._sigmas, np.zeros(SHARED), best.scale_m
-            )  # a lesser minimum is strained
-            best = self._fit_erring(readings, min(best, plain, key=_cost))
+            best = self._fit_erring(readings, best)
+            if self._erring is None and span_s > 1.2 * _DRIFT_S:  # an error that began within the window
+                late = self._readings(now_s, _DRIFT_S, latencies_s)
+                found = late and self._fit_erring(late, self._solve(late, self._sigmas, np.zeros(SHARED)))
+                if self._erring is not None:
+                    best, self._since_s = found, now_s - _DRIFT_S
         tan_yaw, range_m = best.shared[2:4].tolist()
         if self._erring is None and abs(tan_yaw) > _YAW_MIN_RAD:
             return  # far beyond its prior, and yet not so likely as to be believed
@@ -879,6 +881,8 @@ class PayloadFit:
     def _fit_erring(self, readings: Readings, sound: Fit) -> Fit:
         """Return the best fit with large errors; the one without them if that explains the readings as well."""
         before, range_m = self._erring, float(np.median(readings.ranges[:, 1]))
+        plain = self._solve(readings, self._sigmas, np.zeros(SHARED), sound.scale_m)  # a lesser minimum is strained
+        sound = min(sound, plain, key=_cost)
 
         def fit(factor: float, start: FloatArray, scale_m: float = 0.0) -> Fit:
             return self._solve(readings, self._sigmas, start, scale_m, erring=True, factor=factor)
@@ -893,6 +897,8 @@ class PayloadFit:
             by_heights_m = pitch_rad / pitch_of_range_rad_m  # the error of the ranges, if the pitch has none
             if abs(by_heights_m) > _RANGE_MIN_M:
                 tried.append((1.0, fit(1.0, np.array([0.0, 0.0, 0.0, by_heights_m, 0.0, 0.0]))))
+                other = min(max(1.0 - by_heights_m / range_m, _FACTORS[0]), _FACTORS[1])
+                tried.append((other, fit(other, np.zeros(SHARED))))
         factor, best = min(tried, key=lambda one: one[1].cost)
         for _ in range(0 if self._on_ground else _FACTOR_STEPS):
             other = factor - float(best.shared[3]) / range_m
