@@ -132,6 +132,7 @@ _STARTS_S = (0.0, 0.0), (2.0, 2.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0)  # from t
 # Large errors are tried where the fit without them is strained. They have to be far better (evidence: difference of
 # -ln likelihood), and larger than those that a target's own motion looks like.
 _STRAINED, _TURNS_M, _LOOSE_M, _EVIDENCE = 1.5, 0.15, 0.2, 50.0
+_ENOUGH_AT_ONCE = 100.0  # with less evidence the next fit has to find it too
 _CALM_M, _CALMER = 0.1, 0.5  # the target then turns hardly at all, or far less
 _CALM_ON_HILLS_M, _CALMER_ON_HILLS = 0.2, 0.1  # the same as evidence of its own, where the ends lie on wrong hills
 _WILD_M = 1.0  # or where the target would turn as no target does
@@ -293,6 +294,7 @@ class PayloadFit:
         self._since_s = self._device_s = self._row_s
         self._established = self._verdict = SOUND
         self._agreeing = self._corrected = self._off_ground = self._fits = self._late_count = 0
+        self._suspected_in = -1  # the fit that found a large error last
         self._frame_fault = self._unit_fault = self._drift_fault = ""
         self._drift = self._drift_seen = ""
         self._drifting = self._long = self._unseeming = 0
@@ -813,6 +815,8 @@ class PayloadFit:
                 found = late and self._fit_erring(late, self._solve(late, self._sigmas, np.zeros(SHARED)))
                 if self._erring is not None:
                     best, self._since_s = found, now_s - _DRIFT_S
+            if self._erring is None and self._suspected_in == self._fits:
+                self._fit_s = now_s + _EVERY_MIN_S
         tan_yaw, range_m = best.shared[2:4].tolist()
         if self._erring is None and abs(tan_yaw) > _YAW_MIN_RAD:
             return  # far beyond its prior, and yet not so likely as to be believed
@@ -921,15 +925,19 @@ class PayloadFit:
         if is_large and is_possible and is_better and before is None and not self.on_hills:
             # A path that is stiff at first may miss a calm one; a path that bends much circles with the aircraft.
             loose = self._solve(readings, self._sigmas, np.zeros(SHARED), _LOOSE_M)
-            if loose.scale_m < _CALM_M and loose.cost - best.cost <= _EVIDENCE:
-                is_better, sound = False, min(sound, loose, key=_cost)
+            if loose.scale_m < _CALM_M:
+                evidence = min(evidence, loose.cost - best.cost)
+                if evidence <= _EVIDENCE:
+                    is_better, sound = False, min(sound, loose, key=_cost)
         if is_long and is_better and before is None and evidence < _BEYOND_DOUBT_LONG:
             # A target that circles may look like one that stands, and the laser to be long. Heights know better.
             off_m = float(best.shared[3]) + range_m * (1.0 - factor)
             is_better = math.isnan(by_heights_m) or by_heights_m / off_m > _SINKS_MIN
         if is_large and is_possible and is_better:
-            self._erring, self._factor = best, factor
-            return best
+            again, self._suspected_in = self._suspected_in == self._fits - 1, self._fits
+            if before is not None or again or evidence > _ENOUGH_AT_ONCE:
+                self._erring, self._factor = best, factor
+                return best
         self._erring, self._factor = None, 1.0
         return sound
 
