@@ -149,7 +149,7 @@ SURE_S = 0.045  # standard deviation of a delay that is known
 _EVIDENT, _EVIDENT_ON_HILLS, _STEP_MIN_S, _GAIN, _GAIN_AT_ONCE = 3.0, 5.0, 0.015, 15.0, 60.0
 # 4. drifts
 _DRIFT_S, _DRIFT_SPAN_MIN_S, _GROWS_S = 100.0, 40.0, 50.0  # a drift may have begun within the window
-_HALVINGS = 3
+_HALVINGS = 3  # of the time between beginnings of a drift of the yaw
 _DRIFT_EVERY_S = 15.0, 10.0  # while nothing drifts, and while something seems to
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
@@ -981,7 +981,7 @@ class PayloadFit:
 
         def drifting(growth: int) -> Fit:
             """Return the best fit of a drift, over when it began: a fast one fits from its own beginning only."""
-            if growth == 5:
+            if growth == 5:  # a range drifts so slowly that two beginnings are enough
                 return min(fit(growth), fit(growth, _growing(readings, _DRIFT_S)), key=_cost)
             fits: dict[float, Fit] = {}
             spans_s = [0.5 * _GROWS_S, _GROWS_S, _DRIFT_S]

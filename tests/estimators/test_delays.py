@@ -116,6 +116,34 @@ def test_large_errors_of_yaw_and_range_are_found_together_with_the_delays(yaw_de
     assert found.gimbal_s == pytest.approx(0.5, abs=0.15)
 
 
+@pytest.mark.parametrize(("factor", "off_m"), [(1.0, -50.0), (1.4, 0.0)])
+@pytest.mark.parametrize("ground_m", [0.0, math.nan])  # unknown ground is no witness against it
+def test_large_range_error_that_begins_in_flight_is_found(factor, off_m, ground_m):
+    fit, found = PayloadFit(TrackerSettings(), LEVEL), None
+    fit.ground = lambda _east_m, _north_m: ground_m
+    for one in takewhile(lambda one: one.time_s <= 230.0, readings(0.0, 0.0)):
+        if isinstance(one, RangeReading) and one.time_s > 70.0:
+            one = replace(one, slant_range_m=factor * one.slant_range_m + off_m)  # noqa: PLW2901
+        taken(fit, one)
+        found = fit.found or found
+    assert found.range_factor == pytest.approx(1.0 / factor, rel=0.05)
+    assert found.range_bias_m == pytest.approx(0.87 * off_m, abs=12.0)
+
+
+def test_a_large_yaw_error_is_as_likely_as_none():
+    """Else a target that turns wildly with the aircraft is more likely than a yaw that is off by 40 degrees."""
+    costs = []
+    for yaw_rad in (0.0, math.radians(40.0)):
+        fit = PayloadFit(TrackerSettings(), LEVEL)
+        for one in takewhile(lambda one: one.time_s <= 100.0, readings(0.0, 0.0, yaw_rad=yaw_rad)):
+            taken(fit, one)
+        rows, start = fit._readings(100.0, 100.0, (0.0, 0.0)), np.zeros(SHARED)
+        start[2] = math.tan(yaw_rad)
+        sigmas = np.array([1e-4, 1e-4, 1.0, 1.0, 1e-7, 1e-5])
+        costs.append(fit_readings(rows, sigmas, np.zeros(SHARED, np.bool_), start, 0.1)[3])
+    assert abs(costs[1] - costs[0]) < 15.0
+
+
 def test_a_target_straight_below_the_aircraft_gives_no_warning():
     tracker, down = Tracker(TrackerSettings()), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0)
     with np.errstate(all="raise"):
