@@ -298,6 +298,7 @@ class PayloadFit:
         self._frame_fault = self._unit_fault = self._drift_fault = ""
         self._drift = self._drift_seen = ""
         self._drifting = self._long = self._unseeming = 0
+        self._missed = False
         self._yaw_fitted, self._is_sudden = (-math.inf, 0.0), False  # time s and yaw error rad of the last judgement
         self.yaw_error_rad = self._turn_rad = 0.0  # the first one is large, and to be corrected
         self._sound: Fit | None = None
@@ -949,8 +950,11 @@ class PayloadFit:
         if readings is None or readings.ranges[-1, 0] - readings.ranges[0, 0] < _DRIFT_SPAN_MIN_S:
             return
         found, text = self._drift_of(_scaled(readings, self._factor))
-        self._drifting = self._drifting + 1 if found == self._drift_seen else 1
-        self._drift_seen = found
+        missed = not found and self._drift_seen == "yaw" and not self._drift and not self._missed
+        if not missed:  # of two likely paths, the fit may find the other one now and then
+            self._drifting = self._drifting + 1 if found == self._drift_seen else 1
+            self._drift_seen = found
+        self._missed = missed
         # A sector has been visited twice already, and may leave the window before the next judgement.
         needed = 1 if found == "sector" else _DRIFT_FOUND_AFTER + 2 * (found == "yaw" and self._is_sudden)
         if found and not self._drift and self._drifting >= needed:
