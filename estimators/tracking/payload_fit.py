@@ -927,9 +927,8 @@ class PayloadFit:
             # A path that is stiff at first may miss a calm one; a path that bends much circles with the aircraft.
             loose = self._solve(readings, self._sigmas, np.zeros(SHARED), _LOOSE_M)
             if loose.scale_m < _CALM_M:
-                evidence = min(evidence, loose.cost - best.cost)
-                if evidence <= _EVIDENCE:
-                    is_better, sound = False, min(sound, loose, key=_cost)
+                evidence, sound = min(evidence, loose.cost - best.cost), min(sound, loose, key=_cost)
+                is_better &= evidence > _EVIDENCE
         if is_long and is_better and before is None and evidence < _BEYOND_DOUBT_LONG:
             # A target that circles may look like one that stands, and the laser to be long. Heights know better.
             off_m = float(best.shared[3]) + range_m * (1.0 - factor)
@@ -1054,7 +1053,8 @@ class PayloadFit:
         if self._drift_seen != "yaw":  # a turn of the target looks like a drift all of a sudden
             then_rad = yaw_rad - float(by_yaw.shared[4]) * min(now_s - before_s, _GROWS_S)
             self._is_sudden = abs(then_rad - before_rad) > _SUDDEN_RAD
-        yaw_grows = abs(by_yaw.shared[4]) * span_s > eased * _GROWN_YAW  # else it is constant, and corrected
+        grown_rad = math.copysign(1.0, yaw_rad) * float(by_yaw.shared[4]) * span_s
+        yaw_grows = grown_rad > eased * _GROWN_YAW  # else it is constant, and corrected
         is_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
         self._long = self._long + 1 if is_long else 0
         range_grows = abs(by_range.shared[5]) * span_s > eased * _GROWN_M
