@@ -529,9 +529,14 @@ class Tracker:
         return self._track.last_seen
 
     @property
+    def remaining_errors(self) -> Calibration:
+        """The errors of sightings, from which a large error of the yaw is already removed."""
+        return self._track.calibration
+
+    @property
     def calibration(self) -> Calibration:
         """What has been learnt of the payload's errors."""
-        known = self._track.calibration
+        known = self.remaining_errors
         if not self._yaw_errors_rad:
             return known
         return replace(known, yaw_bias_rad=wrap_rad(self._known_yaw_error_rad + known.yaw_bias_rad))

@@ -174,6 +174,7 @@ class StandoffController:
         self._retreated_s = -math.inf
         self._news = TargetNews()
         self._payload_news, self._object = PayloadNews(tracker), AnotherObject()
+        self._corrections = tracker.corrections
         self._course = TargetCourse()
         self._attitude: AttitudeReading | None = None
         self._range_s = self._gimbal_s = -math.inf  # of the latest reading of the laser and the gimbal in use
@@ -357,7 +358,8 @@ class StandoffController:
             jumps_s = tracker.payload.jumps_s
             self.health.sightings.note(reading.time_s, self.sighted, jumps_s, lambda: tracker.unexpected_pitch_rad)
             if self.aircraft is not None:
-                self._object.note(self.sighted, self.aircraft, lambda: tracker.calibration, self.settings.requirement)
+                requirement = self.settings.requirement
+                self._object.note(self.sighted, self.aircraft, lambda: tracker.remaining_errors, requirement)
             for outcome in self.sighted:
                 if math.isfinite(outcome.nis):
                     self._nis = outcome.nis
@@ -396,11 +398,7 @@ class StandoffController:
                 self._ask_for(self.envelope.aircraft, self.settings.requirement)
                 self._changed_s = self.time_s
             announced += self._health_changes()
-            if Input.SPEED in self.envelope.faults:
-                before_s, east_m, north_m = self.envelope.target_before
-                before = Reach(east_m, north_m, _BEFORE_M, self.settings.requirement.target_speed_max_m_s)
-                self._object.suspect(self.time_s, _TOO_FAST, left=(before_s, before))
-            announced += self._object.announce(self.time_s)
+            announced += self._judge_object()
             self._judge_traffic()
         if self.changes.under_way is not None:
             return announced + self.changes.activate_due(self.time_s, watching=self._may_depart)
@@ -420,6 +418,18 @@ class StandoffController:
             self._unseen.note(estimate, speed_max_m_s)
             return
         self.estimate = self._unseen.predicted(estimate, speed_max_m_s, self.settings.lost_after_s)
+
+    def _judge_object(self) -> tuple[StepOutput, ...]:
+        """Return what is new of whether the payload follows another object."""
+        if self.tracker.corrections != self._corrections:  # the target was elsewhere, and did not move
+            self._corrections = self.tracker.corrections
+            self._object.explain("an error of the payload was found")
+            self.envelope.forget_target()
+        before_s, east_m, north_m = self.envelope.target_before
+        if Input.SPEED in self.envelope.faults and math.isfinite(before_s):
+            before = Reach(east_m, north_m, _BEFORE_M, self.settings.requirement.target_speed_max_m_s)
+            self._object.suspect(self.time_s, _TOO_FAST, left=(before_s, before))
+        return self._object.announce(self.time_s)
 
     def _judge_traffic(self) -> None:
         """Predict how near foreign aircraft come to what is flown and what is on its way to the autopilot."""

@@ -166,6 +166,11 @@ class Envelope:
         self._configured, self._requirement = aircraft, requirement
         self._learn()
 
+    def forget_target(self) -> None:
+        """Judge the target's speed anew: it was not where it seemed to be."""
+        self._track.clear()
+        self.target_before = -math.inf, 0.0, 0.0
+
     def bank_limit_reported(self, bank_rad: float) -> None:
         """Process the autopilot's bank limit."""
         limit_rad = bank_rad if bank_rad < self._configured.bank_max_rad - 0.01 else math.inf

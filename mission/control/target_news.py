@@ -199,8 +199,15 @@ class AnotherObject:
 
     def confirm(self) -> None:
         """Take what is seen for the target: an operator has looked."""
+        self.explain("confirmed")
+
+    def explain(self, why: str) -> None:
+        """Take what is seen for the target, and judge it by what is seen from now on."""
         if self.reason:
-            self._end("confirmed")
+            self._end(why)
+        self._lately.clear()
+        self._moved.clear()
+        self._step = None
 
     def _end(self, why: str) -> None:
         self._news.append(f"what is seen is taken as the target: {why}")

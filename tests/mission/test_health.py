@@ -514,6 +514,7 @@ def test_very_wrong_mounting_of_the_gimbal_is_soon_reported_and_corrected(begin_
     later_m = [one.target_error_m for one in flown.decided if one.time_s > found_s + 20.0]
     assert np.median(later_m) < 5.0
     assert min(flown.range_m) > 80.0
+    assert not [text for time_s, text in flown.announced if time_s > found_s and "may follow another object" in text]
 
 
 def test_mounting_of_the_gimbal_that_is_put_right_in_flight_is_noticed():
