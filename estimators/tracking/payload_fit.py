@@ -936,6 +936,8 @@ class PayloadFit:
         if is_large and is_possible and is_better:
             again, self._suspected_in = self._suspected_in == self._fits - 1, self._fits
             if before is not None or again or evidence > _ENOUGH_AT_ONCE:
+                # With the readings before it, it looks like a drift.
+                self._device_s = self._device_s if before is not None else float(readings.ranges[-1, 0])
                 self._erring, self._factor = best, factor
                 return best
         self._erring, self._factor = None, 1.0
