@@ -167,7 +167,7 @@ class Envelope:
         self._learn()
 
     def forget_target(self) -> None:
-        """Judge the target's speed anew: it was not where it seemed to be."""
+        """Judge the target's speed by later estimates only."""
         self._track.clear()
         self.target_before = -math.inf, 0.0, 0.0
 
