@@ -21,6 +21,7 @@ from sidelong.estimators.sensing.readings import (
     PositionReading,
 )
 from sidelong.estimators.sensing.sighting import parent_of_gimbal
+from sidelong.estimators.terrain.ground import Ground
 
 _GIMBAL_SPAN_S = 6.0
 _GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, which stands for a picture that is newer
@@ -73,7 +74,7 @@ class TargetCamera:
         view_rad: Horizontal field of view, without zoom.
         mount: Rotation from the gimbal's mount to its parent frame.
         lead_s: How far ahead a command points: the delay of link and gimbal.
-        ground_m: Returns the height of the ground above home at (east, north).
+        terrain: The ground; None: it is level.
         estimate: Returns the estimate of the target at a time.
         kind: The tracker.
 
@@ -86,14 +87,14 @@ class TargetCamera:
         view_rad: float,
         mount: Quaternion,
         lead_s: float,
-        ground_m: Callable[[float, float], float],
+        terrain: Ground | None,
         estimate: Callable[[float], TargetEstimate | None],
         kind: TrackerKind = "kcf",
     ) -> None:
         self.view_rad = view_rad
         self.latest: Pictured | None = None
         self._mount, self._lead_s = mount, lead_s
-        self._ground_m, self._estimate = ground_m, estimate
+        self._terrain, self._estimate = terrain, estimate
         self._tracker = ObjectTracker(kind)
         self._poses = PoseHistory()
         self._gimbals: ReadingHistory[GimbalReading] = ReadingHistory(_GIMBAL_SPAN_S)
@@ -134,7 +135,7 @@ class TargetCamera:
         sight = multiply(parent_of_gimbal(gimbal, attitude, self._mount), normalized(gimbal.quaternion_wxyz))
         focal_px = 0.5 * width / math.tan(0.5 * self.view_rad)
         here_m = position.east_m, position.north_m, position.height_m
-        view = View(here_m, sight, focal_px, (width, height), self._ground_m)
+        view = View(here_m, sight, focal_px, (width, height), self._terrain)
         if self._wish is not None:
             (x, y, across, down), self._wish = self._wish, None
             box = Box(x * width, y * height, across * width, down * height) if across and down else None
@@ -157,12 +158,12 @@ class TargetCamera:
         """
         position = self._poses.positions.newest()
         aim_m = self._aim_m(now_s + self._lead_s)
-        if position is None or aim_m is None:
+        if position is None or aim_m is None or self.latest is None:
             return None
         ahead_s = now_s + self._lead_s - position.time_s
         east_m = aim_m[0] - position.east_m - ahead_s * position.velocity_east_m_s
         north_m = aim_m[1] - position.north_m - ahead_s * position.velocity_north_m_s
-        down_m = position.height_m + ahead_s * position.velocity_up_m_s - self._ground_m(*aim_m)
+        down_m = position.height_m + ahead_s * position.velocity_up_m_s - self.latest.view.ground_m(*aim_m)
         return -math.atan2(down_m, math.hypot(east_m, north_m)), math.atan2(east_m, north_m)
 
     def _known(self, time_s: float) -> TargetEstimate | None:

@@ -25,6 +25,7 @@ from sidelong.app.link.vehicle import Vehicle, VehicleTimeline
 from sidelong.app.network import NetworkAddress
 from sidelong.app.records.klv import Marked, Sensor, UasMetadata
 from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 
 _WAIT_S = 0.1
@@ -75,7 +76,7 @@ class CameraRunner:
         settings: The configuration.
         vehicle: That carries it.
         tracker: Estimates the target, and knows the gimbal's mount.
-        ground_m: Returns the height of the ground above home at (east, north).
+        terrain: The ground; None: it is level.
         note: Receives what happens, in words.
         here: For the metadata of the video.
         source: The video, instead of the configured one.
@@ -90,7 +91,7 @@ class CameraRunner:
         settings: CameraSection,
         vehicle: Vehicle,
         tracker: Tracker,
-        ground_m: Callable[[float, float], float],
+        terrain: Ground | None,
         note: Callable[[str], object],
         here: Here,
         *,
@@ -104,7 +105,7 @@ class CameraRunner:
         self._source, self._point, self._clicks = source or settings.source or "", point, clicks
         view_rad = math.radians(settings.view_deg)
         self.camera = TargetCamera(
-            view_rad, tracker.parent_from_mount, settings.lead_s, ground_m, tracker.estimate, settings.tracker
+            view_rad, tracker.parent_from_mount, settings.lead_s, terrain, tracker.estimate, settings.tracker
         )
         self._component = CameraComponent(vehicle.system_id, self.camera, view_rad, settings.video_uri)
         self._packer = Packer((vehicle.system_id, CAMERA_COMPONENT))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from sidelong.estimators.rotations import rotate
+from sidelong.estimators.terrain.ground import Ground
 
-FloatArray = npt.NDArray[np.float64]
+_DEPRESSION_MIN_RAD = math.radians(2.0)
+_FAR_M = 5_000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,14 +21,19 @@ class View:
         ned_from_sight: attitude of the optical axis, (w, x, y, z); x looks along it, y to the right, z down.
         focal_px: focal length.
         size_px: width and height of the picture.
-        ground_m: returns the height of the ground above home at (east, north).
+        terrain: the ground; where it is None or void, the ground is level at the height of home.
     """
 
     position_m: tuple[float, float, float]
     ned_from_sight: tuple[float, float, float, float]
     focal_px: float
     size_px: tuple[int, int]
-    ground_m: Callable[[float, float], float]
+    terrain: Ground | None
+
+    def ground_m(self, east_m: float, north_m: float) -> float:
+        """Return the height of the ground above home."""
+        height_m = math.nan if self.terrain is None else self.terrain.height_m(east_m, north_m)
+        return height_m if math.isfinite(height_m) else 0.0
 
     def pixel(self, east_m: float, north_m: float) -> tuple[float, float] | None:
         """Return where a point on the ground is seen, also outside the picture; None behind the camera."""
@@ -55,18 +58,13 @@ class View:
         if depression_rad < _DEPRESSION_MIN_RAD:
             return None
         east_m, north_m, height_m = self.position_m
-        at = east_m, north_m
-        for _ in range(_FIXED_POINT_STEPS):
-            level_m = (height_m - self.ground_m(*at)) / math.tan(depression_rad)
-            at = east_m + level_m * math.sin(bearing_rad), north_m + level_m * math.cos(bearing_rad)
-        return at
+        level_m = height_m / math.tan(depression_rad)
+        if self.terrain is not None:  # the first hill that hides what is behind it
+            level_m = self.terrain.cut_m(*self.position_m, bearing_rad, depression_rad, _FAR_M) or level_m
+        return east_m + level_m * math.sin(bearing_rad), north_m + level_m * math.cos(bearing_rad)
 
     def scale_px_m(self, east_m: float, north_m: float) -> float:
         """Return the size in the picture of a metre at a point on the ground."""
         down_m = self.position_m[2] - self.ground_m(east_m, north_m)
         away_m = math.hypot(east_m - self.position_m[0], north_m - self.position_m[1], down_m)
         return self.focal_px / max(away_m, 1.0)
-
-
-_DEPRESSION_MIN_RAD = math.radians(2.0)
-_FIXED_POINT_STEPS = 3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,15 +86,11 @@ async def _track(settings: Config, duration_s: float | None) -> None:
         stand_on_ground(tracker, settings, ground)
         sensing = Sensing(tracker)
 
-        def ground_m(east_m: float, north_m: float) -> float:
-            height_m = 0.0 if ground is None else ground.height_m(east_m, north_m)
-            return height_m if math.isfinite(height_m) else 0.0
-
         runner = CameraRunner(
             settings.camera,
             session.vehicle,
             tracker,
-            ground_m,
+            ground,
             console.print,
             Here("sidelong camera", plane, home.altitude_m),
             point=None if gimbal is None else gimbal.point,

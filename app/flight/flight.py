@@ -479,7 +479,7 @@ class Flight:
             config.camera,
             self._vehicle,
             self.controller.tracker,
-            self._target_height_m,
+            self._collector.ground,
             self._display.note,
             here,
             source=places.simulated,

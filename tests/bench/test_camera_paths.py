@@ -108,7 +108,7 @@ class Filmed:
         self._tracker.stand_on(flat_ground(2.0))
         view_rad = math.radians(settings.view_deg)
         level = 1.0, 0.0, 0.0, 0.0
-        self._camera = TargetCamera(view_rad, level, _PIPELINE_S, lambda _e, _n: 0.0, self._tracker.estimate)
+        self._camera = TargetCamera(view_rad, level, _PIPELINE_S, None, self._tracker.estimate)
         velocity_m_s = np.gradient(track.aircraft_m, track.time_s, axis=0)
         course_rad = np.unwrap(np.arctan2(*velocity_m_s.T))
         bank_rad = np.arctan(np.hypot(*velocity_m_s.T) * np.gradient(course_rad, track.time_s) / _GRAVITY_M_S2)

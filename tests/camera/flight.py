@@ -95,10 +95,9 @@ class PixelFlight(ClosedLoop[bytes]):
         dialect = autopilot_by_mav_autopilot(vehicle.autopilot_id)
         self.core = mission_controller_of(config, controller, dialect, self.telemetry.plane, home)
         ground = controller.surroundings.ground
-        height = (lambda e, n: 0.0) if ground is None else ground.height_m
         if settings.camera is not None:
             view_rad = math.radians(settings.camera.view_deg)
-            self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, height, self._estimate)
+            self.camera = TargetCamera(view_rad, (1.0, 0.0, 0.0, 0.0), 0.15, ground, self._estimate)
             self.simulation.camera.on_picture = lambda _time_s, image: self._pictures.append((vehicle.now_s, image))
         self.listeners.append(self._follow_events)
         self.requirement, self.height_m = config.requirement.requirement(), config.aircraft.height_m

@@ -23,7 +23,7 @@ class Tracking:
 
     def __init__(self):
         self.asked: list[tuple] = []
-        view = View((0.0, 0.0, 100.0), (1.0, 0.0, 0.0, 0.0), 500.0, (640, 360), lambda _e, _n: 0.0)
+        view = View((0.0, 0.0, 100.0), (1.0, 0.0, 0.0, 0.0), 500.0, (640, 360), None)
         tracked = Tracked("object", Box(0.6 * 640, 0.5 * 360, 64.0, 36.0), 0.9)
         position, attitude = PositionReading(1.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0), AttitudeReading(1.0, 0.0, 0.0, 0.0)
         self.latest = Pictured(1.0, tracked, view, position, attitude, None)

@@ -46,7 +46,7 @@ def run(record, pictures, lookalikes):
         CameraSection(source="/dev/null", view_deg=VIEW_DEG, delay_s=0.0),
         vehicle,
         tracker,
-        lambda _east_m, _north_m: 0.0,
+        None,
         lambda _text: None,
         Here("a flight", LocalPlane(47.4, 8.5), 400.0),
         record=record,

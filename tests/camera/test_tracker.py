@@ -11,6 +11,7 @@ import pytest
 from sidelong.app.camera.tracker import ObjectTracker
 from sidelong.app.camera.view import View
 from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.terrain.ground import Ground
 from sidelong.sitl.world.picture import CameraPose, Scenery
 
 RATE_HZ, VIEW_RAD, SIZE_PX = 15.0, math.radians(12.0), (640, 360)
@@ -36,14 +37,15 @@ def run(
         yaw_rad, pitch_rad = math.atan2(east_m, north_m), math.atan2(-here[2], math.hypot(east_m, north_m))
         picture = scenery.picture(time_s, CameraPose(here, yaw_rad, pitch_rad), VIEW_RAD, SIZE_PX)
         focal_px = 0.5 * SIZE_PX[0] / math.tan(0.5 * VIEW_RAD)
-        view = View(here, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), focal_px, SIZE_PX, lambda _e, _n: 0.0)
+        view = View(here, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), focal_px, SIZE_PX, None)
         if k == 0:
             x_px, y_px = (0.5 * side + off for side, off in zip(SIZE_PX, clicked_off_px, strict=True))
             assert tracker.start(picture, time_s, view, x_px, y_px, None)
         tracked = tracker.update(picture, time_s, view, (SPEED_M_S, 0.15))
         off_m = math.nan
         if tracked.state == "object":
-            seen_m = replace(view, ground_m=lambda _e, _n: MIDDLE_M).ground(tracked.box.x_px, tracked.box.y_px)
+            above_m = *here[:2], here[2] - MIDDLE_M
+            seen_m = replace(view, position_m=above_m).ground(tracked.box.x_px, tracked.box.y_px)
             off_m = math.dist(seen_m, target)
         rows.append((time_s, tracked.state, off_m))
     return rows
@@ -102,3 +104,16 @@ def test_a_target_hidden_for_long_is_looked_for_where_it_is_if_it_went_straight_
     went_m = [world.target_m(10.0 + hidden_s) for hidden_s in np.arange(15.0, 35.0)]
     off_m = [math.dist(*two) for two in zip(looked_m, went_m, strict=True)]
     assert sum(off < 10.0 for off in off_m) >= 6
+
+
+def test_a_pixel_over_hills_is_where_its_line_of_sight_first_meets_the_ground():
+    east_m, north_m = np.meshgrid(np.arange(-600.0, 601.0, 25.0), np.arange(-600.0, 601.0, 25.0))
+    hills = Ground(
+        (25.0 * np.sin(east_m / 90.0) * np.cos(north_m / 110.0)).astype(np.float32), -600.0, -600.0, 25.0, 25.0
+    )
+    for bearing_rad in np.radians(np.arange(0.0, 360.0, 15.0)):
+        view = View((0.0, 0.0, 70.0), from_roll_pitch_yaw(0.0, -0.2, bearing_rad), 3000.0, SIZE_PX, hills)
+        for pixel in ((320.0, 180.0), (30.0, 300.0), (600.0, 20.0)):
+            at_m = view.ground(*pixel)
+            assert view.pixel(*at_m) == pytest.approx(pixel, abs=0.1)
+            assert hills.sees((0.0, 0.0, 70.0), (*at_m, view.ground_m(*at_m) + 0.3))
