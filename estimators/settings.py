@@ -70,5 +70,5 @@ class TrackerSettings:
 
     @property
     def latencies_s(self) -> tuple[float, float]:
-        """Of gimbal and laser."""
+        """Delays of gimbal and laser, s."""
         return self.gimbal_latency_s, self.range_latency_s

@@ -56,7 +56,7 @@ class L1Guidance:
     def towards_line(
         self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float], dt_s: float
     ) -> float:
-        """Return the acceleration that joins and follows the line from start to end (east, north)."""
+        """Return the lateral acceleration, m/s^2, to the right, that joins and follows the line."""
         self.on_circle = False
         speed_m_s, course_rad = max(0.1, craft.ground_speed_m_s), craft.course_rad
         self.length_m = self.damping * self.period_s * speed_m_s / math.pi
@@ -87,7 +87,7 @@ class L1Guidance:
     def towards_circle(
         self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
     ) -> float:
-        """Return the acceleration that captures the circle and then holds it."""
+        """Return the lateral acceleration, m/s^2, to the right, that captures the circle and then holds it."""
         # Comparisons in place of max(), as the airframe has them.
         speed_m_s = craft.ground_speed_m_s
         speed_m_s = speed_m_s if speed_m_s > 1.0 else 1.0
@@ -184,13 +184,14 @@ class ArduPlaneNavigator:
         return "Passed" if self._behind_goal() else None, lateral_m_s2
 
     def fly_line(self) -> float:
+        """Return the lateral acceleration that follows the leg to the goal, m/s^2."""
         self._tune()
         craft, goal = self._craft, self.goal
         start_m = self._origin.ground_m if self._on_track else (craft.east_m, craft.north_m)
         return self.guidance.towards_line(craft, start_m, goal.ground_m, NAVIGATION_PERIOD_S)
 
     def fly_circle(self, radius_m: float, now_s: float, by_line: bool) -> float:
-        """Return the lateral acceleration onto the circle of the goal. by_line: approach a far one along its leg."""
+        """Return the lateral acceleration onto the goal's circle, m/s^2; by_line: approach a far one along a leg."""
         loiter, craft, goal, guidance = self.loiter, self._craft, self.goal, self.guidance
         radius_m *= self._thin_air_factor
         approaches = by_line and self._on_track and loiter.reached_s is None
@@ -719,6 +720,7 @@ class SimulatedArduPlane(SimulatedAutopilot):
         return bool(heartbeat.get_srcSystem() == self.parameters["MAV_GCS_SYSID"])
 
     def watch_links(self) -> None:
+        """Enter and leave the failsafe of a lost ground station."""
         enabled = self.parameters["FS_GCS_ENABL"]
         if not enabled or (enabled == 3 and self.mode != ArduPlaneMode.AUTO) or not self.craft.flying:
             return
@@ -742,6 +744,7 @@ class SimulatedArduPlane(SimulatedAutopilot):
         return min(cruise_m_s + missing_m_s, max(cruise_m_s, self.parameters["AIRSPEED_MAX"]))
 
     def navigate(self) -> float:
+        """Fly the mode for a navigation period; return the required lateral acceleration, m/s^2."""
         match self.mode:
             case ArduPlaneMode.AUTO:
                 return self._navigate_mission()

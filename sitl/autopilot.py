@@ -257,11 +257,11 @@ class SimulatedAutopilot(ABC):
 
     @abstractmethod
     def navigate(self) -> float:
-        """Fly the mode for a navigation period: set height_goal_m, return the required lateral acceleration."""
+        """Fly the mode for a navigation period: set height_goal_m, return the lateral acceleration, m/s^2."""
 
     @abstractmethod
     def watch_links(self) -> None:
-        """Act when the ground has fallen silent."""
+        """Enter and leave the failsafe of a lost ground station."""
 
     def on_armed(self) -> None:
         self.say(mavlink.MAV_SEVERITY_INFO, self.armed_text)

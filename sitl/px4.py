@@ -41,7 +41,7 @@ class PathFollower:
     def towards_line(
         self, craft: SimulatedAirframe, start_m: tuple[float, float], end_m: tuple[float, float]
     ) -> float:
-        """Return the acceleration that joins and follows the endless line through start and end (east, north)."""
+        """Return the lateral acceleration, m/s^2, to the right, that joins and follows a line through two points."""
         tangent_rad = math.atan2(end_m[0] - start_m[0], end_m[1] - start_m[1])
         sine, cosine = math.sin(tangent_rad), math.cos(tangent_rad)
         right_m = (craft.east_m - end_m[0]) * cosine - (craft.north_m - end_m[1]) * sine
@@ -50,7 +50,7 @@ class PathFollower:
     def towards_circle(
         self, craft: SimulatedAirframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
     ) -> float:
-        """Return the acceleration that joins and follows the circle."""
+        """Return the lateral acceleration, m/s^2, to the right, that joins and follows the circle."""
         east_m, north_m = craft.east_m - centre_m[0], craft.north_m - centre_m[1]
         distance_m = math.hypot(east_m, north_m)
         outward_rad = math.atan2(east_m, north_m) if distance_m > 0.1 else craft.course_rad
@@ -130,6 +130,7 @@ class Px4Navigator:
         return True, lateral_m_s2
 
     def fly_line(self) -> float:
+        """Return the lateral acceleration that follows the leg to the goal, m/s^2; 0 on the ground."""
         if not self._craft.flying:
             return 0.0
         self._tune()
@@ -137,7 +138,7 @@ class Px4Navigator:
         return self.follower.towards_line(self._craft, origin.ground_m, self.goal.ground_m)
 
     def fly_circle(self) -> float:
-        """Return the lateral acceleration, 0 on the ground and without a circle."""
+        """Return the lateral acceleration that follows the circle, m/s^2; 0 on the ground and without a circle."""
         circle = self.circle
         if circle is None or not self._craft.flying:
             return 0.0
@@ -615,6 +616,7 @@ class SimulatedPx4(SimulatedAutopilot):
         return super()._on_set_mode(command)
 
     def watch_links(self) -> None:
+        """Enter and leave the failsafe of a lost ground station."""
         action = self.parameters["NAV_DLL_ACT"]
         if not action or not self.craft.flying:
             return
@@ -635,6 +637,7 @@ class SimulatedPx4(SimulatedAutopilot):
         return self.parameters.within("FW_AIRSPD_TRIM", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
 
     def navigate(self) -> float:
+        """Fly the mode for a navigation period; return the required lateral acceleration, m/s^2."""
         self._repeat_reached()
         match self.mode:
             case Px4Mode.MISSION:

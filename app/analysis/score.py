@@ -62,6 +62,7 @@ class Moment:
     def by_estimate(
         east_m: float, north_m: float, estimate: TargetEstimate, target: str, known: bool = True
     ) -> Moment:
+        """Return an aircraft's position and its target as estimated, at the estimate's time."""
         target_m = estimate.east_m, estimate.north_m
         velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
         return Moment(estimate.time_s, east_m, north_m, *target_m, *velocity_m_s, target, known)
@@ -74,10 +75,12 @@ class Breaches:
         self._since = [(-math.inf, False)]
 
     def note(self, time_s: float, breached: bool) -> None:
+        """Store whether the aircraft is outside its envelope from ``time_s`` on."""
         if self._since[-1][1] != breached:
             self._since.append((time_s, breached))
 
     def applied(self, moments: Sequence[Moment]) -> Sequence[Moment]:
+        """Return the moments with ``within`` false while the aircraft was outside its envelope."""
         if len(self._since) == 1:
             return moments
         times_s = [time_s for time_s, _ in self._since]
@@ -123,7 +126,7 @@ class Judgement:
     observation_rad: FloatArray
 
     def where(self, within: BoolArray) -> Judgement:
-        """Return the same with nothing fulfilled outside of the aircraft's envelope; within: shape (n,)."""
+        """Return it with band and side not kept where ``within`` (n,), in the aircraft's envelope, is false."""
         held = (self.in_band, self.on_side, self.on_side_now)
         in_band, on_side, now = (each & within for each in held)
         return replace(self, in_band=in_band, on_side=on_side, on_side_now=now)

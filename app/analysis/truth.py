@@ -44,11 +44,11 @@ class Truth:
     target: npt.NDArray[np.str_]
 
     def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
-        """Return both at ``time_s``, interpolated between rows; None outside the file's time and in its gaps."""
+        """Return aircraft and target at ``time_s``, interpolated; None outside the file's time and in gaps."""
         return next(iter(self.at_each((time_s,), plane)), None)
 
     def at_each(self, times_s: Sequence[float], plane: LocalPlane) -> list[Moment]:
-        """Return both at those of the times, in ascending order, that are neither outside the file's nor in gaps."""
+        """Return aircraft and target at ascending times, without those outside the file's time or in gaps."""
         rows_s, asked_s = self.time_s, np.asarray(times_s, np.float64)
         asked_s = asked_s[(asked_s >= rows_s[0]) & (asked_s <= rows_s[-1])]
         following = np.searchsorted(rows_s, asked_s)
@@ -76,7 +76,7 @@ class Truth:
         return float(seen.mean()) if seen.size else None, float(heights_m.min()) if heights_m.size else None
 
     def moments(self, plane: LocalPlane, start_s: float, end_s: float, step_s: float) -> list[Moment]:
-        """Return both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches, without gaps."""
+        """Return aircraft and target every ``step_s`` from ``start_s`` to ``end_s``, where the file has them."""
         begin_s, end_s = max(start_s, float(self.time_s[0])), min(end_s, float(self.time_s[-1]))
         if not begin_s < end_s:
             return []

@@ -203,4 +203,4 @@ class Autopilot(AutopilotDialect, Protocol):
         """Return the parameters whose values prevent a mission, by key."""
 
     def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
-        """Return in words which failsafe of the data link the heartbeats of a ground station (system id) prevent."""
+        """Return the failsafe, in words, that heartbeats of this ground station (system id) keep from acting."""

@@ -19,7 +19,7 @@ Overrides = dict[str, dict[str, Any]]
 
 
 def panel(name: str) -> Callable[..., Any]:
-    """Return what describes the options of one panel."""
+    """Return ``typer.Option`` for options that ``--help`` shows in this panel."""
     return partial(typer.Option, rich_help_panel=name)
 
 

@@ -43,6 +43,7 @@ class MissionChanges:
         return self._making_ready.is_running
 
     def take(self, change: MissionChange) -> None:
+        """Check a change, prepare it in the background and pass it to the core, or announce why it is refused."""
         height_alone = replace(change, height_m=None) == MissionChange(change.time_s, who=change.who)
         if self.is_busy and not height_alone:
             self._announce(
@@ -104,6 +105,7 @@ class PanLimitInput:
     _is_settled: bool = False
 
     def show(self, snapshot: Present) -> None:
+        """Plan for the pan limit that the gimbal reports, once, unless the configuration has one."""
         if snapshot.phase is Phase.YIELDED:
             self._is_settled = snapshot.pan_limit_rad < math.pi  # a change on its way is refused
         if self._is_settled or snapshot.phase is not Phase.WATCHING or self._changes.is_busy:
@@ -141,6 +143,7 @@ class WindTables:
         self._prepared, self._making = 0, OneTask()
 
     def show(self, snapshot: Present) -> None:
+        """Prepare a value table, in another process, for a mean wind that none of the present ones fits."""
         if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
             return
         wind_m_s, now_s = snapshot.wind.speed_m_s, snapshot.time_s

@@ -154,7 +154,7 @@ class GimbalPointer:
     _points: bool = True
 
     def show(self, snapshot: Present) -> None:
-        """Start sending the estimate if it is time to; to be called in the running event loop."""
+        """Send the estimate if it is due; stop once sidelong has no control. The event loop must be running."""
         if not snapshot.phase.in_control or not (self._always or snapshot.turn_payload):
             self.stop()
             return
@@ -204,6 +204,7 @@ class PayloadPointer:
     _next_s: float = -math.inf
 
     def show(self, snapshot: Present) -> None:
+        """Point the gimbal at the estimated target if that is due."""
         estimate, aircraft, attitude = snapshot.estimate, snapshot.aircraft, snapshot.attitude
         if not snapshot.phase.in_control or estimate is None or aircraft is None or attitude is None:
             return

@@ -94,10 +94,12 @@ class Recording:
             return None
 
     def frame(self, data: bytes) -> None:
+        """Append a frame that was sent or received to the tlog, from any thread; keys for signing are left out."""
         if self._tlog is not None and (data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2):
             self._tlog.write(data, self._time.stamp_s(data, time.time()))
 
     def follow(self, system_id: int) -> None:
+        """Time-stamp frames by the clock of this vehicle (MAVLink system id) from now on."""
         self._time.system_id = system_id
 
     def begin(

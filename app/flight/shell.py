@@ -276,6 +276,7 @@ class Life:
             self._at_once = False
 
     def watch(self, vehicle: Vehicle) -> None:
+        """Note from the vehicle's heartbeats whether this flight has armed it."""
 
         def on_message(message: Message) -> None:
             if message.name == "HEARTBEAT" and message.component_id == AUTOPILOT_COMPONENT:

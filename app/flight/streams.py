@@ -109,6 +109,7 @@ class StreamKeeper:
         self._requesting.begin(self._keep_requesting)
 
     def show(self, snapshot: Present) -> None:
+        """Request positions and attitudes again when their rate has dropped."""
         if abs(snapshot.time_s - self._look_s) < _SLOWED_EVERY_S:
             return
         self._look_s = snapshot.time_s

@@ -301,13 +301,16 @@ class RawLinks:
 
     @property
     def received_since_s(self) -> float | None:
+        """When the first frame arrived on any link, monotonic clock; None: none has."""
         received_s = (link.quality.received_since_s for link in self._links)
         return min((since_s for since_s in received_s if since_s is not None), default=None)
 
     def reports(self) -> tuple[LinkReport, ...]:
+        """Return the quality of each link since it was opened."""
         return self._reports(LinkQuality.total)
 
     def recent(self) -> tuple[LinkReport, ...]:
+        """Return the quality of each link over the last seconds."""
         return self._reports(LinkQuality.measured)
 
     def _reports(self, measure: Callable[[LinkQuality, float], Measured]) -> tuple[LinkReport, ...]:
@@ -408,6 +411,7 @@ class RawLinks:
         return time.monotonic() >= self._waiting_since_s + _WAIT_S
 
     def flush(self) -> None:
+        """Deliver the frames that wait to be delivered together."""
         with self._delivering:
             if self._waiting:
                 data = b"".join(self._waiting)

@@ -108,6 +108,7 @@ class SigningTimes:
         return other
 
     def next(self, now: int) -> int:
+        """Return the time stamp for the next frame, 10 us: ``now``, or one above the last where that is later."""
         self.sent = max(self.sent + 1, now)
         return self.sent
 

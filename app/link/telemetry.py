@@ -120,6 +120,7 @@ class Telemetry:
 
     @property
     def wanted(self) -> frozenset[str]:
+        """Names of the messages that lead to events."""
         return frozenset(self._decoders)
 
     def event(self, message: Message) -> Event | None:

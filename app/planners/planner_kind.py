@@ -43,13 +43,13 @@ class PlannerKind(Protocol):
         return True
 
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:
-        """Compute what takes long for ``needs``, and return what makes a planner.
+        """Compute the tables for ``needs``, which takes long, and return a factory of planners.
 
-        That makes one at once for those of ``needs``, another side, and whatever ``make_ready`` was called for.
+        The factory is quick for aircraft and requirement of ``needs``, for another side, and after ``make_ready``.
         """
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
-        """Compute what takes long for others than at the beginning, in another process. Raises OSError."""
+        """Compute the tables for a changed aircraft or requirement in another process. Raises OSError."""
         return  # by default nothing takes long
 
 
@@ -57,9 +57,11 @@ class PlannerKind(Protocol):
 class CompilesInParts(Protocol):
     """A ``PlannerKind`` whose decisions one process compiles while another computes its tables."""
 
-    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner: ...  # made-up tables
+    def without_values(self, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
+        """Return a planner with made-up tables, whose decisions compile everything."""
 
-    def finished(self, planner: PredictivePlanner) -> Planner: ...  # what decides: the planner or one made of it
+    def finished(self, planner: PredictivePlanner) -> Planner:
+        """Return the planner that decides: the given one, or one made of it."""
 
 
 class Paper(PlannerKind):
@@ -108,6 +110,7 @@ class Predictive(PlannerKind):
         return is_cached(look_two_moves_ahead) and is_cached(foresee)
 
     def without_values(self, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
+        """Return a planner with made-up tables, whose decisions compile everything."""
         import numpy as np  # noqa: PLC0415  # see PlannerKind, as all of these
 
         from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration  # noqa: PLC0415
@@ -125,7 +128,7 @@ class Predictive(PlannerKind):
         return USUAL
 
     def finished(self, planner: PredictivePlanner) -> Planner:
-        """Return what decides: the planner itself, or a planner made of it."""
+        """Return the planner that decides: the given one, or one made of it."""
         return planner
 
     def factory(self, needs: PlannerNeeds) -> CheckedPlannerFactory:

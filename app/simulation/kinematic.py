@@ -209,6 +209,7 @@ class KinematicVehicle:
                 self.flown()
 
     def take(self) -> list[Message | Reading]:
+        """Return the messages sent since the last call."""
         if self.simulated.radio.outbox:
             self._take_answers()
         taken, self._sent = self._sent, []

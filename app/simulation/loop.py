@@ -88,6 +88,7 @@ class ClosedLoop(Generic[P]):
         self.put(request)
 
     def run(self, duration_s: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Fly on for ``duration_s`` or until a condition holds; return whether it held."""
         end_s = self.simulated.time_s + duration_s - 1e-6
         while self.simulated.time_s < end_s:
             self.step()

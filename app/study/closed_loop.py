@@ -213,7 +213,7 @@ def _first_height_m(config: Config, circle: Circle, ground: Ground | None) -> fl
 
 
 def put_over(vehicle: KinematicVehicle, ground: Ground) -> None:
-    """Let hills hide the target, which stands on its ground: at the height of home where that is not known."""
+    """Let the target stand on a ground whose hills hide it; where the ground is void, at the height of home."""
 
     def seen_at_m(here_m: tuple[float, float, float], east_m: float, north_m: float) -> float | None:
         known_m = ground.height_m(east_m, north_m)
@@ -350,6 +350,7 @@ class FlownOn(ClosedLoop[Message | Reading]):
         self._steps.append(Replayed(event, commands, controller.estimate, controller.snapshot))
 
     def steps(self) -> Iterator[Replayed]:
+        """Fly to the end of the recorded motion and yield each step as a replay does."""
         while True:
             yield from self._steps
             self._steps.clear()
@@ -359,6 +360,7 @@ class FlownOn(ClosedLoop[Message | Reading]):
 
     @property
     def truth(self) -> Truth:
+        """The true tracks of aircraft and target so far."""
         rows = np.array(self._rows)
         targets = [self._target.at(time_s) for time_s in rows[:, 0].tolist()]
         places_m = [(one.east_m, one.north_m) for one in targets], rows[:, 1:].tolist()

@@ -203,6 +203,7 @@ class SteeredAircraft:
         return [outcome.sighting for reading in readings for outcome in self.tracker.add(reading)]
 
     def fly(self, time_s: float) -> None:
+        """Note the position and fly the command for a step, within the bank limit."""
         craft, (curvature_per_m, airspeed_m_s) = self._craft, self.command
         self.rows.append((time_s, craft.east_m, craft.north_m))
         bank_rad = math.atan(craft.ground_speed_m_s**2 * curvature_per_m / (GRAVITY_M_S2 * self._across))

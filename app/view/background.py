@@ -88,6 +88,7 @@ class Background:
     zooms: tuple[int, int] | None = None
 
     def opened(self) -> Tiles | None:
+        """Open the file of tiles; None for a single picture."""
         return _OPENERS[self.path.suffix.lower()](self.path) if self.zooms is not None else None
 
 

@@ -137,6 +137,7 @@ def start_page(
 
 
 def under_flight(address: PageAddress, shading: Shading | None, pictures: PictureFile | None) -> Json:
+    """Return what the page shows below a flight: map tiles, hill shading, and whether there is a camera."""
     under = address.map
     layers = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
     shade_m = None if shading is None else shading.edges_m

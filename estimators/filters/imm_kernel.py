@@ -194,7 +194,7 @@ def switch_probability(step_s: float, before: int, after: int) -> float:
 
 @inner
 def mix(state: FloatArray, n: int, step_s: float, found: FloatArray) -> None:
-    """Fill in what each model starts the step from, and move the probabilities on."""
+    """Do the IMM's mixing: fill in each model's initial state for the step, and predict the models' probabilities."""
     weights, apart = np.empty(_MODELS), np.empty((_MODELS, n))
     for model in range(_MODELS):
         probability = 0.0
@@ -461,7 +461,7 @@ def update(state: FloatArray, payload: int, seen: Seen, gate_nis: float, soft_ni
 
 @compiled
 def begin_standing(mean: FloatArray, covariance: FloatArray, grid: Grid, sigma_m: float) -> None:
-    """Let a first mean (n,) and covariance (n, n) stand on the ground, in place, if it is known there."""
+    """Let a first mean (n,) and covariance (n, n) stand on the ground, in place, if that is known there."""
     ground_m, slope_east, slope_north = height_and_slope(grid, mean[EAST], mean[NORTH])
     if math.isnan(ground_m):
         return
@@ -479,7 +479,7 @@ def begin_standing(mean: FloatArray, covariance: FloatArray, grid: Grid, sigma_m
 
 @compiled
 def kept_offset(mean: FloatArray, covariance: FloatArray, step_s: float) -> float:
-    """Return the part of the offset that is left after a step of a target with moments (4,), (4, 4)."""
+    """Return the share 0..1 of the ground's height offset that a step keeps; moments of the target (4,), (4, 4)."""
     e, n = VELOCITY_E, VELOCITY_N
     speed_m_s = math.sqrt(mean[e] * mean[e] + mean[n] * mean[n] + covariance[e, e] + covariance[n, n])
     return math.exp(-speed_m_s * step_s / _CORRELATION_M)

@@ -66,17 +66,17 @@ class Sighting:
 
     @property
     def east_m(self) -> float:
-        """Where the sighting puts the target: metres east in the local plane."""
+        """East of the target by this sighting, m in the local plane."""
         return self.aircraft_east_m + self.horizontal_range_m * math.sin(self.bearing_rad)
 
     @property
     def north_m(self) -> float:
-        """Where the sighting puts the target: metres north in the local plane."""
+        """North of the target by this sighting, m in the local plane."""
         return self.aircraft_north_m + self.horizontal_range_m * math.cos(self.bearing_rad)
 
     @property
     def height_m(self) -> float:
-        """Where the sighting puts the target: metres above home."""
+        """Height of the target by this sighting, m above home."""
         return self.aircraft_height_m - self.slant_range_m * math.sin(self.depression_rad)
 
     @property
@@ -95,12 +95,12 @@ class Sighting:
 
     @property
     def variances(self) -> tuple[float, float, float]:
-        """Of (slant range, bearing, depression)."""
+        """Variances of slant range, m^2, bearing and depression, rad^2."""
         return self.range_sigma_m**2, self.bearing_sigma_rad**2, self.depression_sigma_rad**2
 
     @property
     def covariance(self) -> FloatArray:
-        """Of (east, north), (2, 2), m^2, to first order: at 0.35 degrees and 300 m the rest is 6 mm."""
+        """Covariance (2, 2) of (east, north), m^2, to first order: at 0.35 degrees and 300 m the rest is 6 mm."""
         jacobian = self.place_by_measurement[:2]
         covariance: FloatArray = (jacobian * np.array(self.variances)) @ jacobian.T
         return covariance
@@ -135,12 +135,12 @@ class Fix:
 
     @property
     def variances(self) -> tuple[float, float, float]:
-        """Of east and north, m^2; a fix has no third measurement: its variance is 1."""
+        """Variances of east and north, m^2; a fix has no third measurement: its variance is 1."""
         return self.sigma_m**2, self.sigma_m**2, 1.0
 
     @property
     def covariance(self) -> FloatArray:
-        """Of (east, north), (2, 2), m^2."""
+        """Covariance (2, 2) of (east, north), m^2."""
         return np.eye(2) * self.sigma_m**2
 
     def without(self, yaw_rad: float, pitch_rad: float, range_m: float) -> Fix:

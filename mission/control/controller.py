@@ -453,7 +453,7 @@ class StandoffController:
         if escape or target is None:
             return escape
         is_lost = Input.PATH in self.envelope.faults and self.time_s - self._recovered_s >= _BACK_AGAIN_S
-        if is_lost or self.changes.is_off_track(aircraft) or self.envelope.is_carried_out:
+        if is_lost or self.changes.is_off_track(aircraft) or self.envelope.is_unflyable:
             self._recovered_s = self.time_s
             reason = "the aircraft has left its line: going to the circle directly"
             self._off_track_s.append(self.time_s)
@@ -786,7 +786,7 @@ class StandoffController:
 
     @property
     def flown(self) -> Flown:
-        """What is flown now, as plans begin from."""
+        """Aircraft, height, plan, target and wind now: what a new plan starts from."""
         target_m = None if self.estimate is None else (self.estimate.east_m, self.estimate.north_m)
         airspeed_m_s = self.settings.aircraft.airspeed_m_s
         return Flown(self.aircraft, self.flown_height_m, self.present, target_m, self._wind, airspeed_m_s)

@@ -152,7 +152,7 @@ class Envelope:
         self._limit, self._learned_s, self._now_s = "", -math.inf, -math.inf  # what was learned last, and when
 
     @property
-    def is_carried_out(self) -> bool:
+    def is_unflyable(self) -> bool:
         """Whether the plan cannot be flown by what was learned just now."""
         return self._learned_s == self._now_s and self.off_m > _OFF_M
 

@@ -132,7 +132,7 @@ class Planning:
 
     @property
     def turn_payload(self) -> bool:
-        """Whether the payload looks at another target than that."""
+        """Whether the payload looks at another target than the fleet assigns."""
         return self._advice is not None and self._advice.turn_payload
 
     @property

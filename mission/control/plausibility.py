@@ -94,7 +94,7 @@ class PositionCheck:
             self._elsewhere_since_s += seconds
 
     def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
-        """Return whether ``passed_s`` allows the way from the last place, or from one that was jumped to."""
+        """Return whether ``passed_s`` suffices to fly here from the last accepted (jumped: or rejected) position."""
         places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
         return any(earlier is not None and _stayed(earlier, place, passed_s) for earlier in places)
 
@@ -348,7 +348,7 @@ class Plausibility:
 
     @property
     def faulty(self) -> bool:
-        """Whether GPS or EKF complain now, be it but for a moment, or are awaited: no time to begin something new."""
+        """Whether GPS or EKF report a fault, or have not reported since an outage: nothing new should begin."""
         if not self._awaited_s and not self._faults:
             return False
         now_s = self.clock.now_s

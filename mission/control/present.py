@@ -171,7 +171,7 @@ class Present:
 
     @property
     def angle_rad(self) -> float | None:
-        """Observation angle, from the middle of where the target is to be watched from."""
+        """Bearing of the aircraft from the target, less that of the middle of the allowed ones; None: unknown."""
         course_rad, from_target_m = self.watch_course_rad, self.from_target_m
         middle_rad = self.requirement.middle_rad(math.nan if course_rad is None else course_rad)
         if from_target_m is None or math.isnan(middle_rad):
@@ -205,7 +205,7 @@ class Present:
 
     @property
     def in_band(self) -> bool | None:
-        """Whether the range is the required one; None: unknown."""
+        """Whether the range is in the required band, and the aircraft breaches no limit of its own; None: unknown."""
         range_m = self.range_m
         if range_m is None or not self._is_judged:
             return None
@@ -213,7 +213,7 @@ class Present:
 
     @property
     def on_side(self) -> bool | None:
-        """Whether the side is the required one; None: unknown."""
+        """Whether the aircraft is on the required side, and breaches no limit of its own; None: unknown."""
         if not (self._is_judged and self.is_side_known):
             return None
         return not self.breach and (self.requirement.either_side or self.beyond_side_rad <= 0.0)

@@ -27,7 +27,7 @@ class Circle:
 
     @property
     def curvature_per_m(self) -> float:
-        """Curvature of its flight, 1/m: positive turns right."""
+        """Curvature of the circle as it is flown, 1/m; positive turns right."""
         return 1.0 / self.radius_m if self.clockwise else -1.0 / self.radius_m
 
     def position_at_course(self, course_rad: float) -> tuple[float, float]:

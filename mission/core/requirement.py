@@ -32,7 +32,7 @@ class Side(StrEnum):
 
     @property
     def clockwise(self) -> bool:
-        """On the left fly clockwise, on the right counter-clockwise: transitions then bulge away from the target."""
+        """Whether circles are flown clockwise: on the left, so that transitions bulge away from the target."""
         return self is Side.LEFT
 
     @property
@@ -142,7 +142,7 @@ class Aircraft:
 
     @property
     def min_radius_m(self) -> float:
-        """Coordinated turn at the bank limit, in still air."""
+        """Radius of a coordinated turn at the bank limit, in still air."""
         return self.airspeed_m_s**2 / (GRAVITY_M_S2 * math.tan(self.bank_max_rad))
 
 

@@ -139,7 +139,7 @@ class Activation:
             self.answer = Answer.FLOWN
 
     def counted(self) -> None:
-        """Process the answer to the query: later reports are newer than the last request."""
+        """Process a MISSION_COUNT, the answer to the query after a request: later reports are newer than that."""
         if self.unanswered and not self._settled:
             self._settled = True
             self._outbox.end_reading()

@@ -51,7 +51,7 @@ class Outbox:
     _began: tuple[float, float] | None = None
 
     def begin(self, time_s: float, link_s: float) -> None:
-        """Begin a step of the exchange."""
+        """Begin a step at a time of the vehicle's clock (-inf: not known yet) and of the link's clock."""
         self.time_s, self.link_s = time_s, link_s
         if math.isfinite(time_s) and (self._began is None or time_s < self._began[0]):
             self._began = (time_s, link_s)

@@ -95,10 +95,10 @@ class Cover(NamedTuple):
 
 @inner
 def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, turned: FloatArray, found: FloatArray) -> None:
-    """Fill in for how long a place of the wanted frame would be off the side after each turn (t,); turned (t, 2).
+    """Fill in for how long, s, a place of the required side's frame would be off the side after each turn (t,).
 
-    The target goes on along the new course, so the way back is across it alone; the margin stands for the circle that
-    leads to and fro over the edge.
+    turned (t, 2): sine and cosine of each turn. The target goes on along the new course, so the way back is across it
+    alone; the margin stands for the circle that leads to and fro over the edge.
     """
     for i in range(len(team.turns_rad)):
         across_m = x_m * turned[i, 1] - y_m * turned[i, 0]
@@ -141,7 +141,7 @@ def off_side(across_m: float, blur_m: float) -> float:
 
 @inner_inlined
 def turned_to(turn: FloatArray, one: int, p: int, x_m: float, y_m: float) -> tuple[float, float]:
-    """Return a place relative to the target (across, along) a course: turn (f, k, 2...) as in Scenarios."""
+    """Return a place or velocity (x, y) as (across, along) a course; ``turn[one, p]``: its sine and cosine."""
     sin_t, cos_t = turn[one, p, 0], turn[one, p, 1]
     return x_m * cos_t - y_m * sin_t, x_m * sin_t + y_m * cos_t
 
@@ -150,10 +150,12 @@ def turned_to(turn: FloatArray, one: int, p: int, x_m: float, y_m: float) -> tup
 def wanted_value(
     scene: Scene, f: Scenarios, question: Question, s: float, one: int, p: int, off: Pose, scratch: Scratch
 ) -> float:
-    """Return what an aircraft alone would pay from a place relative to the target on.
+    """Return the cost to go of an aircraft alone, s off its side, from a place relative to the target at a sample.
 
     Args:
         s: 1 on the side of its role, which the departure's frame is for; -1 on the other one.
+        one, p: Future and sample.
+        off: Place and heading in the departure's frame, relative to the target.
     """
     classes, share, air, table = scratch.classes, scratch.share, scene.air, question.table
     vx, vy = turned_to(f.course, one, p, f.place[one, p, 2], f.place[one, p, 3])
@@ -305,10 +307,10 @@ def _continued(
     The curvature changes from one to the other as fast as the aircraft rolls.
     """
     air, x_m, y_m, heading_rad, per_m = scene.air, end.x_m, end.y_m, end.heading_rad, from_per_m
-    ramp = ramp_on(heading_rad, air, question.context.watcher.craft)
+    ramp_per_m2 = ramp_on(heading_rad, air, question.context.watcher.craft)
     for k in range(at.shape[1]):
         way_m = STEP_S * speed_m_s(heading_rad, air)
-        change = min(max(to_per_m - per_m, -ramp * way_m), ramp * way_m)
+        change = min(max(to_per_m - per_m, -ramp_per_m2 * way_m), ramp_per_m2 * way_m)
         middle_rad = heading_rad + 0.5 * (per_m + 0.5 * change) * way_m
         x_m, y_m = x_m + way_m * math.sin(middle_rad), y_m + way_m * math.cos(middle_rad)
         heading_rad, per_m = heading_rad + (per_m + 0.5 * change) * way_m, per_m + change
@@ -395,7 +397,7 @@ def _circling_cost(joint: Joint, end: Pose, time_s: float, curvature_per_m: floa
 
 @inner
 def team_lines_costs(lines: Lines, start: Pose, joint: Joint, end_per_m: float, costs: FloatArray) -> None:
-    """Fill in what each line costs all together, as :func:`mission.predictive.rollout_kernel.lines_costs` does.
+    """Fill in the team's cost (lines,), s, as :func:`mission.predictive.rollout_kernel.lines_costs` does.
 
     end_per_m: the curvature of the circles that they end in.
     """
@@ -417,7 +419,7 @@ def team_lines_costs(lines: Lines, start: Pose, joint: Joint, end_per_m: float, 
 
 @inner
 def team_look_ahead(joint: Joint, costs: FloatArray) -> float:
-    """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
+    """Fill in the team's cost of each move (MOVES,), s, its price included; return that of going on as planned."""
     scene, question, team = joint.scene, joint.question, joint.team
     # No other plan departs before it was uploaded: until then the circle is flown that a line ends in. Whole seconds,
     # because lines of the same length are kept.
@@ -433,7 +435,7 @@ def team_look_ahead(joint: Joint, costs: FloatArray) -> float:
 
 @compiled
 def role_value(scene: Scene, question: Question) -> float:
-    """Return what an aircraft would pay alone, from its next departure on, on the side of the memory."""
+    """Return the cost to go of an aircraft alone, s off the side of the memory, from its next departure on."""
     turns, routed = question.context.turns, len(question.context.route.way.points) > 0
     if not routed:  # only the first future counts
         turns = Turns(turns.rate_rad_s[:1], turns.fades_s, turns.stands)
@@ -456,7 +458,7 @@ def team_decide(
     team: Team,
     costs: FloatArray,
 ) -> tuple[float, float]:
-    """Fill in what each move costs (MOVES,); return what staying costs, and what a move has to beat.
+    """Fill in the team's cost of each move (MOVES,), s; return that of staying, and what a move must be below.
 
     futures: what the target may do, of the same estimate. others, first_s: see :func:`cover_of`.
     """

@@ -178,7 +178,7 @@ class Reach:
 
     @staticmethod
     def seen(target: TargetEstimate, speed_max_m_s: float) -> Reach:
-        """Return the disk of a target that is seen, as its estimate has it and as it may turn."""
+        """Return the disk of a target in sight: 2 sigma of its position, which grows since the target may turn."""
         sigma_m = math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1]))
         velocity_m_s = target.velocity_east_m_s, target.velocity_north_m_s
         return Reach(target.east_m, target.north_m, 2.0 * sigma_m, _TURN_SHARE * speed_max_m_s, velocity_m_s)

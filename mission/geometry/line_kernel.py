@@ -159,26 +159,28 @@ def sharpness_per_m2(speed_m_s: float, craft: Craft) -> float:
 
 
 @compiled
-def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_m: float, ramp: float) -> Trapezoid:
+def trapezoid(
+    start_per_m: float, hold_per_m: float, length_m: float, final_per_m: float, ramp_per_m2: float
+) -> Trapezoid:
     """Return the trapezoid that ramps from start to hold, holds that for a length, and ramps on to final."""
-    first_end_m = abs(hold_per_m - start_per_m) / ramp
+    first_end_m = abs(hold_per_m - start_per_m) / ramp_per_m2
     last_start_m = first_end_m + length_m
     return Trapezoid(
         start_per_m,
-        math.copysign(ramp, hold_per_m - start_per_m),
+        math.copysign(ramp_per_m2, hold_per_m - start_per_m),
         first_end_m,
-        math.copysign(ramp, final_per_m - hold_per_m),
+        math.copysign(ramp_per_m2, final_per_m - hold_per_m),
         last_start_m,
-        last_start_m + abs(final_per_m - hold_per_m) / ramp,
+        last_start_m + abs(final_per_m - hold_per_m) / ramp_per_m2,
     )
 
 
 @inner
-def with_last_ramp(shape: Trapezoid, ramp: float) -> Trapezoid:
+def with_last_ramp(shape: Trapezoid, ramp_per_m2: float) -> Trapezoid:
     """Return the trapezoid with another last ramp that begins where the old one did."""
     start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m = shape
     change_per_m = abs(last_per_m2) * (end_m - last_start_m)
-    last_per_m2, end_m = math.copysign(ramp, last_per_m2), last_start_m + change_per_m / ramp
+    last_per_m2, end_m = math.copysign(ramp_per_m2, last_per_m2), last_start_m + change_per_m / ramp_per_m2
     return Trapezoid(start_per_m, first_per_m2, first_end_m, last_per_m2, last_start_m, end_m)
 
 
@@ -409,9 +411,9 @@ def flown_places(
 
 @compiled
 def min_distance_m(a: FloatArray, b: FloatArray, step_s: float, vertical_m: float, growth_m_s: float) -> float:
-    """Return the least distance of places of the same times, less an allowance that grows with time.
+    """Return the least distance of two aircraft, m, less an allowance that grows with time.
 
-    a, b: (east, north) and more (2 or 3, n). vertical_m: between their heights.
+    a, b: (east, north) and more (2 or 3, n) every step_s. vertical_m: between their heights.
     """
     least_m = np.inf
     for k in range(a.shape[1]):

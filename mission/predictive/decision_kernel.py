@@ -216,21 +216,21 @@ def alternatives(scene: Scene, question: Question, beyond_m: float) -> Alternati
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     start, start_per_m = Pose(x_m, y_m, heading_rad), scene.mirror * scene.start.curvature_per_m
-    ramp, sampling = ramp_on(heading_rad, air, craft), Sampling(beyond_m, heading_rad, air, rate_per_s)
-    moves = lines_from(0.0, scene, start_per_m, ramp, sampling, craft, kept)
+    ramp_per_m2, sampling = ramp_on(heading_rad, air, craft), Sampling(beyond_m, heading_rad, air, rate_per_s)
+    moves = lines_from(0.0, scene, start_per_m, ramp_per_m2, sampling, craft, kept)
     rest_m = left_m(scene)
     if rest_m > 0.0:
         ahead, time_s = flown_on(scene, rest_m + beyond_m)
         rest = single_line(ahead[0], ahead[1], ahead[2], time_s, rate_per_s)
         return Alternatives(moves, start, rest, Pose(0.0, 0.0, 0.0), True)
     circle_per_m = scene.mirror / scene.present.circle.radius_m
-    stays = lines_from(1.0, scene, circle_per_m, ramp, sampling, craft, kept)
+    stays = lines_from(1.0, scene, circle_per_m, ramp_per_m2, sampling, craft, kept)
     return Alternatives(moves, start, stays, start, False)
 
 
 @inner
 def add_prices(among: Alternatives, radius_m: float, leave: float, change: float, costs: FloatArray) -> None:
-    """Add the prices of the moves; the price is infinite for a move that hardly leaves the circle.
+    """Add the prices, s, to the costs (moves,) of the moves; it is infinite for a move that hardly leaves the circle.
 
     "Back to the circle" is staying, and so is hardly leaving it: the table is not that fine.
     """
@@ -255,7 +255,7 @@ def _line_costs(
 
 @compiled
 def look_ahead(scene: Scene, futures: Scenarios, question: Question, sight: Sight, costs: FloatArray) -> float:
-    """Fill in what each move costs (moves,), its price included, and return what going on as planned costs."""
+    """Fill in the cost of each move (moves,), s off side, its price included; return that of going on as planned."""
     prices, radius_m = question.prices, scene.radius_m
     # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
     beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, question.context.motions) else 0.0
@@ -265,10 +265,10 @@ def look_ahead(scene: Scene, futures: Scenarios, question: Question, sight: Sigh
     _line_costs(among.stays, among.stays_start, scene, futures, question, sight, stay_costs)
     add_prices(among, radius_m, prices.leave, prices.change, costs)
     if len(costs) > MOVES:
-        ramp = ramp_anywhere(scene.air, question.context.watcher.craft)
+        ramp_per_m2 = ramp_anywhere(scene.air, question.context.watcher.craft)
         start_per_m = scene.mirror * scene.start.curvature_per_m
         sampling = Sampling(beyond_m, among.start.heading_rad, scene.air, fading_per_s(question.table))
-        eights = eights_from(start_per_m, radius_m, ramp, sampling)
+        eights = eights_from(start_per_m, radius_m, ramp_per_m2, sampling)
         _line_costs(eights, among.start, scene, futures, question, sight, costs[MOVES:])
         costs[MOVES:] += prices.change if among.under_way else prices.leave
     return least(stay_costs)
@@ -276,13 +276,13 @@ def look_ahead(scene: Scene, futures: Scenarios, question: Question, sight: Sigh
 
 @compiled
 def lay_out(question: Question, radius_m: float, airspeed_m_s: float, wind_m_s: float) -> None:
-    """Have the second moves at hand for a circle, an airspeed and a wind: the first time takes half a millisecond."""
+    """Compute the second moves for a circle, an airspeed and a wind speed, unless they are those computed last."""
     # A wind of a whole step stays of that step, however its direction was rounded.
     steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
     fastest_m_s = airspeed_m_s + steps * _WIND_STEP_M_S
-    ramp = sharpness_per_m2(fastest_m_s, question.context.watcher.craft)
+    ramp_per_m2 = sharpness_per_m2(fastest_m_s, question.context.watcher.craft)
     turn_m = turn_radius_m(radius_m, fastest_m_s, question.context.watcher.craft)
-    lay_out_second_moves(question.context.second_moves, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
+    lay_out_second_moves(question.context.second_moves, radius_m, turn_m, ramp_per_m2, airspeed_m_s * STEP_S)
 
 
 @compiled
@@ -336,7 +336,7 @@ def look_two_moves_ahead(
 
 @inner
 def leaves(scene: Scene, futures: Scenarios, question: Question, near_m: float, far_m: float) -> bool:
-    """Return whether the present plan leads out of a band, or beyond the pan limits, within threat_s in a future."""
+    """Return whether the present plan leaves a range band, or the pan limits, within threat_s in a future."""
     place, air, terms = futures.place, scene.air, question.context.terms
     ahead, time_s = flown_on(scene, question.prices.threat_s * scene.air.airspeed_m_s)
     for k in range(len(time_s)):
@@ -353,7 +353,7 @@ def leaves(scene: Scene, futures: Scenarios, question: Question, near_m: float, 
 
 @compiled
 def commitment(scene: Scene, futures: Scenarios, question: Question) -> float:
-    """Return what a new plan must gain beyond its price because the present one departed only just now.
+    """Return the gain, s, that a new plan needs beyond its price because the present one departed only just now.
 
     Nothing where the present one leads out of the band, or beyond the pan limits, in a likely future: for others it
     is not given up so early.
@@ -374,7 +374,7 @@ _PRICE_SHARE = 0.7  # of what moves cost without a route: along one fewer are ne
 
 @compiled
 def layer_s(airspeed_m_s: float, radius_m: float) -> float:
-    """Return the duration of a step: that of 45 degrees of the circle."""
+    """Return the duration of a layer's step: the flight over 45 degrees of the circle, s."""
     return _TURN * 2.0 * math.pi / HEADINGS * radius_m / airspeed_m_s
 
 
@@ -396,7 +396,7 @@ def resample(
     turn_rad: float,
     found: Float32,
 ) -> None:
-    """Fill in classes[0, k] of a table, mixed by their shares, on the coarse grid (HEADINGS, SIZE, SIZE).
+    """Fill in a table's values (HEADINGS, SIZE, SIZE) on the coarse grid, classes[0, k] mixed by their shares.
 
     turn_rad: course of the table's frame in the frame of the result.
     """

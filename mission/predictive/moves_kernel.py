@@ -72,24 +72,24 @@ EIGHTS = OUTWARD.size * BACK.size * BEND.size * TURNED.size
 
 @inner
 def shapes_of(
-    start_per_m: float, eight: int, signed_radius_m: float, ramp: float
+    start_per_m: float, eight: int, signed_radius_m: float, ramp_per_m2: float
 ) -> tuple[Trapezoid, Trapezoid, Trapezoid]:
-    """Return leg, turn and leg of an eight; the radius is positive for one that ends on a clockwise circle."""
+    """Return leg, turn and leg of a figure of eight, by its number; positive radius: it ends clockwise."""
     turned, rest = TURNED[eight % TURNED.size], eight // TURNED.size
     bend, rest = BEND[rest % BEND.size], rest // BEND.size
     back, outward = BACK[rest % BACK.size], OUTWARD[rest // BACK.size]
     radius_m, circle_per_m = abs(signed_radius_m), 1.0 / signed_radius_m
     return (
-        trapezoid(start_per_m, -bend * circle_per_m, outward * radius_m, -circle_per_m, ramp),
-        trapezoid(-circle_per_m, -circle_per_m, turned * radius_m, -circle_per_m, ramp),
-        trapezoid(-circle_per_m, bend * circle_per_m, back * radius_m, circle_per_m, ramp),
+        trapezoid(start_per_m, -bend * circle_per_m, outward * radius_m, -circle_per_m, ramp_per_m2),
+        trapezoid(-circle_per_m, -circle_per_m, turned * radius_m, -circle_per_m, ramp_per_m2),
+        trapezoid(-circle_per_m, bend * circle_per_m, back * radius_m, circle_per_m, ramp_per_m2),
     )
 
 
 @compiled
-def eight_line(start: LinePoint, eight: int, signed_radius_m: float, ramp: float) -> FloatArray:
-    """Return the line (5, n) of an eight; ramp: how fast its curvature changes, 1/m2."""
-    leg, turn, leg_back = shapes_of(start.curvature_per_m, eight, signed_radius_m, ramp)
+def eight_line(start: LinePoint, eight: int, signed_radius_m: float, ramp_per_m2: float) -> FloatArray:
+    """Return the line (5, n) of a figure of eight, by its number, from a point of the plane."""
+    leg, turn, leg_back = shapes_of(start.curvature_per_m, eight, signed_radius_m, ramp_per_m2)
     line = laid_out(leg, start.east_m, start.north_m, start.course_rad)
     for shape in (turn, leg_back):
         part = laid_out(shape, line[EAST, -1], line[NORTH, -1], line[COURSE, -1])
@@ -99,20 +99,20 @@ def eight_line(start: LinePoint, eight: int, signed_radius_m: float, ramp: float
 
 
 @compiled
-def eights_from(start_per_m: float, radius_m: float, ramp: float, sampling: Sampling) -> Lines:
+def eights_from(start_per_m: float, radius_m: float, ramp_per_m2: float, sampling: Sampling) -> Lines:
     """Return the lines of all eights: see :func:`sidelong.mission.predictive.rollout_kernel.spread`."""
     beyond_m, heading_rad, air, rate_per_s = sampling
     step_m = air.airspeed_m_s * STEP_S
     own_first, end_m = np.ones(EIGHTS + 1, np.int64), np.empty(EIGHTS)
     for i in range(EIGHTS):
-        leg, turn, leg_back = shapes_of(start_per_m, i, radius_m, ramp)
+        leg, turn, leg_back = shapes_of(start_per_m, i, radius_m, ramp_per_m2)
         end_m[i] = leg.end_m + turn.end_m + leg_back.end_m
         own_first[i + 1] = own_first[i] + math.ceil((end_m[i] + beyond_m) / step_m)
     samples = own_first[EIGHTS]
     x, y, turned = np.zeros(samples), np.zeros(samples), np.zeros(samples)
     time, weight = np.zeros(samples), np.ones(samples)
     for i in range(EIGHTS):
-        shapes = shapes_of(start_per_m, i, radius_m, ramp)
+        shapes = shapes_of(start_per_m, i, radius_m, ramp_per_m2)
         first, last, part = own_first[i], own_first[i + 1] - 1, 0
         x_m, y_m, arc_m, begun_m, begun_rad = 0.0, 0.0, 0.0, 0.0, 0.0
         arc, course = np.zeros(last - first + 2), np.full(last - first + 2, heading_rad)
@@ -177,7 +177,7 @@ def new_line_cache() -> LineCache:
 
 @inner
 def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
-    """Return the ramp for the greatest ground speed met on one that begins on a heading."""
+    """Return the rate of curvature, 1/m^2, for the greatest ground speed met on a ramp that begins on a heading."""
     if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
         return sharpness_per_m2(air.airspeed_m_s, craft)
     fastest_m_s = 0.0
@@ -188,28 +188,30 @@ def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
 
 @inner
 def ramp_anywhere(air: Air, craft: Craft) -> float:
-    """Return the ramp for the greatest ground speed of all headings."""
+    """Return the rate of curvature, 1/m^2, for the greatest ground speed of all headings."""
     return sharpness_per_m2(air.airspeed_m_s + math.hypot(air.wind_x_m_s, air.wind_y_m_s), craft)
 
 
 @inner
 def unit_m(hold: int, radius_m: float, turn_radius_m: float) -> float:
-    """Return the radius that a hold's curvature and lengths are multiples of."""
+    """Return the radius, m, of which a hold's curvature and lengths are multiples; hold 0 is the tightest turn."""
     return turn_radius_m if hold == 0 else radius_m
 
 
 @compiled
-def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: float, ramp: float) -> Trapezoid:
-    """Return one of the moves from a curvature, ending on the clockwise circle."""
+def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: float, ramp_per_m2: float) -> Trapezoid:
+    """Return a move, by its number, as a trapezoid from a curvature to the clockwise circle."""
     if move == MOVES - 1:
-        return trapezoid(start_per_m, start_per_m, 0.0, 1.0 / radius_m, ramp)
+        return trapezoid(start_per_m, start_per_m, 0.0, 1.0 / radius_m, ramp_per_m2)
     hold, length = move // HOLD_LENGTHS.size, HOLD_LENGTHS[move % HOLD_LENGTHS.size]
     unit = unit_m(hold, radius_m, turn_radius_m)
-    return trapezoid(start_per_m, HOLD_CURVATURES[hold] / unit, length * unit, 1.0 / radius_m, ramp)
+    return trapezoid(start_per_m, HOLD_CURVATURES[hold] / unit, length * unit, 1.0 / radius_m, ramp_per_m2)
 
 
 @inner
-def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft) -> Lines:
+def _made(
+    family: float, scene: Scene, start_per_m: float, ramp_per_m2: float, sampling: Sampling, craft: Craft
+) -> Lines:
     """Return the lines of all moves, or stretches of the present circle in the form of moves.
 
     Such a stretch is a plain arc where the present circle is the clockwise one; from another circle it ramps over at
@@ -217,7 +219,7 @@ def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling
     """
     if family > 0.0:
         holds_per_m, hold = np.full(1, start_per_m), np.zeros(STAY_LENGTHS.size, np.int64)
-        lengths_m, last_ramps = STAY_LENGTHS * scene.radius_m, np.full(STAY_LENGTHS.size, ramp)
+        lengths_m, last_ramps = STAY_LENGTHS * scene.radius_m, np.full(STAY_LENGTHS.size, ramp_per_m2)
     else:
         holds_per_m, hold = np.empty(HOLD_CURVATURES.size + 1), np.empty(MOVES, np.int64)
         lengths_m, last_ramps = np.empty(MOVES), np.empty(MOVES)
@@ -226,11 +228,11 @@ def _made(family: float, scene: Scene, start_per_m: float, ramp: float, sampling
         holds_per_m[-1] = start_per_m
         for move in range(MOVES):
             hold[move] = move // HOLD_LENGTHS.size
-            shape = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+            shape = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp_per_m2)
             unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
             lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
             last_ramps[move] = ramp_on(sampling.heading_rad + turned_rad(shape, shape.last_start_m), scene.air, craft)
-    shapes = Shapes(start_per_m, holds_per_m, hold, lengths_m, 1.0 / scene.radius_m, ramp, last_ramps)
+    shapes = Shapes(start_per_m, holds_per_m, hold, lengths_m, 1.0 / scene.radius_m, ramp_per_m2, last_ramps)
     return spread(shapes, sampling)
 
 
@@ -250,12 +252,20 @@ def _slot(kept: LineCache, wanted: FloatArray) -> tuple[int, int]:
 
 @inner
 def lines_from(
-    family: float, scene: Scene, start_per_m: float, ramp: float, sampling: Sampling, craft: Craft, kept: LineCache
+    family: float,
+    scene: Scene,
+    start_per_m: float,
+    ramp_per_m2: float,
+    sampling: Sampling,
+    craft: Craft,
+    kept: LineCache,
 ) -> Lines:
-    """Return the moves (family 0) or the stays (1) from a curvature, from those kept where they can be."""
+    """Return the lines of all moves (family 0) or stays (1) from a curvature; in still air by the cache."""
     calm = scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0
     beyond_m, rate_per_s = sampling.beyond_m, sampling.rate_per_s
-    wanted = np.array((family, start_per_m, scene.radius_m, ramp, beyond_m, rate_per_s, scene.air.airspeed_m_s))
+    wanted = np.array(
+        (family, start_per_m, scene.radius_m, ramp_per_m2, beyond_m, rate_per_s, scene.air.airspeed_m_s)
+    )
     i, oldest = _slot(kept, wanted) if calm else (-1, 0)
     if i >= 0:
         n, lines, trunks, s = kept.size[i], MOVES, HOLD_CURVATURES.size + 1, kept.samples[i]
@@ -264,7 +274,7 @@ def lines_from(
         rows, firsts = (s[0, :n], s[1, :n], s[2, :n], s[3, :n], s[4, :n]), kept.trunk_first[i, : trunks + 1]
         of_lines = kept.trunk[i, :lines], kept.on_trunk[i, :lines], kept.end_m[i, :lines]
         return Lines(*rows, firsts, kept.own_first[i, : lines + 1], *of_lines)
-    made = _made(family, scene, start_per_m, ramp, sampling, craft)
+    made = _made(family, scene, start_per_m, ramp_per_m2, sampling, craft)
     n = len(made.x_m)
     if calm and n <= kept.samples.shape[2]:
         kept.key[oldest] = wanted
@@ -281,10 +291,10 @@ def lines_from(
 
 @inner
 def shape_of(scene: Scene, craft: Craft, move: int) -> Trapezoid:
-    """Return the trapezoid of a move in the frame, its ramps for the ground speeds that they are flown at."""
+    """Return a move, by its number, as a trapezoid in the scene's frame, with ramps for their ground speeds."""
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
-    ramp, start_per_m = ramp_on(heading_rad, scene.air, craft), scene.mirror * scene.start.curvature_per_m
-    shape = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+    ramp_per_m2, start_per_m = ramp_on(heading_rad, scene.air, craft), scene.mirror * scene.start.curvature_per_m
+    shape = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp_per_m2)
     last_rad = heading_rad + turned_rad(shape, shape.last_start_m)
     return with_last_ramp(shape, ramp_on(last_rad, scene.air, craft))
 
@@ -332,9 +342,11 @@ def new_second_moves() -> SecondMoves:
 
 
 @compiled
-def lay_out_second_moves(s: SecondMoves, radius_m: float, turn_radius_m: float, ramp: float, step_m: float) -> None:
-    """Fill in the second moves, unless they are there."""
-    key = np.array((radius_m, turn_radius_m, ramp, step_m))
+def lay_out_second_moves(
+    s: SecondMoves, radius_m: float, turn_radius_m: float, ramp_per_m2: float, step_m: float
+) -> None:
+    """Compute the second moves for a circle and a sampling step, unless they are those computed last."""
+    key = np.array((radius_m, turn_radius_m, ramp_per_m2, step_m))
     if (s.key == key).all():
         return
     s.key[:] = key
@@ -342,7 +354,7 @@ def lay_out_second_moves(s: SecondMoves, radius_m: float, turn_radius_m: float, 
         for j in range(SECONDS):
             hold, length = j // len(SECOND_LENGTHS), _SECOND_STRIDE * (j % len(SECOND_LENGTHS))
             move = MOVES - 1 if j == SECONDS - 1 else hold * HOLD_LENGTHS.size + length
-            shape = move_from(LEVELS[level] / radius_m, move, radius_m, turn_radius_m, ramp)
+            shape = move_from(LEVELS[level] / radius_m, move, radius_m, turn_radius_m, ramp_per_m2)
             end = max(1, math.ceil(shape.end_m / step_m - 1e-9))
             s.end[level, j] = end if end < SAMPLES else 0
             for k in range(1, SAMPLES):
@@ -371,9 +383,9 @@ class PlacedMoves(NamedTuple):
 
 @compiled
 def stretch(s: SecondMoves, level: int, heading_rad: float, speeds: FloatArray, last: int, flown: FloatArray) -> None:
-    """Fill in how far along each second move (k, lines) the aircraft is in wind, in samples, each second up to last.
+    """Fill in how far along each second move (k, lines) it is in wind, in samples, at each second up to last.
 
-    A line is stretched along itself.
+    speeds: ground speed over airspeed by heading. A line is stretched along itself.
     """
     turned, count = s.turned_rad[level], flown.shape[1]
     for j in range(count):
@@ -391,7 +403,7 @@ def stretch(s: SecondMoves, level: int, heading_rad: float, speeds: FloatArray, 
 
 @inner_inlined
 def placed_at(s: SecondMoves, fan: PlacedMoves, j: int, k: int) -> tuple[float, float, float]:
-    """Return place and heading (x, y, heading) of second move j of a fan at second k of it."""
+    """Return (x, y, heading) of second move j at its second k, in the frame of the fan's start."""
     own_x, own_y, turned, level, flown = s.x_m, s.y_m, s.turned_rad, fan.level, fan.flown
     if len(flown) == 0:
         across_m, along_m, turned_rad = own_x[level, j, k], own_y[level, j, k], turned[level, j, k]
@@ -410,7 +422,7 @@ def placed_at(s: SecondMoves, fan: PlacedMoves, j: int, k: int) -> tuple[float, 
 
 @inlined
 def lay(s: SecondMoves, fan: PlacedMoves, j: int, last: int) -> None:
-    """Fill in second move j of a fan, up to second ``last`` of it."""
+    """Fill in ``fan.placed`` for second move j, up to its second ``last``."""
     placed = fan.placed
     for k in range(last + 1):
         placed[0, j, k], placed[1, j, k], placed[2, j, k] = placed_at(s, fan, j, k)
@@ -474,7 +486,10 @@ class Second(NamedTuple):
 def scenario_rows(
     f: Scenarios, d: Uncertainty, table: Table, min_values: FloatArray, min_after_turn: float
 ) -> ScenarioRows:
-    """Return futures as this look needs them. min_values (classes,): of the table; min_after_turn: of all classes."""
+    """Return futures rearranged row by row.
+
+    min_values (classes,): least value of each class of the table; min_after_turn: least of all after a turn.
+    """
     count, k = f.place.shape[:2]
     rows, min_value, since_s = np.empty((count, 8, k)), np.zeros((count, k)), STEP_S * np.arange(k)
     place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
@@ -491,7 +506,7 @@ def scenario_rows(
 
 @compiled
 def workspace_for(f: Scenarios, air: Air) -> Workspace:
-    """Return arrays to work in."""
+    """Return the arrays that :func:`deep_cost` works in, with the ground speeds in the wind."""
     count, steps = f.place.shape[:2]
     speeds = np.empty(0 if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0 else _HEADINGS + 1)
     for h in range(len(speeds)):  # the wind triangle takes too long for each sample
@@ -503,7 +518,7 @@ def workspace_for(f: Scenarios, air: Air) -> Workspace:
 
 @compiled
 def staying_ahead(scene: Scene, under_way: bool) -> tuple[FloatArray, int]:
-    """Return the present plan (x, y, heading, curvature) (4, k), and the second from which it is on its circle.
+    """Return the present plan each second (x, y, heading, curvature) (4, k), and the second that begins its circle.
 
     The circle is flown from where the aircraft departs, also if that is not on it.
     """
@@ -530,7 +545,7 @@ def staying_ahead(scene: Scene, under_way: bool) -> tuple[FloatArray, int]:
 
 @compiled
 def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int]:
-    """Return a move (x, y, heading, curvature) (4, k), and the second from which it is on its circle."""
+    """Return a move each second (x, y, heading, curvature) (4, k), and the second that begins its circle."""
     air, shape = scene.air, shape_of(scene, craft, move)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     ahead, end = np.empty((4, 4 * SAMPLES)), -1
@@ -689,9 +704,10 @@ def _expected(f: ScenarioRows, costs: FloatArray) -> float:
 
 @compiled
 def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, second: Second, bar: float) -> float:
-    """Return the expected cost of a line (4, k) that is on its circle from second ``end`` on.
+    """Return the expected cost, s off side, of a line (4, k) that is on its circle from second ``end`` on.
 
-    Where it is the bar or more, something between the bar and it may be returned: then few second moves are followed.
+    A second move may begin at the seconds ``branches``. Where the cost is the bar or more, something between the bar
+    and it may be returned: then few second moves are followed.
     """
     f, table, seconds, radius_m = second.scenarios, second.table, second.moves, scene.radius_m
     count, steps, terms = f.rows.shape[0], f.rows.shape[2], second.terms

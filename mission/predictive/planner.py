@@ -322,7 +322,7 @@ class PredictivePlanner:
 
 
 def foreseen(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
-    """Return what the target may do, and the question with the table, prices and depth that answer it.
+    """Return what the target may do, and the question completed by the table, prices and depth to answer it with.
 
     Processes the target's estimate: call it once for each, in order of time.
     """
@@ -334,7 +334,7 @@ def foreseen(scene: Scene, question: Question) -> tuple[Scenarios, Question]:
 
 
 def weigh(scene: Scene, question: Question, sight: Sight) -> tuple[float, float, FloatArray]:
-    """Return what staying costs, what a move must gain beyond its price, and what each move costs (moves,)."""
+    """Return the cost of staying, the gain a move needs beyond its price, and each move's cost (moves,), all s."""
     # One kernel of all would contain the machine code of each once more: a tenth of the first compilation.
     futures, answered_by = foreseen(scene, question)
     # Figures of eight are for a gimbal that cannot pan all around.

@@ -79,7 +79,7 @@ def fading_per_s(table: Table) -> float:
 
 @inner_inlined
 def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTerms) -> float:
-    """See :meth:`sidelong.mission.predictive.value_table.WatchCost.rate`."""
+    """Return the cost per second at a place of the watch frame: see ``WatchCost.rate`` of the value table."""
     range_m = math.sqrt(x_m * x_m + y_m * y_m)
     off = 0.5 + 0.5 * (x_m + c.cos_half_width * range_m) / blur_m
     off = 0.0 if off < 0.0 else off
@@ -97,7 +97,10 @@ def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTe
 
 @inlined
 def blind_rate(x_m: float, y_m: float, nose_rad: float, c: CostTerms) -> float:
-    """Return the cost per second where the nose points so that the gimbal cannot look at the target."""
+    """Return the cost per second of a nose direction from which the gimbal cannot look at the target.
+
+    x_m, y_m: the aircraft's place relative to the target, in the frame of nose_rad.
+    """
     range_m = math.sqrt(x_m * x_m + y_m * y_m)
     ahead_m = -(x_m * math.sin(nose_rad) + y_m * math.cos(nose_rad))
     beyond = (c.cos_pan_limit * range_m - ahead_m) / (range_m + 1.0)
@@ -109,7 +112,7 @@ def blind_rate(x_m: float, y_m: float, nose_rad: float, c: CostTerms) -> float:
 
 @compiled
 def blind_rates(axis_m: FloatArray, nose_rad: float, c: CostTerms, found: FloatArray) -> None:
-    """Fill in the rate (n, n) at all places of a square with sides axis_m (n,)."""
+    """Fill in :func:`blind_rate` (n, n) on a square grid around the target, axis_m (n,) along both sides."""
     for i in range(len(axis_m)):
         for j in range(len(axis_m)):
             found[i, j] = blind_rate(axis_m[i], axis_m[j], nose_rad, c)
@@ -119,7 +122,7 @@ def blind_rates(axis_m: FloatArray, nose_rad: float, c: CostTerms, found: FloatA
 def cost_rates(
     x_m: FloatArray, y_m: FloatArray, widened_m: FloatArray, blur_m: FloatArray, c: CostTerms, found: FloatArray
 ) -> None:
-    """Fill in the rate at places (n,)."""
+    """Fill in :func:`cost_rate` at places (n,)."""
     for i in range(len(x_m)):
         found[i] = cost_rate(x_m[i], y_m[i], widened_m[i], blur_m[i], c)
 
@@ -136,7 +139,10 @@ def table_value(
     one: int,
     k: int,
 ) -> float:
-    """Return what the classes[one, k] (4,) say together at a place; beyond the grid as on its edge."""
+    """Return the table's value, s, at a place and heading, the classes[one, k] (4,) mixed by their shares.
+
+    Beyond the grid it is that of the edge.
+    """
     _, headings, n, _ = values.shape
     x = min(max(x_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
     y = min(max(y_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
@@ -259,7 +265,7 @@ def _shape(s: Shapes, i: int) -> Trapezoid:
 
 @inner
 def spread(shapes: Shapes, sampling: Sampling) -> Lines:
-    """Return the lines of some shapes."""
+    """Return lines as samples along the given shapes."""
     hold, holds_per_m = shapes.hold, shapes.holds_per_m
     step_m, beyond_m = sampling.air.airspeed_m_s * STEP_S, sampling.beyond_m
     lines, trunks = len(hold), len(holds_per_m)
@@ -334,7 +340,10 @@ def single_line(
 def from_target(
     place: FloatArray, step_s: float, one: int, x_m: float, y_m: float, time_s: float
 ) -> tuple[int, float, float]:
-    """Return which sample of a future holds at a time, and a place (x, y) relative to the target then."""
+    """Return which sample of a future holds at a time, and the place (x, y) relative to the target then.
+
+    place (f, k, 4): the target's places and velocities every step_s; one: the future.
+    """
     k = min(int(time_s / step_s), place.shape[1] - 1)
     since_s = time_s - k * step_s
     at_x, at_y = place[one, k, 0] + place[one, k, 2] * since_s, place[one, k, 1] + place[one, k, 3] * since_s
@@ -380,7 +389,7 @@ def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
 
 @inner
 def turn_samples(lines: Lines) -> IntArray:
-    """Return the samples at which it is looked at what a turn of the target would cost."""
+    """Return the indices of the samples at which the cost of a turn of the target is evaluated."""
     trunk_first, own_first, on_trunk = lines.trunk_first, lines.own_first, lines.on_trunk
     found, n = np.empty(len(lines.x_m), np.int64), 0
     for h in range(len(trunk_first) - 1):
@@ -432,7 +441,7 @@ def add_up(
 def lines_costs(
     lines: Lines, start: Pose, f: Scenarios, d: Uncertainty, c: CostTerms, table: Table, air: Air, costs: FloatArray
 ) -> None:
-    """Fill in the expected cost (lines,) of flying each line from a start in the departure's frame."""
+    """Fill in the expected cost (lines,), s, of flying each line from a start in the departure's frame."""
     turned, time_s, weight, own_first = lines.turned_rad, lines.time_s, lines.weight, lines.own_first
     classes, share, turn_share, course = f.classes, f.share, f.turn_share, f.course
     values, after_turn, cell_m, hazard_per_s = table.values, table.after_turn, table.cell_m, 1.0 / table.mean_leg_s
@@ -490,7 +499,7 @@ class WatchFrame(NamedTuple):
 
 @compiled
 def hidden_rate(s: Sight, v: WatchFrame, x_m: float, y_m: float, time_s: float) -> float:
-    """Return the cost per second at a place of the frame."""
+    """Return the cost per second of ground that hides the target, at a place of the lines' frame."""
     targets, azimuths, rings = s.needed_m.shape
     off_x_m, off_y_m = x_m - v.velocity_x_m_s * time_s, y_m - v.velocity_y_m_s * time_s
     target = min(int(time_s / s.step_s + 0.5), targets - 1)
@@ -514,7 +523,7 @@ def add_sight(
     rate_per_s: float,
     costs: FloatArray,
 ) -> None:
-    """Add to the cost (lines,) of each line from a start what is hidden along it and on the circle, for a lap."""
+    """Add to the cost (lines,), s, of each line the time hidden by ground along it and on its circle, for a lap."""
     if s.needed_m.shape[0] == 0:
         return
     x, y = placed(lines, start)

@@ -93,7 +93,10 @@ class Scene(NamedTuple):
 def flown_airspeed_m_s(
     time_s: float, east_m_s: float, north_m_s: float, wind_m_s: float, craft: Craft, memory: Record
 ) -> float:
-    """Take the velocity through the air, in the order of time, and return the airspeed that is really flown."""
+    """Process the velocity through the air (east, north), in order of time; return the mean airspeed in coarse steps.
+
+    It is that of ``craft`` where the wind is as fast.
+    """
     share = math.hypot(east_m_s, north_m_s) / craft.airspeed_m_s
     since_s = time_s - memory.airspeed_s
     memory.airspeed_s = time_s

@@ -88,7 +88,7 @@ class Transitions(NamedTuple):
 
 @compiled
 def lay_out(flown: MoveSamples, s: FlightConditions, cost: CostGrid, found: Transitions) -> None:
-    """Fill in where each move leads, what counts there, and its discounted running cost with its price."""
+    """Fill in the end of each move, the discounts on its way, and its discounted running cost with its price, s."""
     to_x, to_y, to_heading, weight, own = found
     first, price, line, nodes, node_weights = flown
     targets, winds, airspeed_m_s, heading_step_rad, rate_per_s, mean_leg_s = s
@@ -256,7 +256,7 @@ def follow(policy: Int32, transitions: Transitions, led_to: Int32, parts: Float3
 
 @compiled
 def turns_cost(after: Float32, led_to: Int32, parts: Float32, cost: Float32, fixed: Float32) -> None:
-    """Fill in what a move costs besides the value of its end: its own cost, and turns of the target on the way."""
+    """Fill in the cost, s, of a move before its end's value: its own, and that of the target's turns on the way."""
     classes, size = after.shape
     for v in range(classes):
         for p in range(size):

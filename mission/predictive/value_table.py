@@ -324,19 +324,19 @@ def _moves(c: TableConfiguration, step_m: float) -> tuple[list[float], list[Floa
 
     Rows (4, 2 k + 1) of arc, east, north and course turned, at the ends and middles of k samples.
     """
-    curvature_per_m, ramp = 1.0 / c.radius_m, c.sharpness_per_m2
+    curvature_per_m, ramp_per_m2 = 1.0 / c.radius_m, c.sharpness_per_m2
     prices, moves = [], []
     # "Back to the circle at once", the last of the moves, is none when flown from the circle.
-    leaving = [move_from(curvature_per_m, k, c.radius_m, c.turn_radius_m, ramp) for k in range(MOVES - 1)]
+    leaving = [move_from(curvature_per_m, k, c.radius_m, c.turn_radius_m, ramp_per_m2) for k in range(MOVES - 1)]
     lengths_m = (STAY_LENGTHS * c.radius_m).tolist()
-    staying = [trapezoid(curvature_per_m, curvature_per_m, m, curvature_per_m, ramp) for m in lengths_m]
+    staying = [trapezoid(curvature_per_m, curvature_per_m, m, curvature_per_m, ramp_per_m2) for m in lengths_m]
     for shapes, price in ((leaving, c.leave_cost), (staying, 0.0)):
         for shape in shapes:
             arc = np.linspace(0.0, shape.end_m, 2 * max(1, round(shape.end_m / step_m)) + 1)
             moves.append(np.vstack((arc, displaced_m(shape, arc))))
             prices.append(price)
     for eight in range(EIGHTS if c.cost.terms.blind > 0.0 else 0):
-        line = eight_line(LinePoint(0.0, 0.0, 0.0, curvature_per_m), eight, c.radius_m, ramp)
+        line = eight_line(LinePoint(0.0, 0.0, 0.0, curvature_per_m), eight, c.radius_m, ramp_per_m2)
         length_m = float(line[ARC, -1])
         arc = np.linspace(0.0, length_m, 2 * max(1, round(length_m / step_m)) + 1)
         found = np.empty((3, arc.size))

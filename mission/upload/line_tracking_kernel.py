@@ -55,7 +55,7 @@ def _pursue(error_rad: float, speed_m_s: float, law: Guidance) -> float:
 def to_line_per_m(
     at_m: Place, course_rad: float, speed_m_s: float, begin_m: Place, end_m: Place, law: Guidance
 ) -> float:
-    """Return the curvature that leads to the line from a waypoint to the next, or to that one if the first is NaN."""
+    """Return the curvature that leads to the line between waypoints, or, with a first one of NaN, to the second."""
     if math.isnan(begin_m[0]):
         return _pursue(math.atan2(end_m[0] - at_m[0], end_m[1] - at_m[1]) - course_rad, speed_m_s, law)
     line_rad = math.atan2(end_m[0] - begin_m[0], end_m[1] - begin_m[1])

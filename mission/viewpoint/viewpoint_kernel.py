@@ -116,7 +116,7 @@ def course_sigma_rad(target: TargetState) -> float:
 
 @inner
 def held_course_rad(target: TargetState, memory: Record) -> float:
-    """Take an estimate, in the order of time, and return the course to watch from; NaN until the target has moved."""
+    """Process an estimate, in order of time; return the course to watch from, rad, NaN until the target has moved."""
     speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
     threshold_m_s = _MOVING_ABOVE_M_S if memory.standing else _STOPPED_BELOW_M_S
     at_s, course_rad, count = memory.course_at_s, memory.recent_course_rad, memory.courses
@@ -202,7 +202,7 @@ def position_sigma_m(target: TargetState) -> float:
 
 @inner
 def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s: float) -> tuple[float, float]:
-    """Take an estimate and return the course made good, held while the way is short, and its sigma; NaN before.
+    """Process an estimate; return the course made good, held while the way is short, and its sigma, rad; NaN before.
 
     The motion between two estimates further apart than gap_max_s is unknown and counts as none.
     """
@@ -219,7 +219,7 @@ def made_good(estimates: Estimates, horizon_s: float, memory: Record, gap_max_s:
 
 @compiled
 def courses_of(estimates: Estimates, horizon_s: float, memories: Record) -> tuple[float, float]:
-    """Take an estimate and return the held course and the course made good; memories: an array of one."""
+    """Process an estimate; return the held course and the course made good, rad; memories: an array of one."""
     memory = memories[0]
     held_rad = held_course_rad(estimates.seen, memory)
     return held_rad, made_good(estimates, horizon_s, memory, math.inf)[0]
