@@ -54,7 +54,7 @@ from sidelong.mission.control.mission_change import aircraft_after, describe_cha
 from sidelong.mission.control.planning import PlanChanges, Planning, UploadLatency
 from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.present import Phase, Present, breach_in
-from sidelong.mission.control.surroundings import Flown, Surroundings
+from sidelong.mission.control.surroundings import Surroundings
 from sidelong.mission.control.target_news import BLIND_S, AnotherObject, PayloadNews, TargetNews, UnseenTarget
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
@@ -87,6 +87,7 @@ from sidelong.mission.core.plan import (
     AircraftState,
     ClimbRates,
     Decision,
+    Flown,
     Heights,
     OneHeight,
     Plan,
@@ -436,7 +437,7 @@ class StandoffController:
         self.encounter = None
         if self.present is not None and self.phase.in_control and self.surroundings.separation.traffic:
             self.surroundings.flown = self.flown
-            self.encounter = self._encounter_of(self.present, self.coming)
+            self.encounter = self._encounter_of(self.coming)
 
     # -- deciding ------------------------------------------------------------------------------------------
 
@@ -539,13 +540,13 @@ class StandoffController:
         settings, start = self.settings, dead_reckoned(aircraft, self.latency.expected_s)
         best: tuple[Plan, Heights | None] | None = None
         best_share = min(found.share + _BETTER_SHARE, 1.0)
-        plans = [(self._again(present), heights) for heights in self._other_heights(present, height_m)]
+        plans = [(self._again(present), heights) for heights in self._other_heights(height_m)]
         others = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
         for plan, heights in chain(plans, ((plan, None) for plan in others)):
             flown = self.surroundings.levelled(plan, height_m, self.surroundings.flown.target_m, heights)
             if isinstance(flown, str) or (heights is None and isinstance(self.surroundings.cleared(plan), str)):
                 continue
-            coming = self._encounter_of(present, flown)
+            coming = self._encounter_of(flown)
             share = math.inf if coming is None else coming.share
             if share >= best_share:
                 best, best_share = (flown, heights), share
@@ -564,13 +565,13 @@ class StandoffController:
         to = "" if heights is None else f" at {plan.circle_height_m(height_m):.0f} m above home"
         return self.changes.upload(now_s, plan, self._wind, f"keeping clear{to}: {found}")
 
-    def _other_heights(self, present: Plan, height_m: float) -> list[Heights]:
+    def _other_heights(self, height_m: float) -> list[Heights]:
         """Return heights above and below each foreign aircraft; none in layers of a fleet, and over terrain."""
         heights = self.surroundings.heights
         if not isinstance(heights, OneHeight) or self.surroundings.separation.has_fleet:
             return []
         wanted = []
-        for one in self._encounters_of(present, self.coming):
+        for one in self._encounters_of(self.coming):
             for sign in (-1.0, 1.0):  # one that sinks or climbs towards such a height comes nearer later
                 at_m = one.height_m + sign * (one.other.clear_m[1] + _HEIGHT_MARGIN_M)
                 follows_m = PREDICTED_S * max(sign * one.other.climb_m_s, 0.0)
@@ -583,21 +584,17 @@ class StandoffController:
         if before is None or self.time_s < self._kept_clear_s + _KEEP_CLEAR_EVERY_S:
             return ()
         again = self.surroundings.levelled(self._again(present), self.flown_height_m, None, before)
-        found = None if isinstance(again, str) else self._encounter_of(present, again)
+        found = None if isinstance(again, str) else self._encounter_of(again)
         if isinstance(again, str) or (found is not None and found.share < 1.0 + _BETTER_SHARE):
             return ()
         self.surroundings.heights, self._heights_before = before, None
         return self.changes.upload(self.time_s, again, self._wind, "the other aircraft has passed: the old height")
 
-    def _encounter_of(self, present: Plan, coming: Plan | None) -> Encounter | None:
-        return closest_of(self._encounters_of(present, coming))
+    def _encounter_of(self, coming: Plan | None) -> Encounter | None:
+        return closest_of(self._encounters_of(coming))
 
-    def _encounters_of(self, present: Plan, coming: Plan | None) -> list[Encounter]:
-        flown = self.surroundings.flown
-        assert flown.aircraft is not None
-        assert flown.height_m is not None
-        separation, airspeed_m_s = self.surroundings.separation, flown.airspeed_m_s
-        return separation.encounters(present, coming, flown.aircraft, flown.height_m, flown.wind, airspeed_m_s)
+    def _encounters_of(self, coming: Plan | None) -> list[Encounter]:
+        return self.surroundings.separation.encounters(self.surroundings.flown, coming)
 
     def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[StepOutput, ...]:
         """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""
@@ -647,7 +644,7 @@ class StandoffController:
         if later is not None:
             ways.append(retreats(start, later, requirement.side.clockwise, own, requirement.range_min_m))
         best: tuple[Plan | None, float] = None, -math.inf
-        refused, in_vain = best, self.changes.in_vain
+        refused = best
         for plan in chain.from_iterable(ways):
             kept_m = clear_m(plan)
             if kept_m <= best[1]:
@@ -655,8 +652,8 @@ class StandoffController:
             cleared = self.surroundings.cleared(plan)
             if not isinstance(cleared, Plan):
                 continue
-            if kept_m >= needed_m and in_vain:  # the autopilot did not take the first ones
-                refused, in_vain = (cleared, kept_m), in_vain - 1
+            if kept_m >= needed_m and self.changes.has_refused(cleared):
+                refused = cleared, kept_m
                 continue
             best = cleared, kept_m
             if kept_m >= needed_m:
@@ -758,12 +755,12 @@ class StandoffController:
         rest = present if flown_m < present.transition_m else replace(present, transition=None)
         clear_m = density.clearance_m(rest, airframe.airspeed_m_s, LEAVE_S, flown_m)
         is_around = math.hypot(circle.east_m - density.east_m, circle.north_m - density.north_m) < circle.radius_m
-        waits = self.time_s - self._retreated_s < _SEARCH_S and not self.changes.in_vain
+        waits = self.time_s - self._retreated_s < _SEARCH_S and not self.changes.refused
         if (is_around and clear_m >= keep_m) or waits:
             return self._hold(_UNSEEN)
         start = dead_reckoned(aircraft, latency_s)
         plans = orbits(start, density.after(latency_s), airframe, keep_m)
-        plan = self.surroundings.first_cleared(plans[self.changes.in_vain :])  # the others were not taken
+        plan = self.surroundings.first_cleared(plan for plan in plans if not self.changes.has_refused(plan))
         if plan is None:
             return self._hold_away(aircraft, present, density)
         self._retreated_s = self.time_s

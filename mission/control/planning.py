@@ -279,6 +279,7 @@ _LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
 _OFF_TRACK_S, _ORBITS = 6.0, 2.0
 # The aircraft cannot be moved when this number of plans in a row, or all of this time, have failed.
 _STUCK, _STUCK_S = 3, 28.0  # the alarm follows within 30 s
+_SAME_CIRCLE = 0.5  # of the radius: as far may the circle of a refused plan be, for the target moves on
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
 
@@ -301,7 +302,8 @@ class PlanChanges:
         self.under_way: PlanChange | None = None
         self.flown_since_s = -math.inf  # when the change to it was decided
         self.home_m = 0.0  # of home above that of the takeover, against which it was sent
-        self.in_vain, self._in_vain_since_s, self._why = 0, math.inf, ""  # plans in a row that failed
+        self.refused: list[Plan] = []  # the plans in a row that failed
+        self._refused_since_s, self._why = math.inf, ""
         self.moves = self.uploads = self.failures = 0
         self._door, self._latency = door, latency
         self._not_taken: PlanChange | None = None  # the last departure that failed: should it be flown after all
@@ -311,8 +313,8 @@ class PlanChanges:
 
     def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
         """Begin with a circle that is flown already and was sent to the autopilot as ``commanded``."""
-        self.present, self._commanded, self._not_taken, self.in_vain = plan, commanded, None, 0
-        self.home_m = self._door.home_m
+        self.present, self._commanded, self._not_taken = plan, commanded, None
+        self.refused, self.home_m = [], self._door.home_m
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
     def observe(self, aircraft: AircraftState) -> None:
@@ -339,10 +341,14 @@ class PlanChanges:
 
     def stuck(self, now_s: float) -> str:
         """Return why plans do not get through: several in a row, or all of some time, have failed; '' if they do."""
-        is_long = self.in_vain > 1 and now_s - self._in_vain_since_s >= _STUCK_S
-        if self.in_vain < _STUCK and not is_long:
+        count = len(self.refused)
+        if count < _STUCK and not (count > 1 and now_s - self._refused_since_s >= _STUCK_S):
             return ""
-        return f"{self.in_vain} in a row did not get through ({self._why}): the aircraft stays on its circle"
+        return f"{count} in a row did not get through ({self._why}): the aircraft stays on its circle"
+
+    def has_refused(self, plan: Plan) -> bool:
+        """Return whether one of the plans in a row that failed led to the same circle in the same way."""
+        return any(_is_alike(plan, one) for one in self.refused)
 
     def activate_due(self, now_s: float, *, watching: bool) -> tuple[StepOutput, ...]:
         """Activate the plan that is ready, at its time of departure, while control of the aircraft is confirmed."""
@@ -407,9 +413,9 @@ class PlanChanges:
             self._latency.note(took_s, by_command=change.by_command)
         self.under_way = None
         self.failures += 1
-        if not self.in_vain:
-            self._in_vain_since_s = change.command.time_s
-        self.in_vain, self._why = self.in_vain + 1, event.detail
+        if not self.refused:
+            self._refused_since_s = change.command.time_s
+        self.refused, self._why = [*self.refused, change.command.plan], event.detail
         return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)
 
     def _departed(self, change: PlanChange, time_s: float) -> None:
@@ -418,7 +424,7 @@ class PlanChanges:
         self.moves += change.command.plan.circle != self.present.circle
         self.present, self._commanded = change.command.plan, change.command.commanded
         self.under_way = self._not_taken = None
-        self.flown_since_s, self.home_m, self.in_vain = change.command.time_s, change.command.home_m, 0
+        self.flown_since_s, self.home_m, self.refused = change.command.time_s, change.command.home_m, []
         self._on_line_s = time_s
 
     # -- how the present plan is flown ---------------------------------------------------------------------
@@ -440,6 +446,14 @@ class PlanChanges:
         assert self._commanded is not None
         wanted_m = self._flown_radius.commanded(self.present.circle).radius_m
         return wanted_m if abs(wanted_m / self._commanded.radius_m - 1.0) > _RADIUS_TOLERANCE else None
+
+
+def _is_alike(one: Plan, other: Plan) -> bool:
+    """Return whether two plans lead to about the same circle, both by a path or both by a command of it alone."""
+    a, b = one.circle, other.circle
+    apart_m = math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
+    is_same = a.clockwise == b.clockwise and apart_m < _SAME_CIRCLE * a.radius_m
+    return is_same and (one.transition is None) == (other.transition is None)
 
 
 def _can_still_join(aircraft: AircraftState | None, plan: Plan, late_s: float) -> bool:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from sidelong.mission.core.plan import AircraftState, Heights, Plan
-from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.plan import Flown, Heights, Plan
 from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
 from sidelong.mission.geometry.separation import Separation
 
@@ -17,20 +16,6 @@ if TYPE_CHECKING:
 
 FenceCheck = Callable[[Plan], str | None]
 Hidden = Callable[[Heights, float | None, tuple[float, float], tuple[float, float]], Sight]
-
-
-class Flown(NamedTuple):
-    """What is flown while a plan is checked; None: not known yet. height_m: above home. target_m: east and north."""
-
-    aircraft: AircraftState | None = None
-    height_m: float | None = None
-    present: Plan | None = None
-    target_m: tuple[float, float] | None = None
-    wind: Wind = Wind()
-    airspeed_m_s: float = 1.0
-
-
-NOTHING_FLOWN = Flown()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +48,7 @@ class Surroundings:
     hidden: Hidden | None = None
     separation: Separation = field(default_factory=Separation)
     bounds: FlightBounds = FlightBounds()  # frozen
-    _flown: Flown = NOTHING_FLOWN
+    _flown: Flown = field(default_factory=Flown)
     _cleared: Plan | None = None  # the plan that passed last: it is not checked again
 
     @property
@@ -86,9 +71,7 @@ class Surroundings:
         cleared = self.levelled(plan, flown.height_m, flown.target_m)
         if isinstance(cleared, str):
             return cleared
-        near = self.separation.breach(
-            cleared, flown.present, flown.aircraft, flown.height_m, flown.wind, flown.airspeed_m_s
-        )
+        near = self.separation.breach(cleared, flown)
         if near:
             return near
         self._cleared = cleared

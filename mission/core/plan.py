@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.numbers import convert_to_floats, require_type, value_type
@@ -85,6 +85,17 @@ class Plan:
     def circle_height_m(self, configured_m: float) -> float:
         """Return the height of the circle above home: the configured one for a plan without heights of its own."""
         return configured_m if self.heights is None else self.heights.to_m
+
+
+class Flown(NamedTuple):
+    """What is flown while a plan is made or checked; None: not known yet. target_m: east and north."""
+
+    aircraft: AircraftState | None = None
+    height_m: float | None = None  # above home
+    present: Plan | None = None  # None before the takeover
+    target_m: tuple[float, float] | None = None
+    wind: Wind = Wind()
+    airspeed_m_s: float = 1.0
 
 
 def settled_height_m(height_m: float, plan: Plan | None) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.core.plan import RATE_RESERVE, AircraftState, Plan
+from sidelong.mission.core.plan import RATE_RESERVE, AircraftState, Flown, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry import line_kernel as kernel
 from sidelong.mission.geometry.progress import line_of
@@ -74,27 +74,15 @@ class Separation:
         """Store the plans of another aircraft of the fleet."""
         self._plans[neighbour.name] = neighbour
 
-    def breach(
-        self,
-        plan: Plan,
-        present: Plan | None,
-        aircraft: AircraftState | None,
-        height_m: float | None,
-        wind: Wind,
-        airspeed_m_s: float,
-    ) -> str | None:
-        """Return in words which aircraft a plan comes too near to, or None.
-
-        height_m: the own one now. present is None before the takeover, aircraft if its state is unknown.
-        """
-        if not self._others or aircraft is None or height_m is None:
+    def breach(self, plan: Plan, flown: Flown) -> str | None:
+        """Return in words which aircraft a plan that follows what is flown comes too near to, or None."""
+        height_m = flown.height_m
+        if not self._others or flown.aircraft is None or height_m is None:
             return None
+        flown = flown if flown.present is not None else flown._replace(present=plan)
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
-        before, after = (
-            closest_of(self.encounters(present or plan, coming, aircraft, height_m, wind, airspeed_m_s))
-            for coming in (None, plan)
-        )
+        before, after = (closest_of(self.encounters(flown, coming)) for coming in (None, plan))
         if after is not None and after.share < min(1.0, 1.0 if before is None else before.share):
             return str(after)
         for name, other in self._others.items():
@@ -108,10 +96,9 @@ class Separation:
             flat_m = math.sqrt(self.min_m**2 - vertical_m**2)
             if own is None:
                 # A plan is followed for its transition and a lap.
-                duration_s = (plan.transition_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s
-                count = 1 + round(min(duration_s, _LONGEST_S) / _STEP_S)
-                own = flown_places(aircraft, present or plan, plan, wind, airspeed_m_s, _STEP_S, count)
-            apart_m = self._least_m(own, aircraft.time_s, other, neighbour, wind, vertical_m, airspeed_m_s)
+                duration_s = (plan.transition_m + 2.0 * math.pi * plan.circle.radius_m) / flown.airspeed_m_s
+                own = _own_places(flown, plan, min(duration_s, _LONGEST_S))
+            apart_m = self._least_m(own, flown, other, neighbour, vertical_m)
             if apart_m < self.min_m:
                 return f"it would come within {apart_m:.0f} m of {name}"
             if neighbour is not None and neighbour.present is not None:
@@ -130,27 +117,20 @@ class Separation:
         """The foreign aircraft."""
         return tuple(other for other in self._others.values() if not other.ours)
 
-    def encounters(
-        self,
-        present: Plan,
-        coming: Plan | None,
-        aircraft: AircraftState,
-        height_m: float,
-        wind: Wind,
-        airspeed_m_s: float,
-    ) -> list[Encounter]:
-        """Return the closest approach of each foreign aircraft that has to be kept clear of; see ``breach``."""
+    def encounters(self, flown: Flown, coming: Plan | None) -> list[Encounter]:
+        """Return the closest approach of each foreign aircraft to keep clear of; nothing of ``flown`` is None."""
+        assert flown.aircraft is not None
+        now_s = flown.aircraft.time_s
         others = [
             one
             for one in self._others.values()
-            if one.clear_m != (0.0, 0.0) and aircraft.time_s - one.state.time_s < _REPORT_MAX_AGE_S
+            if one.clear_m != (0.0, 0.0) and now_s - one.state.time_s < _REPORT_MAX_AGE_S
         ]
         if not others:
             return []
-        count = 1 + round(PREDICTED_S / _STEP_S)
-        own = flown_places(aircraft, present, coming, wind, airspeed_m_s, _STEP_S, count)
-        heights_m = _heights_m(present, coming, aircraft.time_s, height_m, airspeed_m_s, own.shape[1])
-        return [_closest(own, heights_m, aircraft.time_s, one) for one in others]
+        own = _own_places(flown, coming, PREDICTED_S)
+        heights_m = _heights_m(flown, coming, own.shape[1])
+        return [_closest(own, heights_m, now_s, one) for one in others]
 
     def crossed(self, present: Plan, height_m: float) -> str | None:
         """Return in words which lower aircraft of the fleet flies a circle that crosses the own one, or None.
@@ -171,15 +151,14 @@ class Separation:
     def _least_m(
         self,
         own: FloatArray,
-        now_s: float,
+        flown: Flown,
         other: Neighbour,
         neighbour: NeighbourPlanned | None,
-        wind: Wind,
         vertical_m: float,
-        airspeed_m_s: float,
     ) -> float:
+        assert flown.aircraft is not None
         state = other.state
-        lag_s = now_s - state.time_s
+        lag_s = flown.aircraft.time_s - state.time_s
         n = own.shape[1]
         if neighbour is None or neighbour.present is None:
             n = min(n, 1 + int(_FOREIGN_S / _STEP_S))
@@ -187,11 +166,11 @@ class Separation:
             sin_c, cos_c = math.sin(state.course_rad), math.cos(state.course_rad)
             theirs = np.stack((state.east_m + gone_m * sin_c, state.north_m + gone_m * cos_c))
         else:
-            speed_m_s = airspeed_of(state, wind)
+            speed_m_s = airspeed_of(state, flown.wind)
             late = max(0, round(lag_s / _STEP_S))  # their places are counted from their own report
             plans = neighbour.present, neighbour.coming
-            theirs = flown_places(state, *plans, wind, speed_m_s, _STEP_S, n + late)[:, late:]
-        growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
+            theirs = flown_places(state, *plans, flown.wind, speed_m_s, _STEP_S, n + late)[:, late:]
+        growth_m_s = _SPEED_ERROR * (flown.airspeed_m_s + state.ground_speed_m_s)
         ours, theirs = np.ascontiguousarray(own[:, :n]), np.ascontiguousarray(theirs)
         return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
 
@@ -220,21 +199,30 @@ def _closest(own: FloatArray, heights_m: FloatArray, now_s: float, other: Neighb
     return Encounter(other, _STEP_S * k, *(float(row[k]) for row in (flat_m, their_m, vertical_m, shares)))
 
 
-def _heights_m(
-    present: Plan, coming: Plan | None, now_s: float, height_m: float, airspeed_m_s: float, count: int
-) -> FloatArray:
+def _own_places(flown: Flown, coming: Plan | None, duration_s: float) -> FloatArray:
+    """Return own places (east, north, course) (3, n) every _STEP_S from now on."""
+    assert flown.aircraft is not None
+    assert flown.present is not None
+    count = 1 + round(duration_s / _STEP_S)
+    return flown_places(flown.aircraft, flown.present, coming, flown.wind, flown.airspeed_m_s, _STEP_S, count)
+
+
+def _heights_m(flown: Flown, coming: Plan | None, count: int) -> FloatArray:
     """Return the least and greatest own heights above home every _STEP_S, towards that of the plan flown by then.
 
     An autopilot may change its height as fast as it can, or as slowly as the plan.
     """
     rows = []
+    assert flown.aircraft is not None
+    assert flown.height_m is not None
     for share in (1.0, 1.0 / RATE_RESERVE):
-        at_m, row = height_m, []
+        at_m, row = flown.height_m, []
         for k in range(count):
             row.append(at_m)
-            plan = coming if coming is not None and now_s + _STEP_S * k >= coming.departure_s else present
-            if plan.heights is not None:
-                step_m = share * plan.heights.slope * airspeed_m_s * _STEP_S
+            departed = coming is not None and flown.aircraft.time_s + _STEP_S * k >= coming.departure_s
+            plan = coming if departed else flown.present
+            if plan is not None and plan.heights is not None:
+                step_m = share * plan.heights.slope * flown.airspeed_m_s * _STEP_S
                 at_m += min(max(plan.heights.to_m - at_m, -step_m), step_m)
         rows.append(row)
     return np.sort(np.array(rows), axis=0)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.mission.control.planning import Planning
+from sidelong.mission.control.planning import PlanChanges, Planning, UploadLatency
+from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import RouteGiven
+from sidelong.mission.core.events import PlanStatus, RouteGiven
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.route.progress_kernel import update_progress
@@ -82,3 +83,17 @@ def test_a_route_without_way_points_takes_the_last_one_back():
     announced = planning.follow(replace(ROUTE, east_m=(), north_m=()))
     assert announced == "no route of the target is known"
     assert (planning.planner.route, planning.route_progress) == (None, None)
+
+
+def test_refused_plan_is_recognised_by_its_circle_until_another_one_departs():
+    changes = PlanChanges(Plausibility(), UploadLatency(5.0))
+    changes.begin(CIRCLING, CIRCLING.circle, CIRCLING.circle)
+    wide, moved = Circle(0.0, 0.0, 200.0, True), Circle(60.0, 0.0, 200.0, True)
+    changes.upload(1.0, Plan(wide), Wind(), "searching")
+    changes.report(PlanStatus(2.0, 1, "failed", "denied"), 2.0, None, watching=True)
+    assert changes.has_refused(Plan(moved))
+    assert not changes.has_refused(Plan(replace(moved, clockwise=False)))
+    assert not changes.has_refused(Plan(Circle(150.0, 0.0, 200.0, True)))
+    changes.upload(3.0, Plan(wide), Wind(), "searching")
+    changes.report(PlanStatus(4.0, 2, "departed"), 4.0, None, watching=True)
+    assert not changes.has_refused(Plan(moved))
