@@ -10,9 +10,9 @@ wrong one it circles with the aircraft.
 3. Delays and smaller errors of yaw and range, over up to 300 s, together with the target's path.
 4. Yaw, range or pitch that drift, and ranges that are wrong at some bearings only, over the last 100 s.
 
-Delays and constant errors of yaw and range are corrected by the tracker, others make the device faulty: its readings
-are not used until it agrees again. An apparent target that jumps farther than it can drive makes the payload suspect
-for ``SUSPECT_S``.
+Delays and constant errors of yaw and range are corrected by the tracker, which leaves out ranges at bearings where
+they are wrong. Other errors make the device faulty: its readings are not used until it agrees again. An apparent
+target that jumps farther than it can drive makes the payload suspect for ``SUSPECT_S``.
 
 Source: docs/health.md#contradictions-of-the-payload; docs/explanation/filter.md#delays.
 """
@@ -79,11 +79,6 @@ _DRIFTS = {
     "yaw": "its yaw drifts by about {:+.0f} degrees a minute and is off by about {:+.0f} degrees: check its gyro and "
     "the aircraft's heading",
 }
-
-_SECTOR = (
-    "its ranges are off by about {:+.0f} % where it looks about {:.0f} degrees to the right of {}: check its window "
-    "and what is in its path"
-)
 
 _ROW_EVERY_S, _GAP_MAX_S = 0.19, 3.0
 _WINDOW_S = 300.0
@@ -166,8 +161,10 @@ _LONG_COUNT = 1  # of a range error that lasts, and that no fit of constant erro
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
 _WANDER_MIN_M = 10.0  # less is within what the ellipse of the estimate and the band allow for
 _LAST = 5  # readings: the median place of these
-_SECTOR_RAD, _SECTOR_COUNT, _SECTOR_VISITS, _VISIT_S = math.radians(15.0), 5, 2, 5.0
-_SECTOR_OFF, _SECTOR_SIGMA, _SECTOR_EVIDENCE = 0.06, 0.05, 60.0  # shares of the range
+# Ranges that are wrong at some bearings.
+_BIN_RAD, _BIN_COUNT, _VISITS, _VISIT_S = math.radians(15.0), 4, 2, 5.0
+_WRONG_SHARE, _WRONG_SIGMA, _WRONG_EVIDENCE = 0.06, 0.05, 60.0  # shares of the range
+_EDGE_RAD, _HALF_MAX_RAD = math.radians(15.0), math.radians(80.0)  # left out beyond what is known; at most
 
 _NO_ATTITUDE = 4 * (math.nan,)
 _AXES: tuple[Vector, ...] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -187,6 +184,47 @@ class Verdict(NamedTuple):
 
 SOUND = Verdict()
 TURNED = Verdict(is_turned=True)
+
+
+class WrongBearings(NamedTuple):
+    """The bearings at which the laser's ranges are wrong by a share of the distance."""
+
+    from_nose: bool  # or from north
+    middle_rad: float
+    half_rad: float
+    share: float
+
+    def hold(self, bearing_rad: float, attitude: AttitudeReading | None) -> bool:
+        """Return whether a line of sight is within them; True while it is not known where the nose is."""
+        if attitude is None and self.from_nose:
+            return True
+        nose_rad = attitude.yaw_rad if attitude is not None and self.from_nose else 0.0
+        return abs(wrap_rad(bearing_rad - nose_rad - self.middle_rad)) <= self.half_rad
+
+    def of(self, readings: Readings) -> npt.NDArray[np.bool_]:
+        """Return which ranges (n,) are within them."""
+        off_rad = _looks(readings)[0] - (_noses_rad(readings) if self.from_nose else 0.0) - self.middle_rad
+        within: npt.NDArray[np.bool_] = np.cos(off_rad) >= math.cos(self.half_rad)
+        return within
+
+    def with_others(self, other: WrongBearings) -> WrongBearings:
+        """Return all bearings from the one end to the other; relative to something else, none are added."""
+        at_rad = wrap_rad(other.middle_rad - self.middle_rad)
+        first_rad, last_rad = (
+            min(-self.half_rad, at_rad - other.half_rad),
+            max(self.half_rad, at_rad + other.half_rad),
+        )
+        half_rad = 0.5 * (last_rad - first_rad)
+        if self.from_nose is not other.from_nose or half_rad > _HALF_MAX_RAD:
+            return self
+        return self._replace(middle_rad=self.middle_rad + 0.5 * (first_rad + last_rad), half_rad=half_rad)
+
+    def __str__(self) -> str:
+        return (
+            f"off by about {100.0 * self.share:+.0f} % where it looks about "
+            f"{math.degrees(self.middle_rad) % 360.0:.0f} degrees to the right of "
+            f"{'the nose' if self.from_nose else 'north'}"
+        )
 
 
 class Fit(NamedTuple):
@@ -296,6 +334,8 @@ class PayloadFit:
         self._agreeing = self._corrected = self._off_ground = self._fits = self._late_count = 0
         self._suspected_in = -1  # the fit that found a large error last
         self._frame_fault = self._unit_fault = self._drift_fault = ""
+        self.wrong_bearings: WrongBearings | None = None  # where ranges are left out
+        self._uneven, self._even_count = False, 0  # ranges seem to be wrong at some bearings; judgements without that
         self._drift = self._drift_seen = ""
         self._drifting = self._long = self._unseeming = 0
         self._missed = False
@@ -502,7 +542,8 @@ class PayloadFit:
             self._samples.clear()
         if now_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = now_s
-            self._judge(gimbal.frame)
+            if not self._samples or now_s - self._samples[-1].time_s < _JUDGE_EVERY_S:
+                self._judge(gimbal.frame)
             if self._fits_errors and is_sound and not (self._frame_fault or self._unit_fault):
                 self._judge_errors(now_s)
             self._settle()
@@ -513,6 +554,10 @@ class PayloadFit:
         samples, now_s = self._samples, position.time_s
         own_m, is_ranged = (position.east_m, position.north_m, position.height_m), not math.isnan(range_m)
         sighted_m = self._apparent_m(own_m, range_m, attitude, gimbal, gimbal.frame)
+        if is_ranged and self.wrong_bearings is not None:
+            bearing_rad = math.atan2(sighted_m[0] - own_m[0], sighted_m[1] - own_m[1])
+            if self.wrong_bearings.hold(bearing_rad, attitude):
+                return
         off_level = self._off_level(own_m, sighted_m) if is_ranged else 0.0
         if samples and is_ranged is math.isnan(samples[-1].range_m):
             samples.clear()
@@ -760,7 +805,8 @@ class PayloadFit:
     # -- delays, smaller errors and drifts -----------------------------------------------------------------
 
     def _judge_errors(self, now_s: float) -> None:
-        if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(self._drift_seen or self._drift or self.wander_m(now_s))]:
+        seems = self._drift_seen or self._drift or self._uneven or self.wander_m(now_s)
+        if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(seems)]:
             self._drift_s = now_s
             self._judge_drift(now_s)
         if self._drift_fault or now_s < self._fit_s:
@@ -771,7 +817,13 @@ class PayloadFit:
         self.fit(now_s)
 
     def _readings(
-        self, now_s: float, window_s: float, delays_s: tuple[float, float], since_s: float | None = None
+        self,
+        now_s: float,
+        window_s: float,
+        delays_s: tuple[float, float],
+        since_s: float | None = None,
+        *,
+        at_all_bearings: bool = False,
     ) -> Readings | None:
         """Return the readings of the last seconds, stamped without delays; None while there are too few."""
         rows = self._since(max(now_s - window_s, (self._since_s if since_s is None else since_s) + 1e-6))
@@ -798,7 +850,15 @@ class PayloadFit:
         settings = self._settings
         pitch_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad) if self._on_ground else 0.0
         noise = settings.yaw_sigma_rad, settings.range_sigma_m, pitch_rad, self._ground_sigma_m
-        return _growing(Readings(positions, attitudes, sights, ranges, frame, noise, delays_s), _GROWS_S)
+        readings = _growing(Readings(positions, attitudes, sights, ranges, frame, noise, delays_s), _GROWS_S)
+        return readings if at_all_bearings else self._with_right_ranges(readings)
+
+    def _with_right_ranges(self, readings: Readings) -> Readings | None:
+        """Return the readings without the ranges that are left out; None if these are nearly all."""
+        if self.wrong_bearings is None:
+            return readings
+        right = ~self.wrong_bearings.of(readings)
+        return readings._replace(ranges=readings.ranges[right]) if right.sum() >= _READINGS_MIN else None
 
     def fit(self, now_s: float) -> None:
         """Fit delays and constant errors to the readings of the last minutes."""
@@ -947,17 +1007,18 @@ class PayloadFit:
         """Compare drifts, and ranges that are wrong at some bearings only, with errors that stay the same."""
         readings = None
         if self._may_err and not self._on_ground:
-            readings = self._readings(now_s, _DRIFT_S, self.used_s, self._device_s)
+            readings = self._readings(now_s, _DRIFT_S, self.used_s, self._device_s, at_all_bearings=True)
+            if readings is not None:
+                readings = _scaled(readings, self._factor)
         if readings is None or readings.ranges[-1, 0] - readings.ranges[0, 0] < _DRIFT_SPAN_MIN_S:
             return
-        found, text = self._drift_of(_scaled(readings, self._factor))
+        found, text = self._drift_of(readings)
         missed = not found and self._drift_seen == "yaw" and not self._drift and not self._missed
         if not missed:  # of two likely paths, the fit may find the other one now and then
             self._drifting = self._drifting + 1 if found == self._drift_seen else 1
             self._drift_seen = found
         self._missed = missed
-        # A sector has been visited twice already, and may leave the window before the next judgement.
-        needed = 1 if found == "sector" else _DRIFT_FOUND_AFTER + 2 * (found == "yaw" and self._is_sudden)
+        needed = _DRIFT_FOUND_AFTER + 2 * (found == "yaw" and self._is_sudden)
         if found and not self._drift and self._drifting >= needed:
             self._drift, self._drift_fault = found, text
         elif self._drift and not found and self._drifting >= _DRIFT_CLEARED_AFTER:
@@ -1012,7 +1073,17 @@ class PayloadFit:
 
     def _drift_of(self, readings: Readings) -> tuple[str, str]:
         """Return what drifts, and the fault in words; both empty if nothing does."""
-        (sound, by_yaw, by_range, fit), eased = self._drift_fits(readings), 0.5 if self._drift else 1.0
+        eased, known = 0.5 if self._drift else 1.0, self.wrong_bearings
+        everywhere, right = readings, self._with_right_ranges(readings)
+        if right is None:
+            return "", ""
+        readings = right
+        sound, by_yaw, by_range, fit = self._drift_fits(readings)
+        if self._judge_bearings(readings, sound, fit, sound.cost - min(by_yaw.cost, by_range.cost)):
+            self.place = None
+            return "", ""
+        if known is not None:
+            self._clear_bearings(everywhere, fit)
         # Without an error that is there, the target moves more calmly; else it is the target that turned. A range
         # that drifts has the height as another witness.
         calm_m = max(sound.scale_m, _CALM_DRIFT_M)
@@ -1022,13 +1093,6 @@ class PayloadFit:
         level_m = readings.ranges[:, 1] * np.cos(down_rad)
         if by_range.shared[3] > _RANGE_SHARE_MAX * float(np.median(level_m)):
             by_range = sound
-        gain, sector = 0.0, ""
-        for whose, inside, middle_rad in _sectors(readings, bearing_rad, sound.off_m):
-            marked = np.column_stack((readings.ranges[:, :2], inside * level_m))
-            wrong = fit(5, readings._replace(ranges=marked), _SECTOR_SIGMA)
-            if sound.cost - wrong.cost > max(_SECTOR_EVIDENCE, gain) and abs(wrong.shared[5]) > _SECTOR_OFF:
-                gain, share = sound.cost - wrong.cost, 100.0 * float(wrong.shared[5])
-                sector = _SECTOR.format(share, math.degrees(middle_rad) % 360.0, whose)
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
         self._bound(
@@ -1039,9 +1103,6 @@ class PayloadFit:
         )
         best, error = (by_yaw, 2) if yaw_gain > range_gain else (by_range, 3)
         self.place = self._place(readings, best, error, bearing_rad, level_m) if best is not sound else None
-        if sector and gain > max(yaw_gain, range_gain):
-            self.place = None
-            return "sector", sector
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
         pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings, bearing_rad, down_rad)
@@ -1074,6 +1135,42 @@ class PayloadFit:
                 self._is_sudden &= yaw_gain < _BEYOND_DOUBT
                 return what, _DRIFTS[what].format(*numbers)
         return "", ""
+
+    def _judge_bearings(self, readings: Readings, sound: Fit, fit: Callable[..., Fit], gain: float) -> bool:
+        """Find bearings at which ranges are wrong; return whether there are new ones.
+
+        Args:
+            readings: with the ranges that are not left out.
+            sound: the best fit of these with constant errors.
+            fit: makes another one, see :meth:`_drift_fits`.
+            gain: the evidence of a drift, which has to be less.
+        """
+        known, found, gain, self._uneven = self.wrong_bearings, None, max(_WRONG_EVIDENCE, gain), False
+        for one, inside in _uneven_bearings(readings, sound.off_m):
+            self._uneven = True
+            if _visits(readings, inside) >= _VISITS:
+                wrong = fit(5, _marked(readings, inside), _WRONG_SIGMA)
+                if sound.cost - wrong.cost > gain and abs(wrong.shared[5]) > _WRONG_SHARE:
+                    gain, found = sound.cost - wrong.cost, one._replace(share=float(wrong.shared[5]))
+        if found is not None:
+            found = found if known is None else known.with_others(found)
+        if found is None or found == known:
+            return False
+        self.wrong_bearings, self._even_count, self.is_changed = found, 0, True
+        return True
+
+    def _clear_bearings(self, everywhere: Readings, fit: Callable[..., Fit]) -> None:
+        """Use all ranges again once those that are left out turn out to be right."""
+        assert self.wrong_bearings is not None
+        core, time_s = self.wrong_bearings, everywhere.ranges[:, 0]
+        core = core._replace(half_rad=core.half_rad - _EDGE_RAD)
+        inside = core.of(everywhere) & (time_s > time_s[-1] - _GROWS_S)
+        if _visits(everywhere, inside) < _VISITS:
+            return
+        gain = fit(0, everywhere).cost - fit(5, _marked(everywhere, inside), _WRONG_SIGMA).cost
+        self._even_count = 0 if gain > 0.5 * _WRONG_EVIDENCE else self._even_count + 1
+        if self._even_count >= _DRIFT_CLEARED_AFTER:
+            self.wrong_bearings, self.is_changed = None, True
 
     def _bound(self, readings: Readings, level_m: float, by_yaw: Fit | None, by_range: Fit | None) -> None:
         """Bound the error of the estimate by the drifts that are likely, though not yet certain."""
@@ -1147,7 +1244,7 @@ class PayloadFit:
         return self._sight_repeats.found or self._yaw_repeats.found
 
     def _settle(self) -> None:
-        before, by_laser = (self.laser_fault, self.gimbal_fault), self._drift in ("range", "sector")
+        before, by_laser = (self.laser_fault, self.gimbal_fault), self._drift == "range"
         self.laser_fault = _STUCK if self._is_stuck else self._unit_fault or (self._drift_fault if by_laser else "")
         frozen = _FROZEN if self._sight_repeats.found else _YAW_FROZEN if self._yaw_repeats.found else ""
         self.gimbal_fault = frozen or self._frame_fault or ("" if by_laser else self._drift_fault)
@@ -1225,24 +1322,43 @@ def _gain_of_freeing(found: Fit, sigmas: FloatArray, rate: int) -> float:
     return 0.5 * float(pull @ step + pull @ found.shared)
 
 
-def _sectors(
-    readings: Readings, bearing_rad: FloatArray, off_m: FloatArray
-) -> Iterator[tuple[str, npt.NDArray[np.bool_], float]]:
-    """Yield at which bearings alone the ranges may be off: from what, which ranges (n,), the middle of these rad."""
+def _noses_rad(readings: Readings) -> FloatArray:
+    """Return where the aircraft's nose pointed (n,) at the times of the ranges."""
+    noses_rad: FloatArray = np.interp(
+        readings.ranges[:, 0], readings.attitudes[:, 0], np.unwrap(readings.attitudes[:, 3])
+    )
+    return noses_rad
+
+
+def _visits(readings: Readings, inside: npt.NDArray[np.bool_]) -> int:
+    """Return how often the laser looked there: how many groups these ranges (n,) form in time."""
+    return int((np.diff(readings.ranges[inside, 0]) > _VISIT_S).sum()) + int(inside.any())
+
+
+def _marked(readings: Readings, inside: npt.NDArray[np.bool_]) -> Readings:
+    """Return readings some of whose ranges (n,) are wrong by a share."""
+    level_m = readings.ranges[:, 1] * np.cos(_looks(readings)[1])
+    return readings._replace(ranges=np.column_stack((readings.ranges[:, :2], inside * level_m)))
+
+
+def _uneven_bearings(readings: Readings, off_m: FloatArray) -> Iterator[tuple[WrongBearings, npt.NDArray[np.bool_]]]:
+    """Yield at which bearings the ranges may be wrong, with which these are (n,); off_m: their residuals (n,)."""
     time_s, slant_m, _ = readings.ranges.T
-    own_s, _, _, east_m_s, north_m_s = readings.positions.T
-    course_rad = np.interp(time_s, own_s, np.unwrap(np.arctan2(east_m_s, north_m_s)))
-    for whose, angle_rad in (("the nose", bearing_rad - course_rad), ("north", bearing_rad)):
-        bins = np.floor(np.mod(angle_rad, math.tau) / _SECTOR_RAD).astype(int)
-        often = np.flatnonzero(np.bincount(bins) >= _SECTOR_COUNT).tolist()
-        medians = {k: -float(np.median((off_m / slant_m)[bins == k])) for k in often}
-        if not medians or max(medians.values()) - min(medians.values()) < _SECTOR_OFF:
+    bearing_rad, _ = _looks(readings)
+    of = (True, False) if len(readings.attitudes) else (False,)
+    for from_nose, lately_s in itertools.product(of, (_DRIFT_S, _GROWS_S)):
+        angle_rad = bearing_rad - _noses_rad(readings) if from_nose else bearing_rad
+        bins, lately = np.floor(np.mod(angle_rad, math.tau) / _BIN_RAD).astype(int), time_s > time_s[-1] - lately_s
+        often = np.flatnonzero(np.bincount(bins[lately]) >= _BIN_COUNT).tolist()
+        medians = {k: -float(np.median((off_m / slant_m)[lately & (bins == k)])) for k in often}
+        if not medians or max(medians.values()) - min(medians.values()) < _WRONG_SHARE:
             continue
         middle = 0.5 * (max(medians.values()) + min(medians.values()))
         wrong = [k for k, value in medians.items() if (value > middle) is (middle > 0.0)]
-        inside = np.isin(bins, wrong)
-        if (np.diff(time_s[inside]) > _VISIT_S).sum() + 1 >= _SECTOR_VISITS:
-            yield whose, inside, cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _SECTOR_RAD) for k in wrong))
+        middle_rad = cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _BIN_RAD) for k in wrong))
+        half_rad = max(abs(wrap_rad((k + 0.5) * _BIN_RAD - middle_rad)) for k in wrong) + 0.5 * _BIN_RAD + _EDGE_RAD
+        if half_rad <= _HALF_MAX_RAD:
+            yield WrongBearings(from_nose, middle_rad, half_rad, middle), lately & np.isin(bins, wrong)
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:

@@ -38,7 +38,7 @@ from sidelong.estimators.sensing.sighting import (
     line_of_sight,
 )
 from sidelong.estimators.settings import SourceChoice, TrackerSettings
-from sidelong.estimators.tracking.payload_fit import PayloadFit
+from sidelong.estimators.tracking.payload_fit import PayloadFit, WrongBearings
 from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 from sidelong.estimators.tracking.track import Track
 
@@ -71,6 +71,7 @@ class Pairing:
         self._poses = poses
         self.gimbal_delay_s, self.range_delay_s = settings.latencies_s
         self.range_factor = 1.0
+        self.wrong_bearings: WrongBearings | None = None  # at which lines of sight go without their ranges
         self._gimbals: ReadingHistory[GimbalReading] = ReadingHistory(_SPAN_S)
         self._ranges: ReadingHistory[RangeReading] = ReadingHistory(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
@@ -172,9 +173,14 @@ class Pairing:
         sight = line_of_sight(gimbal, attitude, self.parent_from_mount)
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
+        has_range = reading is not None
         if reading is not None:
             range_m = self.range_factor * reading.slant_range_m
             range_sigma_m = reading.sigma_m or settings.range_sigma_m
+            if self.wrong_bearings is not None:
+                attitude = attitude or self._poses.attitude_at(time_s)
+                if self.wrong_bearings.hold(sight.bearing_rad, attitude):
+                    has_range, range_sigma_m = False, _UNKNOWN_M
         elif self.ground is not None:
             level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
             if level_m is None:
@@ -199,7 +205,7 @@ class Pairing:
             math.hypot(pitch_rad, attitude_sigma_rad, position_m / range_m),
             *aircraft_m,
             quality=None if reading is None else reading.quality,
-            has_range=reading is not None,
+            has_range=has_range,
         )
 
 
@@ -268,7 +274,8 @@ class Tracker:
         if self._pairing.waiting or self._pairing.alone:
             sightings += self._pairing.completed()
             for sighting in sightings:  # ends of lines of sight on the ground take the place of ranges
-                if isinstance(sighting, Sighting) and not sighting.has_range:
+                at_all_bearings = self._pairing.wrong_bearings is None
+                if isinstance(sighting, Sighting) and not sighting.has_range and at_all_bearings:
                     self.payload.ground_range(sighting.time_s + self._pairing.gimbal_delay_s, sighting.slant_range_m)
         if not sightings:
             return ()
@@ -286,6 +293,9 @@ class Tracker:
             if None not in self._devices:
                 self._set_delays(self._delays_of.get(devices))
             self._devices = devices
+        if payload.wrong_bearings is not self._pairing.wrong_bearings:
+            self._pairing.wrong_bearings = payload.wrong_bearings
+            self._restart(Biases.prior(self._settings), now_s, large=True)
         faulty = bool(payload.laser_fault or payload.gimbal_fault)
         if faulty is not self._suspected:
             self._suspected = faulty

@@ -17,6 +17,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.sensing.sighting import AnySighting, Sighting, SightingOutcome
+from sidelong.estimators.tracking.payload_fit import WrongBearings
 from sidelong.estimators.tracking.track import RESTARTED
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Announce
@@ -52,10 +53,12 @@ class PayloadNews:
         self._delays_s = tracker.latencies_s  # as announced
         self._range = 1.0, 0.0
         self._yaw_rad, self._yaw_since_s, self._turns = 0.0, math.inf, 0
+        self._wrong_bearings: WrongBearings | None = None
 
     def announce(self, time_s: float) -> tuple[Announce, ...]:
         """Return announcements of the errors that differ clearly from those announced last."""
         texts = [*self._of_delays(self._tracker.delays), *self._of_yaw(time_s), *self._of_range()]
+        texts += self._of_bearings(self._tracker.payload.wrong_bearings)
         return tuple(Announce(time_s, "sensor", text) for text in texts)
 
     def _of_delays(self, delays: Delays | None) -> tuple[str, ...]:
@@ -98,6 +101,15 @@ class PayloadNews:
             errors.append(f"are off by about {bias_m:+.0f} m")
         text = " and ".join(errors) + ", and corrected: check its unit and its mounting, and the gimbal's pitch"
         return (f"the laser's ranges {text if errors else 'need no correction any more'}",)
+
+    def _of_bearings(self, wrong: WrongBearings | None) -> tuple[str, ...]:
+        before, self._wrong_bearings = self._wrong_bearings, wrong
+        if (wrong is None) is (before is None):
+            return ()
+        text = "are right at all bearings again"
+        if wrong is not None:
+            text = f"are {wrong}, and left out there: check its window and what is in its path"
+        return (f"the laser's ranges {text}",)
 
 
 @dataclass(frozen=True, eq=False)
