@@ -164,6 +164,7 @@ _LAST = 5  # readings: the median place of these
 # Ranges that are wrong at some bearings.
 _BIN_RAD, _BIN_COUNT, _VISITS, _VISIT_S = math.radians(15.0), 4, 2, 5.0
 _WRONG_SHARE, _WRONG_SIGMA, _WRONG_EVIDENCE = 0.06, 0.05, 60.0  # shares of the range
+_RIGHT_SHARE = 0.3  # how far off the ground right ranges are, of what the wrong ones are
 _EDGE_RAD, _HALF_MAX_RAD = math.radians(15.0), math.radians(80.0)  # left out beyond what is known; at most
 
 _NO_ATTITUDE = 4 * (math.nan,)
@@ -208,14 +209,14 @@ class WrongBearings(NamedTuple):
         return within
 
     def with_others(self, other: WrongBearings) -> WrongBearings:
-        """Return all bearings from the one end to the other; relative to something else, none are added."""
+        """Return all bearings from the one end to the other; those known first were relative to something else."""
+        if self.from_nose is not other.from_nose:
+            return other
         at_rad = wrap_rad(other.middle_rad - self.middle_rad)
-        first_rad, last_rad = (
-            min(-self.half_rad, at_rad - other.half_rad),
-            max(self.half_rad, at_rad + other.half_rad),
-        )
+        first_rad = min(-self.half_rad, at_rad - other.half_rad)
+        last_rad = max(self.half_rad, at_rad + other.half_rad)
         half_rad = 0.5 * (last_rad - first_rad)
-        if self.from_nose is not other.from_nose or half_rad > _HALF_MAX_RAD:
+        if half_rad > _HALF_MAX_RAD:
             return self
         return self._replace(middle_rad=self.middle_rad + 0.5 * (first_rad + last_rad), half_rad=half_rad)
 
@@ -958,7 +959,7 @@ class PayloadFit:
         elif not self._on_ground:
             other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
             tried.append((other, fit(other, sound.shared)))
-            pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings, *_looks(readings))
+            pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings)
             by_heights_m = pitch_rad / pitch_of_range_rad_m  # the error of the ranges, if the pitch has none
             if abs(by_heights_m) > _RANGE_MIN_M:
                 tried.append((1.0, fit(1.0, np.array([0.0, 0.0, 0.0, by_heights_m, 0.0, 0.0]))))
@@ -1105,7 +1106,7 @@ class PayloadFit:
         self.place = self._place(readings, best, error, bearing_rad, level_m) if best is not sound else None
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return "", ""
-        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings, bearing_rad, down_rad)
+        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings)
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
@@ -1146,12 +1147,11 @@ class PayloadFit:
             gain: the evidence of a drift, which has to be less.
         """
         known, found, gain, self._uneven = self.wrong_bearings, None, max(_WRONG_EVIDENCE, gain), False
-        for one, inside in _uneven_bearings(readings, sound.off_m):
+        for one, inside in _uneven_bearings(readings, sound.off_m, self._over_ground_m(readings)):
             self._uneven = True
-            if _visits(readings, inside) >= _VISITS:
-                wrong = fit(5, _marked(readings, inside), _WRONG_SIGMA)
-                if sound.cost - wrong.cost > gain and abs(wrong.shared[5]) > _WRONG_SHARE:
-                    gain, found = sound.cost - wrong.cost, one._replace(share=float(wrong.shared[5]))
+            wrong = fit(5, _marked(readings, inside), _WRONG_SIGMA)
+            if sound.cost - wrong.cost > gain and abs(wrong.shared[5]) > _WRONG_SHARE:
+                gain, found = sound.cost - wrong.cost, one._replace(share=float(wrong.shared[5]))
         if found is not None:
             found = found if known is None else known.with_others(found)
         if found is None or found == known:
@@ -1208,26 +1208,31 @@ class PayloadFit:
         bound_m = off_m + rate_m_s * max(time_s - self._wander_s, 0.0)
         return bound_m if bound_m > _WANDER_MIN_M else 0.0
 
-    def _pitch_drift(self, readings: Readings, bearing_rad: FloatArray, down_rad: FloatArray) -> tuple[float, ...]:
+    def _over_ground_m(self, readings: Readings) -> FloatArray:
+        """Return how far above its ground each range (n,) puts the target; NaN where that is not known."""
+        time_s, slant_m, _ = readings.ranges.T
+        rows, (bearing_rad, down_rad) = self._since(time_s[0] - _GAP_MAX_S), _looks(readings)
+        over_m: FloatArray = np.interp(time_s, rows[:, 1], rows[:, 6]) - slant_m * np.sin(down_rad)
+        if self.ground is not None:
+            level_m = slant_m * np.cos(down_rad)
+            east_m, north_m = (
+                np.interp(time_s, readings.positions[:, 0], readings.positions[:, k]) + level_m * way(bearing_rad)
+                for k, way in ((1, np.sin), (2, np.cos))
+            )
+            over_m -= list(map(self.ground, east_m.tolist(), north_m.tolist()))
+        return over_m
+
+    def _pitch_drift(self, readings: Readings) -> tuple[float, ...]:
         """Return the pitch error at the end, its change, and what a metre of range error looks like, by heights.
 
         All are NaN where less than half of the ground is known.
         """
         time_s, slant_m, _ = readings.ranges.T
-        rows = self._since(time_s[0] - _GAP_MAX_S)
-        level_m = slant_m * np.cos(down_rad)
-        off_m = np.interp(time_s, rows[:, 1], rows[:, 6]) - slant_m * np.sin(down_rad)
+        _, down_rad = _looks(readings)
         length = len(time_s) // _BLOCKS
         blocks = np.arange(len(time_s) - _BLOCKS * length, len(time_s)).reshape(_BLOCKS, length)
-        off, level = np.median(off_m[blocks], axis=1), np.median(level_m[blocks], axis=1)
-        if self.ground is not None:
-            at = blocks[:, length // 2]
-            east_m, north_m = (
-                np.interp(time_s[at], readings.positions[:, 0], readings.positions[:, k])
-                + level_m[at] * way(bearing_rad[at])
-                for k, way in ((1, np.sin), (2, np.cos))
-            )
-            off -= list(map(self.ground, east_m.tolist(), north_m.tolist()))
+        off = np.median(self._over_ground_m(readings)[blocks], axis=1)
+        level = np.median((slant_m * np.cos(down_rad))[blocks], axis=1)
         known = ~np.isnan(off)
         if 2 * known.sum() < _BLOCKS:
             return math.nan, math.nan, math.nan
@@ -1341,24 +1346,41 @@ def _marked(readings: Readings, inside: npt.NDArray[np.bool_]) -> Readings:
     return readings._replace(ranges=np.column_stack((readings.ranges[:, :2], inside * level_m)))
 
 
-def _uneven_bearings(readings: Readings, off_m: FloatArray) -> Iterator[tuple[WrongBearings, npt.NDArray[np.bool_]]]:
-    """Yield at which bearings the ranges may be wrong, with which these are (n,); off_m: their residuals (n,)."""
+def _uneven_bearings(
+    readings: Readings, off_m: FloatArray, over_m: FloatArray
+) -> Iterator[tuple[WrongBearings, npt.NDArray[np.bool_]]]:
+    """Yield at which bearings the ranges may be wrong, with which these are (n,).
+
+    By motion they have to be looked at twice: a target that turns looks like it once. By heights once is enough.
+
+    Args:
+        readings: of which the ranges are looked at.
+        off_m: residuals of these, by the target's motion (n,).
+        over_m: how far above its ground they put the target (n,); NaN where that is not known.
+    """
     time_s, slant_m, _ = readings.ranges.T
-    bearing_rad, _ = _looks(readings)
+    bearing_rad, down_rad = _looks(readings)
+    too_long = -over_m / (slant_m * np.sin(down_rad))
     of = (True, False) if len(readings.attitudes) else (False,)
-    for from_nose, lately_s in itertools.product(of, (_DRIFT_S, _GROWS_S)):
+    for from_nose, lately_s, by_height in itertools.product(of, (_DRIFT_S, _GROWS_S), (False, True)):
+        share = too_long if by_height else -off_m / slant_m
         angle_rad = bearing_rad - _noses_rad(readings) if from_nose else bearing_rad
         bins, lately = np.floor(np.mod(angle_rad, math.tau) / _BIN_RAD).astype(int), time_s > time_s[-1] - lately_s
         often = np.flatnonzero(np.bincount(bins[lately]) >= _BIN_COUNT).tolist()
-        medians = {k: -float(np.median((off_m / slant_m)[lately & (bins == k)])) for k in often}
-        if not medians or max(medians.values()) - min(medians.values()) < _WRONG_SHARE:
+        medians = {k: float(np.median(share[lately & (bins == k)])) for k in often}
+        if not medians or not max(medians.values()) - min(medians.values()) >= _WRONG_SHARE:
             continue
         middle = 0.5 * (max(medians.values()) + min(medians.values()))
-        wrong = [k for k, value in medians.items() if (value > middle) is (middle > 0.0)]
+        sides = [[k for k, one in medians.items() if (one > middle) is is_long] for is_long in (True, False)]
+        long, short = (abs(float(np.median(too_long[lately & np.isin(bins, side)]))) for side in sides)
+        heights_know = min(long, short) < _RIGHT_SHARE * max(long, short)
+        # Motion shows that they differ, heights which of them are right; else most are, by the fit.
+        wrong = sides[0] if (long > short if heights_know else middle > 0.0) else sides[1]
+        inside, visits = lately & np.isin(bins, wrong), 1 if by_height and heights_know else _VISITS
         middle_rad = cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _BIN_RAD) for k in wrong))
         half_rad = max(abs(wrap_rad((k + 0.5) * _BIN_RAD - middle_rad)) for k in wrong) + 0.5 * _BIN_RAD + _EDGE_RAD
-        if half_rad <= _HALF_MAX_RAD:
-            yield WrongBearings(from_nose, middle_rad, half_rad, middle), lately & np.isin(bins, wrong)
+        if half_rad <= _HALF_MAX_RAD and _visits(readings, inside) >= visits:
+            yield WrongBearings(from_nose, middle_rad, half_rad, middle), inside
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:
