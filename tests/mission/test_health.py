@@ -554,17 +554,11 @@ DRIFTS = {  # the time within which they are reported
     "range, -0.3 m/s": (lengthening(0.3, -90.0), Input.LASER, "its ranges drift", 140.0),
     "pitch, 0.1 degrees/s": (pitching(0.1, 15.0), Input.GIMBAL, "its pitch drifts", 125.0),
     "height, 0.3 m/s": (rising(0.3, 60.0), Input.GIMBAL, "the aircraft's height drifts", 165.0),
-    "ranges of some bearings": (
-        wrong_at(-90.0, 60.0, 1.15, of_nose=True),
-        Input.LASER,
-        "its ranges are off by",
-        110.0,
-    ),
 }
 
 
 @pytest.mark.parametrize("name", DRIFTS)
-def test_error_that_drifts_or_depends_on_the_bearing_is_named(name):
+def test_error_that_drifts_is_named(name):
     change, input_, words, within_s = DRIFTS[name]
     flown = FaultedFlight(Scenario(1, "px4", 220.0), [Fault(name, BEGIN_S, math.inf, change)]).fly()
     found_s, text = next(
@@ -575,6 +569,25 @@ def test_error_that_drifts_or_depends_on_the_bearing_is_named(name):
     assert words in text
     assert BEGIN_S < found_s <= BEGIN_S + within_s
     assert min(flown.range_m) > 80.0
+
+
+@pytest.mark.parametrize(("of_nose", "centre_deg"), [(True, -90.0), (False, 90.0)])
+def test_ranges_that_are_wrong_at_some_bearings_are_left_out_there(of_nose, centre_deg):
+    """Until then they seem to be of another object; with all ranges the estimate errs by 40 m there."""
+    change = wrong_at(centre_deg, 60.0, 1.15, of_nose=of_nose)
+    flight = FaultedFlight(Scenario(3, "arduplane", 260.0), [Fault("window", BEGIN_S, math.inf, change)])
+    errors_m, left_out = [], 0
+    while flight.simulated.time_s < 259.9:
+        flight.step()
+        truth, estimate = flight.simulated.target.at(flight.simulated.time_s), flight.controller.estimate
+        if estimate is not None and flight.simulated.time_s > BEGIN_S + 80.0:
+            errors_m.append(math.hypot(estimate.east_m - truth.east_m, estimate.north_m - truth.north_m))
+            left_out += flight.controller.tracker.payload.wrong_bearings is not None
+    (found_s, text), *_ = [one for one in flight.flown.announced if one[1].startswith("the laser's ranges")]
+    assert BEGIN_S < found_s < BEGIN_S + 80.0
+    assert f"to the right of {'the nose' if of_nose else 'north'}, and left out there" in text
+    assert left_out == len(errors_m)
+    assert np.quantile(errors_m, 0.95) < 10.0
 
 
 def test_a_drift_counts_as_unknown_near_the_edge_of_the_band_before_it_is_certain():
