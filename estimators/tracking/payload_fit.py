@@ -543,7 +543,7 @@ class PayloadFit:
             self._samples.clear()
         if now_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = now_s
-            if not self._samples or now_s - self._samples[-1].time_s < _JUDGE_EVERY_S:
+            if self.wrong_bearings is None or (self._samples and now_s - self._samples[-1].time_s < _JUDGE_EVERY_S):
                 self._judge(gimbal.frame)
             if self._fits_errors and is_sound and not (self._frame_fault or self._unit_fault):
                 self._judge_errors(now_s)
@@ -1150,8 +1150,14 @@ class PayloadFit:
         for one, inside in _uneven_bearings(readings, sound.off_m, self._over_ground_m(readings)):
             self._uneven = True
             wrong = fit(5, _marked(readings, inside), _WRONG_SIGMA)
-            if sound.cost - wrong.cost > gain and abs(wrong.shared[5]) > _WRONG_SHARE:
-                gain, found = sound.cost - wrong.cost, one._replace(share=float(wrong.shared[5]))
+            if (
+                sound.cost - wrong.cost > gain and wrong.scale_m < sound.scale_m
+            ):  # it may have ended in a lesser minimum
+                sound = min(sound, fit(0, readings, scale_m=wrong.scale_m), key=_cost)
+            share, by_height = float(wrong.shared[5]), one.share
+            agree = math.isnan(by_height) or abs(share - by_height) < 0.5 * abs(by_height)
+            if sound.cost - wrong.cost > gain and abs(share) > _WRONG_SHARE and agree:
+                gain, found = sound.cost - wrong.cost, one._replace(share=share)
         if found is not None:
             found = found if known is None else known.with_others(found)
         if found is None or found == known:
@@ -1351,7 +1357,8 @@ def _uneven_bearings(
 ) -> Iterator[tuple[WrongBearings, npt.NDArray[np.bool_]]]:
     """Yield at which bearings the ranges may be wrong, with which these are (n,).
 
-    By motion they have to be looked at twice: a target that turns looks like it once. By heights once is enough.
+    By motion they have to be looked at twice: a target that turns looks like it once. By heights once is enough; the
+    share is what these show, else NaN.
 
     Args:
         readings: of which the ranges are looked at.
@@ -1362,8 +1369,8 @@ def _uneven_bearings(
     bearing_rad, down_rad = _looks(readings)
     too_long = -over_m / (slant_m * np.sin(down_rad))
     of = (True, False) if len(readings.attitudes) else (False,)
-    for from_nose, lately_s, by_height in itertools.product(of, (_DRIFT_S, _GROWS_S), (False, True)):
-        share = too_long if by_height else -off_m / slant_m
+    for from_nose, lately_s, of_height in itertools.product(of, (_DRIFT_S, _GROWS_S), (False, True)):
+        share = too_long if of_height else -off_m / slant_m
         angle_rad = bearing_rad - _noses_rad(readings) if from_nose else bearing_rad
         bins, lately = np.floor(np.mod(angle_rad, math.tau) / _BIN_RAD).astype(int), time_s > time_s[-1] - lately_s
         often = np.flatnonzero(np.bincount(bins[lately]) >= _BIN_COUNT).tolist()
@@ -1376,11 +1383,12 @@ def _uneven_bearings(
         heights_know = min(long, short) < _RIGHT_SHARE * max(long, short)
         # Motion shows that they differ, heights which of them are right; else most are, by the fit.
         wrong = sides[0] if (long > short if heights_know else middle > 0.0) else sides[1]
-        inside, visits = lately & np.isin(bins, wrong), 1 if by_height and heights_know else _VISITS
+        inside, visits = lately & np.isin(bins, wrong), 1 if of_height and heights_know else _VISITS
         middle_rad = cmath.phase(sum(cmath.rect(1.0, (k + 0.5) * _BIN_RAD) for k in wrong))
         half_rad = max(abs(wrap_rad((k + 0.5) * _BIN_RAD - middle_rad)) for k in wrong) + 0.5 * _BIN_RAD + _EDGE_RAD
         if half_rad <= _HALF_MAX_RAD and _visits(readings, inside) >= visits:
-            yield WrongBearings(from_nose, middle_rad, half_rad, middle), inside
+            by_height = float(np.median(too_long[inside])) if visits == 1 else math.nan
+            yield WrongBearings(from_nose, middle_rad, half_rad, by_height), inside
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:
