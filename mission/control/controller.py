@@ -121,6 +121,7 @@ _UNSEEN = "the target is not seen"
 _ELSEWHERE = "the target may not be where it is seen"
 _LATE = "the aircraft may not follow that path closely"
 _BEFORE_M = 10.0  # within which the target was before it moved too fast
+_EXPLAINED_M = 50.0  # beyond where the target can be, a correction does not explain why it seems to have jumped
 _TOO_FAST = "the payload may follow another object: it moves faster than the target can"
 _GIMBAL_SILENT_S = 4.0  # the same while the gimbal is silent: more than a gap of the laser
 _SENSED = frozenset((AttitudeReading, RangeReading, GimbalReading, TargetFixReading))
@@ -424,8 +425,10 @@ class StandoffController:
         """Return what is new of whether the payload follows another object."""
         if self.tracker.corrections != self._corrections:  # the target was elsewhere, and did not move
             self._corrections = self.tracker.corrections
-            self._object.explain("an error of the payload was found")
             self.envelope.forget_target()
+            seen, left = self.tracker.estimate(self.time_s), self._object.left(self.time_s)
+            if left is None or (seen is not None and left.holds(seen.east_m, seen.north_m, _EXPLAINED_M)):
+                self._object.explain("an error of the payload was found")
         before_s, east_m, north_m = self.envelope.target_before
         if Input.SPEED in self.envelope.faults and math.isfinite(before_s):
             before = Reach(east_m, north_m, _BEFORE_M, self.settings.requirement.target_speed_max_m_s)
@@ -479,12 +482,13 @@ class StandoffController:
             if away or fault or target.quality is TrackQuality.GOOD:
                 return away
         elif self._object.reason:
-            # What is seen may be another object: that and the target are kept clear, but for a shadow.
+            # What is seen may be another object: that and the target are kept clear, but for a shadow. What moves
+            # faster than the target can is not watched: by a wrong yaw it circles with the aircraft.
             is_shadow, left = self._object.is_shadow, self._object.left(self.time_s)
             seen = None if is_shadow else self._seen(target)
             others = [one for one in (seen, left) if one is not None]
             away = self._hold_away(aircraft, present, others[0], "what is seen may be another object", others[1:])
-            if away or is_shadow:
+            if away or is_shadow or Input.SPEED in self.envelope.faults:
                 return away
             reach = left
         return self._planned(aircraft, target, present, reach)

@@ -263,7 +263,8 @@ class AnotherObject:
             return
         step_m, known = math.dist(left_m, now_m), self.left(now_s)
         is_back = known is not None and math.dist((known.east_m, known.north_m), now_m) < known.radius_m + _STEP_M
-        self._left = left_s, Reach(*left_m, 2.0 * sigma_m, speed_m_s)
+        if known is None or is_back:  # else it is still where it was seen before the first doubt
+            self._left = left_s, Reach(*left_m, 2.0 * sigma_m, speed_m_s)
         verb = "jumped back" if is_back else "jumped"
         reason = f"the payload may follow another object: what it sees {verb} by {step_m:.0f} m"
         self.suspect(lately[-1].time_s, reason)

@@ -203,6 +203,10 @@ class Reach:
             path_m = min(path_m, abs(centre_m - circle.radius_m) - grown_m)
         return path_m
 
+    def holds(self, east_m: float, north_m: float, beyond_m: float) -> bool:
+        """Return whether a place is in the disk, or at most so far beyond it."""
+        return math.hypot(east_m - self.east_m, north_m - self.north_m) <= self.radius_m + beyond_m
+
     def after(self, seconds: float) -> Reach:
         """Return the disk some seconds later."""
         east_m, north_m = (speed_m_s * seconds for speed_m_s in self.velocity_m_s)
