@@ -17,12 +17,13 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.devices import Address, DevicePort, device_of
 from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, PayloadSettings, Settings
-from sidelong.sitl.simulation import target_motion
+from sidelong.sitl.simulation import target_motion, target_motions
 from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.hills import HillsError
 from sidelong.sitl.world.motion import SharedTarget
@@ -79,6 +80,7 @@ def run_of(own: Settings, binary: Path, folder: Path, instance: int, speed: floa
         if wind != _CALM:
             from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s)) % 360.0
             text += f"SIM_WIND_SPD {math.hypot(wind.east_m_s, wind.north_m_s):g}\nSIM_WIND_DIR {from_deg:g}\n"
+        text += "MNT1_TYPE 6\n" if own.camera is not None else ""  # a MAVLink gimbal
         parameters_file.write_text(text)
         command += ["--defaults", ",".join([*files, str(parameters_file)])]
         port = _ARDUPLANE_TCP + 10 * instance
@@ -89,6 +91,8 @@ def run_of(own: Settings, binary: Path, folder: Path, instance: int, speed: floa
     environment = {"PX4_SIM_MODEL": "sihsim_airplane", "PX4_SIMULATOR": "sihsim"}
     environment["PX4_SIM_SPEED_FACTOR"] = f"{speed:g}"
     parameters = {"SIM_BAT_DRAIN": f"{own.endurance_s:g}", "SIM_BAT_MIN_PCT": "0"}
+    if own.camera is not None:  # commanded and turned by version 2 of the gimbal protocol
+        parameters |= {"MNT_MODE_IN": "4", "MNT_MODE_OUT": "2"}
     if wind != _CALM:  # by where it comes from
         parameters["SIH_WIND_N"], parameters["SIH_WIND_E"] = f"{-wind.north_m_s:.3f}", f"{-wind.east_m_s:.3f}"
     if _takes_parameters_from_the_environment(start_files):
@@ -210,7 +214,14 @@ def companions_of(settings: Sequence[Settings], vehicle_id: int | None) -> list[
     companions = []
     for vehicle in settings:
         payload, seen = vehicle.payload or PayloadSettings(), shared.seen_from(vehicle.home_east_m)
-        companions.append(Companion(payload, seen, vehicle.seed, vehicle.terrain, vehicle_id, device_of(vehicle)))
+        camera = None
+        if vehicle.camera is not None:
+            from sidelong.sitl.payload.camera import camera_of  # noqa: PLC0415  # PyAV and OpenCV
+
+            path = target_motions(vehicle.targets, first.seed, vehicle.home_east_m)[0]
+            camera = partial(camera_of, vehicle.camera, path, seed=vehicle.seed)
+        of_payload = payload, seen, vehicle.seed, vehicle.terrain, vehicle_id, device_of(vehicle), camera
+        companions.append(Companion(*of_payload))
     return companions
 
 

@@ -36,7 +36,6 @@ _SILENT_S = 60.0  # of the stations' clock: after this silence, a station that w
 _EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
-_PATH_S = 3600.0  # of the target, along which the rendered world is furnished
 
 
 class Simulation(Wired):
@@ -113,17 +112,12 @@ class Simulation(Wired):
         self.vehicle.set_mode(self.vehicle.taken_over_mode)
 
     def _camera(self, settings: Settings, seed: int) -> GimbalCamera:
-        from sidelong.sitl.payload.camera import GimbalCamera, VideoServer  # noqa: PLC0415  # PyAV and OpenCV
-        from sidelong.sitl.world.picture import Scenery  # noqa: PLC0415
+        from sidelong.sitl.payload.camera import camera_of  # noqa: PLC0415  # PyAV and OpenCV
 
-        own, motion = settings.camera, target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
-        assert own is not None
-        path_m = np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)])
-        scenery = Scenery(path_m, self.hills.height_m, seed, trees=own.trees, lookalikes=own.lookalikes)
-        camera = GimbalCamera(own, scenery)
+        motion = target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
+        assert settings.camera is not None
+        camera = camera_of(settings.camera, motion, self.hills.height_m, seed)
         self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = camera.on_command
-        if own.url:
-            camera.on_picture = VideoServer(own.url, own).put
         return camera
 
     def _step(self) -> None:

@@ -34,6 +34,8 @@ _POINT_EVERY_S, _REPORT_EVERY_S = 0.1, 0.4  # a tracker's error lasts for second
 _CLICK_ABOVE_M = 40.0
 _MEGABYTE = 1e6
 _ELLIPSE_CORNERS = 32
+_CLAIMS = 10  # of the gimbal, with the first commands of a tracking: an operator who claims it later keeps it
+_UNCHANGED, _RELEASED = (-1, -1), (-3, -3, -1, -1)  # who controls a gimbal, and who is second
 
 Point = Callable[[float, float], object]
 """Points the gimbal of a payload with a driver: pitch, and yaw relative to the aircraft's heading, rad."""
@@ -124,7 +126,7 @@ class CameraRunner:
         self._marks = None if self._record is None else self._record.with_suffix(".jsonl").open("wb")
         self._height_m, self._heading_rad = 0.0, math.nan
         self._point_s = self._report_s = self._stamped_s = -math.inf
-        self._state = "idle"
+        self._state, self._claims = "idle", _CLAIMS
         self._fault: Exception | None = None
 
     def stepped(self, event: object, _outputs: object) -> None:
@@ -255,6 +257,9 @@ class CameraRunner:
         if now_s >= self._point_s:
             vehicle_s = self._timeline.vehicle_s(now_s)
             wanted = None if vehicle_s is None else self.camera.pointing(vehicle_s)
+            if wanted is None and self._claims < _CLAIMS:
+                self._claims = _CLAIMS
+                self._command(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, *_RELEASED)
             if wanted is not None:
                 self._point_s = now_s + _POINT_EVERY_S
                 self._turn(*wanted)
@@ -264,15 +269,17 @@ class CameraRunner:
             if math.isfinite(self._heading_rad):
                 self._point(pitch_rad, math.remainder(yaw_rad - self._heading_rad, math.tau))
             return
-        fields = {
-            "command": int(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW),
-            "param1": math.degrees(pitch_rad),
-            "param2": math.degrees(math.remainder(yaw_rad, math.tau)),
-            "param3": math.nan,
-            "param4": math.nan,
-            "param5": float(mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK),
-        }
-        self._send(("COMMAND_LONG", fields))
+        if self._claims:
+            self._claims -= 1
+            own = self._vehicle.system_id, CAMERA_COMPONENT
+            self._command(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, *own, *_UNCHANGED)
+        angles_deg = math.degrees(pitch_rad), math.degrees(math.remainder(yaw_rad, math.tau))
+        flags = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+        self._command(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, *angles_deg, math.nan, math.nan, flags)
+
+    def _command(self, command: int, *params: float) -> None:
+        numbered = {f"param{number}": float(value) for number, value in enumerate(params, 1)}
+        self._send(("COMMAND_LONG", {"command": int(command), **numbered}))
 
     def _send(self, sent: Sent) -> None:
         self._transmit(self._packer.frame(*sent, self._vehicle.system_id))

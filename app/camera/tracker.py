@@ -228,6 +228,8 @@ class _Candidate:
 
         What stands jumps when the gimbal turns quickly: the speed is not higher than over all that was seen of it.
         """
+        if not self.seen:
+            return None
         end_s, east_m, north_m = self.latest
         past = [one for one in self.seen if one[0] <= end_s - over_s]
         return min(

@@ -14,15 +14,18 @@ from queue import Full, Queue
 from typing import Any
 
 import av
+import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, Command
 from sidelong.sitl.settings import CameraSettings
 from sidelong.sitl.world.airframe import SimulatedAirframe, quaternion
+from sidelong.sitl.world.motion import Motion
 from sidelong.sitl.world.picture import CameraPose, Image, Scenery
 
 _LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
 _PITCH_RAD = (-0.5 * math.pi, math.radians(30.0))
+_PATH_S = 3600.0  # of the target, along which the rendered world is furnished
 _LOCKED = (
     mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
     | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
@@ -58,6 +61,14 @@ class GimbalCamera:
         else:
             return DENIED
         return ACCEPTED
+
+    def on_set_attitude(self, message: Any) -> None:
+        """Take GIMBAL_DEVICE_SET_ATTITUDE of a gimbal manager; one with rates alone is left."""
+        w, x, y, z = message.q
+        if math.isfinite(w):
+            pitch_rad = math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0))
+            yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+            self.point(pitch_rad, yaw_rad, is_of_earth=bool(message.flags & mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK))
 
     def point(self, pitch_rad: float, yaw_rad: float, *, is_of_earth: bool) -> None:
         """Turn there; yaw is clockwise from north, or from the aircraft's nose."""
@@ -106,9 +117,29 @@ class GimbalCamera:
             0, 0, boot_ms, _LOCKED, turned, *(math.nan,) * 3, 0
         )
 
+    def information(self, boot_ms: int) -> Any:
+        """Return GIMBAL_DEVICE_INFORMATION, without which a gimbal manager does not command it."""
+        names = (b"sidelong", b"simulated gimbal", b"")
+        limit_rad = math.radians(self.settings.pan_limit_deg)
+        return mavlink.MAVLink_gimbal_device_information_message(
+            boot_ms, *names, 0, 0, 0, 0, 0, 0.0, 0.0, *_PITCH_RAD, -limit_rad, limit_rad
+        )
+
     def _rate_rad_s(self, off_rad: float) -> float:
         rate_rad_s, limit_rad_s = off_rad / self.settings.lag_s, math.radians(self.settings.rate_deg_s)
         return min(max(rate_rad_s, -limit_rad_s), limit_rad_s)
+
+
+def camera_of(
+    settings: CameraSettings, motion: Motion, height_m: Callable[[float, float], float], seed: int
+) -> GimbalCamera:
+    """Return a camera over a world that is furnished along a target's motion, and serve its pictures."""
+    path_m = np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)])
+    scenery = Scenery(path_m, height_m, seed, trees=settings.trees, lookalikes=settings.lookalikes)
+    camera = GimbalCamera(settings, scenery)
+    if settings.url:
+        camera.on_picture = VideoServer(settings.url, settings).put
+    return camera
 
 
 class VideoServer:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pymavlink import mavutil
@@ -20,10 +20,14 @@ from sidelong.sitl.payload.devices import Device, Wired
 from sidelong.sitl.payload.payload import PERIOD_S, Measurement, SimulatedPayload, TargetGeometry
 from sidelong.sitl.protocol.radio import signing_time
 from sidelong.sitl.settings import PayloadSettings
+from sidelong.sitl.world.airframe import AirframeParameters, SimulatedAirframe, WindVector
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills
 from sidelong.sitl.world.motion import Motion
 from sidelong.sitl.world.truth import TruthRow
+
+if TYPE_CHECKING:
+    from sidelong.sitl.payload.camera import GimbalCamera
 
 _ASK_AGAIN_S = 2.0
 _SETTLING_S = 2.2  # two heartbeats: what other vehicle is there has spoken by then
@@ -34,7 +38,12 @@ _WAIT_S, _DEVICE_WAIT_S = 0.05, 0.005
 _DEVICE_PERIOD_S = 0.025
 _RETRY_S = 0.5
 _SCHEMES = ("tcpout", "udpin", "udpout")
+_GIMBAL_INFORMATION, _GIMBAL_SET_ATTITUDE = (
+    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION,
+    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE,
+)
 _ON_GROUND_M = 5.0  # height above home below which the vehicle is on the ground
+_STEP_MIN_S = 1e-3
 _STEP_BACK_S = 1.0  # a vehicle whose clock steps back by more than this has rebooted
 
 
@@ -47,7 +56,9 @@ class Companion(Wired):
 
     Pure: pass it the vehicle's messages, send the messages it returns. Nothing is measured before home is known; when
     the vehicle reboots, the target continues from its position. motion: of the target, in a plane with its origin at
-    the vehicle's home. vehicle_id None: the first autopilot received. Raises HillsError for unknown ground at home.
+    the vehicle's home. vehicle_id None: the first autopilot received. camera: in place of laser and gimbal, by the
+    height of the ground at (east, north); the vehicle's gimbal manager turns it. Raises HillsError for unknown ground
+    at home.
     """
 
     def __init__(
@@ -58,6 +69,7 @@ class Companion(Wired):
         terrain: Path | None = None,
         vehicle_id: int | None = None,
         device: Device | None = None,
+        camera: Callable[[Callable[[float, float], float]], GimbalCamera] | None = None,
     ) -> None:
         _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         super().__init__(device, round(payload.latency_s / _DEVICE_PERIOD_S))
@@ -66,7 +78,10 @@ class Companion(Wired):
         self._plane: HomePlane | None = None
         self._terrain, self._hills = terrain, Hills(None, HomePlane(0.0, 0.0))
         self._begin_s: float | None = None
-        self._latest_s = self._heading_rad = self._roll_rad = 0.0
+        self._latest_s = 0.0
+        self._craft = SimulatedAirframe(AirframeParameters(), WindVector())  # as reported
+        self._camera_of = camera
+        self._camera: GimbalCamera | None = None
         self.vehicle_id = vehicle_id
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
 
@@ -75,9 +90,14 @@ class Companion(Wired):
         return self._plane is None
 
     @property
+    def turns(self) -> bool:
+        """Whether the vehicle's gimbal manager turns the gimbal."""
+        return self._camera_of is not None
+
+    @property
     def period_s(self) -> float:
         """How often the vehicle's position and attitude are needed."""
-        return PERIOD_S if self.device is None else _DEVICE_PERIOD_S
+        return PERIOD_S if self.device is None and self._camera_of is None else _DEVICE_PERIOD_S
 
     @property
     def time_s(self) -> float:
@@ -94,8 +114,14 @@ class Companion(Wired):
         if kind == "HOME_POSITION" and self._plane is None:
             self._plane = HomePlane(message.latitude / 1e7, message.longitude / 1e7)
             self._hills = Hills(self._terrain, self._plane)
+            if self._camera_of is not None:
+                self._camera = self._camera_of(self._hills.height_m)
         elif kind == "ATTITUDE":
-            self._heading_rad, self._roll_rad = message.yaw, message.roll
+            self._craft.heading_rad, self._craft.roll_rad = message.yaw, message.roll
+        elif self._camera is not None and kind == "GIMBAL_DEVICE_SET_ATTITUDE":
+            self._camera.on_set_attitude(message)
+        elif self._camera is not None and kind == "COMMAND_LONG" and message.param1 == _GIMBAL_INFORMATION:
+            return [self._camera.information(round(1000.0 * self._latest_s))]
         elif kind == "GLOBAL_POSITION_INT" and self._plane is not None:
             return self._measure(message, self._plane)
         return []
@@ -106,7 +132,7 @@ class Companion(Wired):
             self._begin_s = time_s
         elif time_s < self._latest_s - _STEP_BACK_S:
             self._begin_s += time_s - self._latest_s
-        self._latest_s = time_s
+        before_s, self._latest_s = self._latest_s, time_s
         since_s = max(0.0, time_s - self._begin_s)
         aircraft_deg = (position.lat / 1e7, position.lon / 1e7)
         aircraft_m = (*plane.east_north_m(*aircraft_deg), position.relative_alt / 1000.0)
@@ -114,18 +140,24 @@ class Companion(Wired):
         in_sight = hills.sees_target(aircraft_m, target_m)
         # On the ground the payload is tried out on what is about, as in the simulation of our own.
         sight = TargetGeometry.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
-        if self.device is not None and self._measured is not None and since_s - self._measured[0] < PERIOD_S:
-            self.look(self.device, sight, self._measured[1], self._heading_rad, self._roll_rad)
+        craft, camera = self._craft, self._camera
+        if camera is not None:
+            craft.east_m, craft.north_m, craft.height_m = aircraft_m
+            camera.step(since_s, max(time_s - before_s, _STEP_MIN_S), craft, target_m)
+        if self.period_s < PERIOD_S and self._measured is not None and since_s - self._measured[0] < PERIOD_S:
+            if self.device is not None:
+                self.look(self.device, sight, self._measured[1], craft.yaw_rad, craft.roll_rad)
             return []
-        measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
+        measured = self._payload.measure(since_s, position.time_boot_ms, sight, craft.yaw_rad)
         target = target_m, plane.latitude_longitude_deg(*target_m[:2])
         line, laser = (sight.slant_range_m, sight.bearing_rad), (measured.laser_valid, measured.laser_outlier)
         ground = hills.reported(aircraft_m, in_sight)
         self.on_truth(TruthRow(time_s, *target, aircraft_m, aircraft_deg, *line, *laser, *ground))
         self._measured = since_s, measured
         if self.device is not None:
-            self.look(self.device, sight, measured, self._heading_rad, self._roll_rad)
-        return [] if self.device is not None else measured.messages
+            self.look(self.device, sight, measured, craft.yaw_rad, craft.roll_rad)
+            return []
+        return measured.messages if camera is None else [camera.attitude(position.time_boot_ms)]
 
 
 def accompany(
@@ -257,6 +289,8 @@ def _ask(companion: Companion, link: Any) -> None:
     """Request positions and attitudes at the payload's rate, and home until it is known."""
     every_us = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, companion.period_s * 1e6
     asked = {mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: every_us, mavlink.MAVLINK_MSG_ID_ATTITUDE: every_us}
+    if companion.turns:
+        asked[_GIMBAL_SET_ATTITUDE] = every_us  # ArduPlane refuses, and sends it
     if companion.wants_home:
         asked[mavlink.MAVLINK_MSG_ID_HOME_POSITION] = mavlink.MAV_CMD_REQUEST_MESSAGE, 0
     for message_id, (command, period_us) in asked.items():

@@ -5,11 +5,13 @@ simulator renders the same scenery, and the gimbal follows the camera's tracker 
 When the tracker has not been on the target for 20 s, an operator clicks the target again.
 
 PATHS_TRACKS: targets; PATHS_S: length of each flight, s; SIDELONG_TARGETS: a folder of recorded tracks, without it
-the targets are those of the benchmark.
+the targets are those of the benchmark. PATHS_FILE: a CSV file to which each flight is added, and whose flights are
+not flown again; ``python docs/generate/camera_paths.py`` draws it.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import os
 from collections import deque
@@ -219,15 +221,32 @@ def measured(kind: str, number: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([losses, *shares, on_side, *changes, float(seen[:, 1].mean())]), seen
 
 
+def flights_of(file: Path) -> dict[tuple[str, str], list[float]]:
+    """Return the values of the flights in a file, by path and target; add those that are missing."""
+    if not file.exists():
+        file.write_text(",".join(("path", "target", *_COLUMNS)) + "\n")
+    with file.open(newline="") as read:
+        known = {
+            (kind, name): [float(value) for value in values] for kind, name, *values in list(csv.reader(read))[1:]
+        }
+    for number, target in enumerate(tracks()):
+        for kind in PATHS:
+            if (kind, target.name) not in known:
+                values = known[kind, target.name] = measured(kind, number)[0].tolist()
+                with file.open("a", newline="") as added:
+                    csv.writer(added).writerow([kind, target.name, *(f"{value:.3f}" for value in values)])
+    return known
+
+
 @pytest.mark.timeout(14_400)
-def test_one_sided_circles_change_the_view_less_than_circles_around_the_target():
+def test_one_sided_circles_change_the_view_less_than_circles_around_the_target(tmp_path):
     cv2.setNumThreads(1)
-    means = {}
+    flown, means = flights_of(Path(os.environ.get("PATHS_FILE", tmp_path / "paths.csv"))), {}
     print("\npath: " + ", ".join(_COLUMNS), end="")
     for kind in PATHS:
-        rows = np.array([measured(kind, number)[0] for number in range(FLIGHTS)])
+        rows = np.array([values for (path_flown, _), values in flown.items() if path_flown == kind])
         means[kind] = np.nanmean(rows, axis=0)
-        errors = np.nanstd(rows, axis=0) / math.sqrt(FLIGHTS)
+        errors = np.nanstd(rows, axis=0) / math.sqrt(len(rows))
         cells = (f"{mean:.1f} +- {error:.1f}" for mean, error in zip(means[kind], errors, strict=True))
         print(f"\n{kind}: " + ", ".join(cells), end="", flush=True)
     if not SMOKE:

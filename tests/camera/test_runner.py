@@ -14,6 +14,7 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.camera.runner import CameraRunner, Here
 from sidelong.app.camera.video import VideoReplay
@@ -116,6 +117,35 @@ def test_an_error_of_the_camera_reaches_neither_the_flight_nor_the_link(tmp_path
     with pytest.raises(ZeroDivisionError):  # announced by the flight, which goes on
         asyncio.run(runner.run())
     assert vehicle.listeners == vehicle.bystanders == []
+
+
+def test_the_gimbal_is_claimed_while_something_is_tracked_and_given_back(tmp_path):
+    runner, sent = run(tmp_path / "video.ts", PICTURES, 0.0)[4], []
+    runner._vehicle = SimpleNamespace(system_id=1, take=lambda _message: None)
+    runner._transmit = lambda frame: sent.extend(mavlink.MAVLink(None).parse_buffer(frame))
+    for k in range(40):
+        if k == 30:
+            runner.camera.stop()
+        runner._point_s = -math.inf
+        runner._work()
+    claims = [m for m in sent if getattr(m, "command", None) == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE]
+    assert 1 < len(claims) < 15
+    assert {(m.param1, m.param2, m.param3, m.param4) for m in claims[:-1]} == {(1.0, 100.0, -1.0, -1.0)}
+    assert (claims[-1].param1, claims[-1].param2) == (-3.0, -3.0)
+
+
+def test_the_gimbal_itself_counts_and_not_what_the_autopilot_repeats_of_it(tmp_path):
+    runner = run(tmp_path / "video.ts", PICTURES, 0.0)[4]
+    seen = runner.camera.latest.view
+    time_s = BEGIN_S + PICTURES / RATE_HZ
+    wrong = from_roll_pitch_yaw(0.0, PITCH_RAD, 1.0)
+    for source, after_s in ((1, 0.0), (154, 0.0), (1, 0.01)):
+        turned = from_roll_pitch_yaw(0.0, PITCH_RAD, 0.0) if source == 154 else wrong
+        runner.camera.event(
+            GimbalReading(time_s + after_s, turned, "earth", Source("GIMBAL_DEVICE_ATTITUDE_STATUS", source))
+        )
+    pictured = runner.camera.picture(np.zeros((*SIZE_PX[::-1], 3), np.uint8), time_s)
+    assert pictured.view.ned_from_sight == pytest.approx(seen.ned_from_sight)
 
 
 def test_the_time_stamps_of_the_stream_never_step_back(tmp_path):

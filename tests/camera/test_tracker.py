@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.camera.tracker import ObjectTracker
+from sidelong.app.camera.tracker import ObjectTracker, _Candidate, _Trial
 from sidelong.app.camera.view import View
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.estimators.terrain.ground import Ground
@@ -86,6 +86,14 @@ def test_follows_no_look_alike_that_stood_next_to_the_target():
     rows = run(world, 5.0, 27.0, ObjectTracker())
     assert all(off_m < 8.0 for *_, off_m in rows if not math.isnan(off_m))
     assert rows[-1][1] == "object"
+
+
+def test_is_lost_again_when_what_was_found_is_hidden_at_once():
+    tracker = ObjectTracker()
+    run(scenery(), 5.0, 6.0, tracker)
+    tracker._trial = _Trial((6.0, *tracker._at_m), _Candidate())
+    tracker._lose()
+    assert tracker.state == "lost"
 
 
 def test_is_lost_rather_than_follow_something_else_while_the_target_is_gone():

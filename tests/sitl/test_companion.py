@@ -16,8 +16,9 @@ from sidelong.sitl.payload.companion import Companion, CompanionError, _send, ac
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.payload.payload import SimulatedPayload
 from sidelong.sitl.protocol.radio import signing_time
-from sidelong.sitl.settings import PayloadSettings, Quirks, TargetSettings
+from sidelong.sitl.settings import CameraSettings, PayloadSettings, Quirks, TargetSettings
 from sidelong.sitl.simulation import target_motion
+from sidelong.sitl.world.airframe import quaternion
 
 RANGE_REQUEST = bytes.fromhex("5566010000000015d196")  # of SIYI
 EXACT = PayloadSettings(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -61,6 +62,43 @@ def test_it_waits_for_home(simulate, station):
     ground.run(15.0)
     assert companion.wants_home
     assert not [m for message in ground.received for m in companion.handle(message)]
+
+
+def test_its_camera_is_turned_by_the_gimbal_manager_and_takes_pictures(simulate, station):
+    camera = pytest.importorskip("sidelong.sitl.payload.camera", reason="the extra video is not installed")
+    ground, cameras, pictures = station(simulate(payload=None)), [], []
+
+    def made(height_m):
+        cameras.append(camera.camera_of(CameraSettings(width_px=160, height_px=90), WALK, height_m, 1))
+        cameras[0].on_picture = lambda time_s, picture: pictures.append((time_s, picture.shape))
+        return cameras[0]
+
+    companion = Companion(EXACT, WALK, seed=1, camera=made)
+    ground.run(20.0)
+    ground.command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 2e4)
+    ground.run(5.0)
+    wanted = list(quaternion(0.0, math.radians(-40.0), math.radians(70.0)))
+    commands = [
+        mavlink.MAVLink_gimbal_device_set_attitude_message(1, 154, flags, q, *(math.nan,) * 3)
+        for flags, q in ((mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK, wanted), (0, [math.nan] * 4))
+    ]
+    request = mavlink.MAVLink_command_long_message(
+        1, 154, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION, *(0.0,) * 6
+    )
+    for message in (*commands, request):
+        message.get_srcSystem, message.get_srcComponent = lambda: 1, lambda: 1
+    received = list(ground.received)
+    first = next(k for k, message in enumerate(received) if message.get_type() == "HOME_POSITION") + 1
+    sent = [
+        m for message in (*received[:first], *commands, request, *received[first:]) for m in companion.handle(message)
+    ]
+    assert sent[0].get_type() == "GIMBAL_DEVICE_INFORMATION"
+    assert {message.get_type() for message in sent[1:]} == {"GIMBAL_DEVICE_ATTITUDE_STATUS"}
+    assert math.degrees(cameras[0].yaw_rad) == pytest.approx(70.0, abs=0.1)
+    assert math.degrees(cameras[0].pitch_rad) == pytest.approx(-40.0, abs=0.1)
+    assert pictures[-1][1] == (90, 160, 3)
+    assert len(pictures) == pytest.approx(15.0 * pictures[-1][0], rel=0.2)
+    assert len(sent) < len(ground.all("GLOBAL_POSITION_INT"))
 
 
 def test_its_device_answers_in_place_of_mavlink_and_sees_the_present_position(simulate, station):
