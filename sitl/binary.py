@@ -23,7 +23,7 @@ from pathlib import Path
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.devices import Address, DevicePort, device_of
 from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, PayloadSettings, Settings
-from sidelong.sitl.simulation import target_motion, target_motions
+from sidelong.sitl.simulation import camera_of, target_motion
 from sidelong.sitl.world.airframe import WindVector
 from sidelong.sitl.world.hills import HillsError
 from sidelong.sitl.world.motion import SharedTarget
@@ -214,12 +214,7 @@ def companions_of(settings: Sequence[Settings], vehicle_id: int | None) -> list[
     companions = []
     for vehicle in settings:
         payload, seen = vehicle.payload or PayloadSettings(), shared.seen_from(vehicle.home_east_m)
-        camera = None
-        if vehicle.camera is not None:
-            from sidelong.sitl.payload.camera import camera_of  # noqa: PLC0415  # PyAV and OpenCV
-
-            path = target_motions(vehicle.targets, first.seed, vehicle.home_east_m)[0]
-            camera = partial(camera_of, vehicle.camera, path, seed=vehicle.seed)
+        camera = None if vehicle.camera is None else partial(camera_of, vehicle, first.seed)
         of_payload = payload, seen, vehicle.seed, vehicle.terrain, vehicle_id, device_of(vehicle), camera
         companions.append(Companion(*of_payload))
     return companions

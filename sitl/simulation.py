@@ -36,6 +36,7 @@ _SILENT_S = 60.0  # of the stations' clock: after this silence, a station that w
 _EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
+_PATH_S = 3600.0  # of the target, along which the rendered world is furnished
 
 
 class Simulation(Wired):
@@ -56,7 +57,9 @@ class Simulation(Wired):
         self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = SimulatedPayload(settings.payload, sensor_seed) if settings.payload is not None else None
-        self.camera = None if settings.camera is None else self._camera(settings, seed)
+        self.camera = None if settings.camera is None else camera_of(settings, seed, self.hills.height_m)
+        if self.camera is not None:
+            self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = self.camera.on_command
         self._latency_s = 0.0 if settings.payload is None else settings.payload.latency_s
         super().__init__(device_of(settings), round(self._latency_s / STEP_S))
         self._measured: Measurement | None = None
@@ -110,15 +113,6 @@ class Simulation(Wired):
 
     def pilot_takes_over(self) -> None:
         self.vehicle.set_mode(self.vehicle.taken_over_mode)
-
-    def _camera(self, settings: Settings, seed: int) -> GimbalCamera:
-        from sidelong.sitl.payload.camera import camera_of  # noqa: PLC0415  # PyAV and OpenCV
-
-        motion = target_motions(settings.targets, seed, settings.home_east_m)[self.looks_at]
-        assert settings.camera is not None
-        camera = camera_of(settings.camera, motion, self.hills.height_m, seed)
-        self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = camera.on_command
-        return camera
 
     def _step(self) -> None:
         self._steps += 1
@@ -212,6 +206,23 @@ class Simulation(Wired):
             self.vehicle.radio.broadcast(message, PAYLOAD)
             if message.get_type() == "DISTANCE_SENSOR" and isinstance(self.vehicle, SimulatedPx4):
                 self.vehicle.take_range(message)
+
+
+def camera_of(settings: Settings, seed: int, height_m: Callable[[float, float], float]) -> GimbalCamera:
+    """Return the camera of a vehicle over a world that is furnished along its target's motion; serve its pictures.
+
+    height_m: of the ground at (east, north).
+    """
+    from sidelong.sitl.payload.camera import GimbalCamera, VideoServer  # noqa: PLC0415  # PyAV and OpenCV
+    from sidelong.sitl.world.picture import Scenery  # noqa: PLC0415
+
+    own, motion = settings.camera, target_motions(settings.targets, seed, settings.home_east_m)[settings.looks_at]
+    assert own is not None
+    path_m = np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)])
+    camera = GimbalCamera(own, Scenery(path_m, height_m, seed, trees=own.trees, lookalikes=own.lookalikes))
+    if own.url:
+        camera.on_picture = VideoServer(own.url, own).put
+    return camera
 
 
 def target_motions(targets: Sequence[TargetSettings], seed: int, home_east_m: float) -> list[Motion]:

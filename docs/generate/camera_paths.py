@@ -11,13 +11,13 @@ from statistics import fmean
 
 IMAGES = Path(__file__).parents[1] / "images"
 PANELS = {  # columns of the file, and how they are called
-    "lost %": "lost, % of the time",
-    "losses per hour": "losses per hour",
-    "angle of view deg/s": "angle of view, degrees/s",
-    "scale %/s": "scale, % per second",
-    "on side %": "on the required side, %",
+    "lost %": ("lost", "% of the time"),
+    "losses per hour": ("losses", "per hour"),
+    "angle of view deg/s": ("change of angle of view", "degrees/s"),
+    "scale %/s": ("change of scale", "%/s"),
+    "on side %": ("on the required side", "% of the time"),
 }
-LEFT, TOP, PANEL, GAP, ROW = 150, 44, 118, 20, 34
+LEFT, TOP, PANEL, GAP, ROW = 130, 60, 130, 24, 34
 STYLE = """svg { color: #24292f; font: 12px sans-serif } .dot { color: #0b5cad } .mean { color: #b3400a }
 @media (prefers-color-scheme: dark) { svg { color: #e6edf3 } .dot { color: #6cb6ff } .mean { color: #ff9d5c } }
 text { fill: currentColor } line { stroke: currentColor } circle { fill: currentColor; opacity: .55 }
@@ -41,9 +41,10 @@ def main() -> None:
         left = LEFT + panel * (PANEL + GAP)
         by_path = [[float(row[column]) for row in rows] for rows in values.values()]
         most = max(value for one in by_path for value in one if math.isfinite(value))
-        step = 10.0 ** math.floor(math.log10(most))
+        step = 0.5 * 10.0 ** math.floor(math.log10(most))
         most = 100.0 if "side" in column else step * math.ceil(most / step)
-        lines.append(f'<text class="middle" x="{left + PANEL / 2:.0f}" y="12">{title}</text>')
+        for number, text in enumerate(title):
+            lines.append(f'<text class="middle" x="{left + PANEL / 2:.0f}" y="{12 + 15 * number}">{text}</text>')
         for share in (0.0, 1.0):
             x = left + share * PANEL
             lines.append(f'<text class="middle" x="{x:.0f}" y="{TOP - 12}">{share * most:g}</text>')

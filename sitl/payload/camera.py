@@ -14,18 +14,15 @@ from queue import Full, Queue
 from typing import Any
 
 import av
-import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, Command
 from sidelong.sitl.settings import CameraSettings
 from sidelong.sitl.world.airframe import SimulatedAirframe, quaternion
-from sidelong.sitl.world.motion import Motion
 from sidelong.sitl.world.picture import CameraPose, Image, Scenery
 
 _LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
 _PITCH_RAD = (-0.5 * math.pi, math.radians(30.0))
-_PATH_S = 3600.0  # of the target, along which the rendered world is furnished
 _LOCKED = (
     mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
     | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
@@ -44,22 +41,17 @@ class GimbalCamera:
         self.yaw_rad, self.pitch_rad, self._roll_rad = 0.0, -0.3, 0.0
         self._goal_rad: tuple[float, float] = (self.pitch_rad, self.yaw_rad)
         self._goal_is_of_earth = True
-        self._rates_rad_s = (0.0, 0.0)
         self._error_rad = (0.0, 0.0)  # of yaw and pitch, by the aircraft's rotation
         self._off_rad, self._slip_rad_s = 0.0, 0.0  # of what is looked at, from the axis
         self._next_s = 0.0
 
     def on_command(self, command: Command) -> int:
-        """Take MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: angles, or rates where these are not numbers."""
-        pitch_deg, yaw_deg, *rates_deg_s = (command.param(number) for number in (1, 2, 3, 4))
-        is_of_earth = bool(int(command.number(5)) & mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
-        if math.isfinite(pitch_deg) and math.isfinite(yaw_deg):
-            self.point(math.radians(pitch_deg), math.radians(yaw_deg), is_of_earth=is_of_earth)
-        elif all(math.isfinite(rate) for rate in rates_deg_s):
-            self.point(self.pitch_rad, self.yaw_rad, is_of_earth=True)
-            self._rates_rad_s = (math.radians(rates_deg_s[0]), math.radians(rates_deg_s[1]))
-        else:
+        """Take the angles of MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW; rates are denied."""
+        pitch_rad, yaw_rad = math.radians(command.param(1)), math.radians(command.param(2))
+        if not math.isfinite(pitch_rad + yaw_rad):
             return DENIED
+        is_of_earth = bool(int(command.number(5)) & mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
+        self.point(pitch_rad, yaw_rad, is_of_earth=is_of_earth)
         return ACCEPTED
 
     def on_set_attitude(self, message: Any) -> None:
@@ -72,8 +64,7 @@ class GimbalCamera:
 
     def point(self, pitch_rad: float, yaw_rad: float, *, is_of_earth: bool) -> None:
         """Turn there; yaw is clockwise from north, or from the aircraft's nose."""
-        self.commanded, self._rates_rad_s = True, (0.0, 0.0)
-        self._goal_rad, self._goal_is_of_earth = (pitch_rad, yaw_rad), is_of_earth
+        self.commanded, self._goal_rad, self._goal_is_of_earth = True, (pitch_rad, yaw_rad), is_of_earth
 
     def step(self, time_s: float, dt_s: float, craft: SimulatedAirframe, seen_m: tuple[float, float, float]) -> None:
         """Turn for a step, and take a picture if one is due. seen_m: the target (east, north, height)."""
@@ -81,10 +72,7 @@ class GimbalCamera:
         east_m, north_m, up_m = (there - here for there, here in zip(seen_m, here_m, strict=True))
         if not self.commanded:
             self._goal_rad = math.atan2(up_m, math.hypot(east_m, north_m)), math.atan2(east_m, north_m)
-        pitch_goal_rad, yaw_goal_rad = self._goal_rad = (
-            self._goal_rad[0] + self._rates_rad_s[0] * dt_s,
-            self._goal_rad[1] + self._rates_rad_s[1] * dt_s,
-        )
+        pitch_goal_rad, yaw_goal_rad = self._goal_rad
         if not self._goal_is_of_earth:
             yaw_goal_rad += craft.yaw_rad
         turn_rad_s = self._rate_rad_s(math.remainder(yaw_goal_rad - self.yaw_rad, math.tau))
@@ -128,18 +116,6 @@ class GimbalCamera:
     def _rate_rad_s(self, off_rad: float) -> float:
         rate_rad_s, limit_rad_s = off_rad / self.settings.lag_s, math.radians(self.settings.rate_deg_s)
         return min(max(rate_rad_s, -limit_rad_s), limit_rad_s)
-
-
-def camera_of(
-    settings: CameraSettings, motion: Motion, height_m: Callable[[float, float], float], seed: int
-) -> GimbalCamera:
-    """Return a camera over a world that is furnished along a target's motion, and serve its pictures."""
-    path_m = np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)])
-    scenery = Scenery(path_m, height_m, seed, trees=settings.trees, lookalikes=settings.lookalikes)
-    camera = GimbalCamera(settings, scenery)
-    if settings.url:
-        camera.on_picture = VideoServer(settings.url, settings).put
-    return camera
 
 
 class VideoServer:

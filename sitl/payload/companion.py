@@ -38,9 +38,11 @@ _WAIT_S, _DEVICE_WAIT_S = 0.05, 0.005
 _DEVICE_PERIOD_S = 0.025
 _RETRY_S = 0.5
 _SCHEMES = ("tcpout", "udpin", "udpout")
-_GIMBAL_INFORMATION, _GIMBAL_SET_ATTITUDE = (
-    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION,
-    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE,
+_GIMBAL_INFORMATION = mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION
+_ASKED = (
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE,
+    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE,  # ArduPlane refuses, and sends it to a camera's gimbal
 )
 _ON_GROUND_M = 5.0  # height above home below which the vehicle is on the ground
 _STEP_MIN_S = 1e-3
@@ -88,11 +90,6 @@ class Companion(Wired):
     @property
     def wants_home(self) -> bool:
         return self._plane is None
-
-    @property
-    def turns(self) -> bool:
-        """Whether the vehicle's gimbal manager turns the gimbal."""
-        return self._camera_of is not None
 
     @property
     def period_s(self) -> float:
@@ -288,9 +285,7 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
 def _ask(companion: Companion, link: Any) -> None:
     """Request positions and attitudes at the payload's rate, and home until it is known."""
     every_us = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, companion.period_s * 1e6
-    asked = {mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: every_us, mavlink.MAVLINK_MSG_ID_ATTITUDE: every_us}
-    if companion.turns:
-        asked[_GIMBAL_SET_ATTITUDE] = every_us  # ArduPlane refuses, and sends it
+    asked = dict.fromkeys(_ASKED, every_us)
     if companion.wants_home:
         asked[mavlink.MAVLINK_MSG_ID_HOME_POSITION] = mavlink.MAV_CMD_REQUEST_MESSAGE, 0
     for message_id, (command, period_us) in asked.items():

@@ -16,8 +16,8 @@ from sidelong.sitl.payload.companion import Companion, CompanionError, _send, ac
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.payload.payload import SimulatedPayload
 from sidelong.sitl.protocol.radio import signing_time
-from sidelong.sitl.settings import CameraSettings, PayloadSettings, Quirks, TargetSettings
-from sidelong.sitl.simulation import target_motion
+from sidelong.sitl.settings import CameraSettings, PayloadSettings, Quirks, Settings, TargetSettings
+from sidelong.sitl.simulation import camera_of, target_motion
 from sidelong.sitl.world.airframe import quaternion
 
 RANGE_REQUEST = bytes.fromhex("5566010000000015d196")  # of SIYI
@@ -65,11 +65,11 @@ def test_it_waits_for_home(simulate, station):
 
 
 def test_its_camera_is_turned_by_the_gimbal_manager_and_takes_pictures(simulate, station):
-    camera = pytest.importorskip("sidelong.sitl.payload.camera", reason="the extra video is not installed")
+    pytest.importorskip("av", reason="the extra video is not installed")
     ground, cameras, pictures = station(simulate(payload=None)), [], []
 
     def made(height_m):
-        cameras.append(camera.camera_of(CameraSettings(width_px=160, height_px=90), WALK, height_m, 1))
+        cameras.append(camera_of(Settings(camera=CameraSettings(width_px=160, height_px=90)), 1, height_m))
         cameras[0].on_picture = lambda time_s, picture: pictures.append((time_s, picture.shape))
         return cameras[0]
 
