@@ -10,9 +10,9 @@ wrong one it circles with the aircraft.
 3. Delays and smaller errors of yaw and range, over up to 300 s, together with the target's path.
 4. Yaw, range or pitch that drift, and ranges that are wrong at some bearings only, over the last 100 s.
 
-Delays and constant errors of yaw and range are corrected by the tracker, which leaves out ranges at bearings where
-they are wrong. Other errors make the device faulty: its readings are not used until it agrees again. An apparent
-target that jumps farther than it can drive makes the payload suspect for ``SUSPECT_S``.
+Delays, and errors of yaw and range that are constant or drift, are corrected by the tracker, which leaves out ranges
+at bearings where they are wrong. Other errors make the device faulty: its readings are not used until it agrees
+again. An apparent target that jumps farther than it can drive makes the payload suspect for ``SUSPECT_S``.
 
 Source: docs/health.md#contradictions-of-the-payload; docs/explanation/filter.md#delays.
 """
@@ -72,12 +72,12 @@ _STUCK = "it repeats the same range while the aircraft turns: check its power, i
 _FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
 _YAW_FROZEN = "its yaw is frozen while the aircraft turns: check its pan motor, its pan limits and its driver"
 _DRIFTS = {
-    "pitch": "its pitch drifts and is off by about {:+.0f} degrees, or the aircraft's height drifts: check its gyro, "
-    "its mounting and the barometer",
-    "range": "its ranges drift by about {:+.0f} m a minute and are off by about {:+.0f} m: check its lens, its "
-    "temperature and its driver",
-    "yaw": "its yaw drifts by about {:+.0f} degrees a minute and is off by about {:+.0f} degrees: check its gyro and "
-    "the aircraft's heading",
+    "pitch": "the gimbal's pitch drifts and is off by about {:+.0f} degrees, or the aircraft's height drifts: check "
+    "its gyro, its mounting and the barometer",
+    "range": "the laser's ranges drift by about {:+.0f} m a minute and are off by about {:+.0f} m, and corrected: "
+    "check its lens, its temperature and its driver",
+    "yaw": "the gimbal's yaw drifts by about {:+.0f} degrees a minute and is off by about {:+.0f} degrees, and "
+    "corrected: check its gyro and the aircraft's heading",
 }
 
 _ROW_EVERY_S, _GAP_MAX_S = 0.19, 3.0
@@ -148,7 +148,7 @@ _HALVINGS = 3  # of the time between beginnings of a drift of the yaw
 _DRIFT_EVERY_S = 15.0, 10.0  # while nothing drifts, and while something seems to
 _PINNED_S, _PINNED_YAW, _PINNED_RANGE = 1e-4, 1e-7, 1e-5  # standard deviations of numbers that are pinned
 _RATE_SIGMAS = 3e-4, 0.05  # of yaw rad/s and range m/s; heavy tails
-_SINKS_MIN = 0.4  # share of a drift of the range that the height of the target over the ground has to show
+_SINKS_MIN, _SINKS_MAX = 0.4, 1.6  # share of a drift of the range that the target's height over the ground shows
 _GROWN_YAW, _GROWN_M = math.radians(1.8), 5.0  # a drift is at least this large in its last seconds
 _DRIFTED_RAD, _DRIFTED_M, _BLOCKS = math.radians(3.0), 12.0, 10
 _CALM_DRIFT_M = 0.05
@@ -183,6 +183,7 @@ class Verdict(NamedTuple):
     is_turned: bool = False  # the gimbal's yaw has a large constant error
 
 
+_NOTHING: tuple[str, str, None] = "", "", None
 SOUND = Verdict()
 TURNED = Verdict(is_turned=True)
 
@@ -334,16 +335,17 @@ class PayloadFit:
         self._established = self._verdict = SOUND
         self._agreeing = self._corrected = self._off_ground = self._fits = self._late_count = 0
         self._suspected_in = -1  # the fit that found a large error last
-        self._frame_fault = self._unit_fault = self._drift_fault = ""
+        self._frame_fault = self._unit_fault = ""
         self.wrong_bearings: WrongBearings | None = None  # where ranges are left out
         self._uneven, self._even_count = False, 0  # ranges seem to be wrong at some bearings; judgements without that
-        self._drift = self._drift_seen = ""
+        self._drift = self._drift_seen = self.drift_news = ""  # what drifts, in a word, and in words
         self._drifting = self._long = self._unseeming = 0
         self._missed = False
         self._yaw_fitted, self._is_sudden = (-math.inf, 0.0), False  # time s and yaw error rad of the last judgement
         self.yaw_error_rad = self._turn_rad = 0.0  # the first one is large, and to be corrected
         self._sound: Fit | None = None
         self._erring: Fit | None = None  # while that explains the readings far better
+        self._drifted: Fit | None = None  # with which a drift was corrected last
         self._factor = 1.0  # of the ranges, in that
         self.found: Delays | None = None  # by the latest fit; None while unknown
         self.is_late = self.is_confirmed = False  # ``found`` is to replace the delays in use; it is certain
@@ -810,7 +812,7 @@ class PayloadFit:
         if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(seems)]:
             self._drift_s = now_s
             self._judge_drift(now_s)
-        if self._drift_fault or now_s < self._fit_s:
+        if self._drift or now_s < self._fit_s:
             return
         rows = self._since(max(now_s - _WINDOW_S, self._since_s))
         span_s = now_s - float(rows[0, 0]) if len(rows) else 0.0
@@ -955,7 +957,9 @@ class PayloadFit:
 
         tried, by_heights_m = [(self._factor, fit(self._factor, sound.shared))], 0.0
         if before is not None:
-            tried.append((self._factor, fit(self._factor, before.shared, before.scale_m)))
+            tried += [
+                (self._factor, fit(self._factor, before.shared, scale_m)) for scale_m in (before.scale_m, _CALM_M)
+            ]
         elif not self._on_ground:
             other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
             tried.append((other, fit(other, sound.shared)))
@@ -1013,7 +1017,7 @@ class PayloadFit:
                 readings = _scaled(readings, self._factor)
         if readings is None or readings.ranges[-1, 0] - readings.ranges[0, 0] < _DRIFT_SPAN_MIN_S:
             return
-        found, text = self._drift_of(readings)
+        found, text, drift = self._drift_of(readings)
         missed = not found and self._drift_seen == "yaw" and not self._drift and not self._missed
         if not missed:  # of two likely paths, the fit may find the other one now and then
             self._drifting = self._drifting + 1 if found == self._drift_seen else 1
@@ -1021,10 +1025,31 @@ class PayloadFit:
         self._missed = missed
         needed = _DRIFT_FOUND_AFTER + 2 * (found == "yaw" and self._is_sudden)
         if found and not self._drift and self._drifting >= needed:
-            self._drift, self._drift_fault = found, text
+            self._drift, self.drift_news = found, text
         elif self._drift and not found and self._drifting >= _DRIFT_CLEARED_AFTER:
-            self._drift = self._drift_fault = ""
+            if self.drifts:  # what it has come to is constant now
+                self._erring = self._drifted
+            self._drift = self.drift_news = ""
             self.restart()
+        if found == self._drift and drift is not None:
+            self._correct_drift(readings, drift)
+
+    def _correct_drift(self, readings: Readings, drift: Fit) -> None:
+        """Let the error as it is now be corrected; until the next judgement it grows on."""
+        (tan_yaw, range_m, yaw_rate, range_m_s), level_m = drift.shared[2:].tolist(), _level_m(readings)
+        yaw_rad, off_m = _sigma_at_end(drift, 2), _sigma_at_end(drift, 3)
+        yaw_sigma_rad = math.hypot(yaw_rad, yaw_rate * _DRIFT_EVERY_S[1])
+        range_sigma_m = math.hypot(off_m, range_m_s * _DRIFT_EVERY_S[1])
+        delays_s, known = (*self.used_s, SURE_S, SURE_S), (math.atan(tan_yaw), yaw_sigma_rad, range_m, range_sigma_m)
+        self.found, self.is_late, self.is_changed = Delays(*delays_s, *known, self._factor), False, True
+        self._drifted = drift
+        self._wander = 2.0 * math.hypot(level_m * yaw_rad, off_m), math.hypot(level_m * yaw_rate, range_m_s)
+        self._wander_s = float(readings.ranges[-1, 0])
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the error of yaw or range drifts, and is corrected again and again."""
+        return self._drift in ("yaw", "range")
 
     def _drift_fits(self, readings: Readings) -> tuple[Fit, Fit, Fit, Callable[..., Fit]]:
         """Return the best fits of constant errors, of a yaw and of a range that drifts; and what makes such a fit."""
@@ -1072,17 +1097,17 @@ class PayloadFit:
         )
         return sound, by_yaw, by_range, fit
 
-    def _drift_of(self, readings: Readings) -> tuple[str, str]:
-        """Return what drifts, and the fault in words; both empty if nothing does."""
+    def _drift_of(self, readings: Readings) -> tuple[str, str, Fit | None]:
+        """Return what drifts, in one word and in many; '' if nothing does. And the fit that corrects it, if any."""
         eased, known = 0.5 if self._drift else 1.0, self.wrong_bearings
         everywhere, right = readings, self._with_right_ranges(readings)
         if right is None:
-            return "", ""
+            return _NOTHING
         readings = right
         sound, by_yaw, by_range, fit = self._drift_fits(readings)
         if self._judge_bearings(readings, sound, fit, sound.cost - min(by_yaw.cost, by_range.cost)):
             self.place = None
-            return "", ""
+            return _NOTHING
         if known is not None:
             self._clear_bearings(everywhere, fit)
         # Without an error that is there, the target moves more calmly; else it is the target that turned. A range
@@ -1092,20 +1117,20 @@ class PayloadFit:
             by_yaw = sound
         bearing_rad, down_rad = _looks(readings)
         level_m = readings.ranges[:, 1] * np.cos(down_rad)
-        if by_range.shared[3] > _RANGE_SHARE_MAX * float(np.median(level_m)):
+        if by_range.shared[3] > _RANGE_SHARE_MAX * _level_m(readings):
             by_range = sound
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
         self._bound(
             readings,
-            float(np.median(level_m)),
+            _level_m(readings),
             by_yaw if yaw_gain > _SUSPICIOUS else None,
             by_range if range_gain > _SUSPICIOUS and by_range.scale_m <= calm_m else None,
         )
         best, error = (by_yaw, 2) if yaw_gain > range_gain else (by_range, 3)
         self.place = self._place(readings, best, error, bearing_rad, level_m) if best is not sound else None
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
-            return "", ""
+            return _NOTHING
         pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings)
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
@@ -1119,23 +1144,32 @@ class PayloadFit:
             self._is_sudden = abs(then_rad - before_rad) > _SUDDEN_RAD
         grown_rad = math.copysign(1.0, yaw_rad) * float(by_yaw.shared[4]) * span_s
         yaw_grows = grown_rad > eased * _GROWN_YAW  # else it is constant, and corrected
-        is_long = range_gain > eased * _RANGE_EVIDENCE and abs(range_m) > eased * _DRIFTED_M
+        sinks = pitch_rad / (range_m * pitch_of_range_rad_m) if range_m else 0.0
+        # A target that turns wildly explains as much; heights know better.
+        is_calmer = by_range.scale_m < min(_CALM_ON_HILLS_M, _CALMER_ON_HILLS * sound.scale_m)
+        is_likely = range_gain > eased * _RANGE_EVIDENCE or (is_calmer and _SINKS_MIN < sinks < _SINKS_MAX)
+        is_long = is_likely and abs(range_m) > eased * _DRIFTED_M
         self._long = self._long + 1 if is_long else 0
         range_grows = abs(by_range.shared[5]) * span_s > eased * _GROWN_M
         looks_long = is_long and (range_grows or self._long > _LONG_COUNT)
-        is_range = looks_long and pitch_rad / (range_m * pitch_of_range_rad_m) > _SINKS_MIN
+        is_range = looks_long and sinks > _SINKS_MIN
         is_yaw = yaw_gain > again * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
         opposite = looks_long and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
         is_pitch = abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range
-        for what, is_it, numbers in (
-            ("pitch", is_pitch or opposite, (math.degrees(pitch_rad),)),
-            ("range", is_range and range_gain > yaw_gain, (60.0 * by_range.shared[5], range_m)),
-            ("yaw", is_yaw, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad))),
+        for what, is_it, numbers, drift in (
+            ("pitch", is_pitch or opposite, (math.degrees(pitch_rad),), None),
+            (
+                "range",
+                is_range and (range_gain > yaw_gain or not is_yaw),
+                (60.0 * by_range.shared[5], range_m),
+                by_range,
+            ),
+            ("yaw", is_yaw, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad)), by_yaw),
         ):
             if is_it:
                 self._is_sudden &= yaw_gain < _BEYOND_DOUBT
-                return what, _DRIFTS[what].format(*numbers)
-        return "", ""
+                return what, _DRIFTS[what].format(*numbers), drift
+        return _NOTHING
 
     def _judge_bearings(self, readings: Readings, sound: Fit, fit: Callable[..., Fit], gain: float) -> bool:
         """Find bearings at which ranges are wrong; return whether there are new ones.
@@ -1187,7 +1221,8 @@ class PayloadFit:
         self._wander = 0.0, 0.0
         for one, k, metres in ((by_yaw, 2, level_m), (by_range, 3, 1.0)):
             if one is not None:
-                known = 0.0 if self._erring is None else float(self._erring.shared[k])
+                corrected = self._drifted if self.drifts else self._erring
+                known = 0.0 if corrected is None else float(corrected.shared[k])
                 off_m = abs(float(one.shared[k]) - known) + 2.0 * _sigma_at_end(one, k)
                 self._wander = max(self._wander, (metres * off_m, metres * abs(float(one.shared[k + 2]))))
         self._wander_s = float(readings.ranges[-1, 0])
@@ -1255,16 +1290,16 @@ class PayloadFit:
         return self._sight_repeats.found or self._yaw_repeats.found
 
     def _settle(self) -> None:
-        before, by_laser = (self.laser_fault, self.gimbal_fault), self._drift == "range"
-        self.laser_fault = _STUCK if self._is_stuck else self._unit_fault or (self._drift_fault if by_laser else "")
+        before = self.laser_fault, self.gimbal_fault
+        self.laser_fault = _STUCK if self._is_stuck else self._unit_fault
         frozen = _FROZEN if self._sight_repeats.found else _YAW_FROZEN if self._yaw_repeats.found else ""
-        self.gimbal_fault = frozen or self._frame_fault or ("" if by_laser else self._drift_fault)
+        self.gimbal_fault = frozen or self._frame_fault
         if before != (self.laser_fault, self.gimbal_fault):
             self.is_news = self.is_changed = True
         if not any(before) and (self.laser_fault or self.gimbal_fault):
             repeats = self._range_repeats, self._range_stays, self._sight_repeats, self._yaw_repeats
             since_s = [one.since_s for one in repeats if one.found]
-            if self._frame_fault or self._unit_fault or self._drift_fault:
+            if self._frame_fault or self._unit_fault:
                 since_s.append(self._judged_s - SAMPLES_S)
                 if self._judged_s - self._changed_s < _CHANGED_S:
                     since_s.append(self._changed_s)
@@ -1339,6 +1374,11 @@ def _noses_rad(readings: Readings) -> FloatArray:
         readings.ranges[:, 0], readings.attitudes[:, 0], np.unwrap(readings.attitudes[:, 3])
     )
     return noses_rad
+
+
+def _level_m(readings: Readings) -> float:
+    """Return the median range over the ground."""
+    return float(np.median(readings.ranges[:, 1] * np.cos(_looks(readings)[1])))
 
 
 def _visits(readings: Readings, inside: npt.NDArray[np.bool_]) -> int:

@@ -318,10 +318,10 @@ class Tracker:
     def _correct(self, found: Delays, devices: tuple[Source | None, Source | None], now_s: float) -> None:
         """Replace the delays and errors in use by those that were found, if these are credible and differ."""
         payload, used_s = self.payload, self.payload.used_s
-        errs = self._errs_otherwise(found)
+        errs = self._errs_otherwise(found) and not payload.drifts
         if not payload.is_late:
             found = replace(found, gimbal_s=used_s[0], range_s=used_s[1])
-        if payload.is_late or errs:
+        if payload.is_late or errs or payload.drifts:
             self._set_delays(found)
             # The payload's errors were estimated with the previous delays and would change only slowly.
             apart_s = max(abs(found.gimbal_s - used_s[0]), abs(found.range_s - used_s[1]))
@@ -357,7 +357,9 @@ class Tracker:
             return prior
         sigma_rad = math.hypot(found.yaw_sigma_rad, _YAW_SIGMA_MIN_RAD)
         mean, covariance = prior.mean.copy(), prior.covariance.copy()
-        mean[0], covariance[0, 0] = found.yaw_bias_rad, min(variance, sigma_rad**2)
+        if not self.payload.drifts:
+            sigma_rad = min(math.sqrt(variance), sigma_rad)
+        mean[0], covariance[0, 0] = found.yaw_bias_rad, sigma_rad**2
         if abs(found.range_bias_m) > _RANGE_UNEXPECTED_M:
             mean[2] = found.range_bias_m
             covariance[2, 2] += (_RANGE_FOUND_SHARE * found.range_bias_m) ** 2

@@ -53,11 +53,14 @@ class PayloadNews:
         self._delays_s = tracker.latencies_s  # as announced
         self._range = 1.0, 0.0
         self._yaw_rad, self._yaw_since_s, self._turns = 0.0, math.inf, 0
+        self._drift = ""
         self._wrong_bearings: WrongBearings | None = None
 
     def announce(self, time_s: float) -> tuple[Announce, ...]:
         """Return announcements of the errors that differ clearly from those announced last."""
-        texts = [*self._of_delays(self._tracker.delays), *self._of_yaw(time_s), *self._of_range()]
+        texts = [*self._of_delays(self._tracker.delays), *self._of_drift()]
+        if not self._tracker.payload.drifts:
+            texts += [*self._of_yaw(time_s), *self._of_range()]
         texts += self._of_bearings(self._tracker.payload.wrong_bearings)
         return tuple(Announce(time_s, "sensor", text) for text in texts)
 
@@ -69,6 +72,10 @@ class PayloadNews:
             return ()
         self._delays_s = now_s
         return (f"delays of the payload found and corrected: {delays}",)
+
+    def _of_drift(self) -> tuple[str, ...]:
+        before, self._drift = self._drift, self._tracker.payload.drift_news
+        return (self._drift,) if self._drift and self._drift != before else ()
 
     def _of_yaw(self, time_s: float) -> tuple[str, ...]:
         tracker, is_certain = self._tracker, self._tracker.turns != self._turns
