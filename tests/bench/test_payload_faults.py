@@ -66,11 +66,11 @@ FAULTS = {  # made again for each flight: some remember what they repeat
 
 ERRORS = {
     "none": (scaled(1.0), ""),
-    "ranges 1.2 times the distance": (scaled(1.2), "the laser's ranges are"),
-    "ranges 1.5 times": (scaled(1.5), "the laser's ranges are"),
-    "ranges 0.7 times": (scaled(0.7), "the laser's ranges are"),
-    "ranges 50 m too short": (scaled(1.0, -50.0), "the laser's ranges are"),
-    "ranges 100 m too long": (scaled(1.0, 100.0), "the laser's ranges are"),
+    "ranges 1.2 times the distance": (scaled(1.2), "the laser's ranges"),
+    "ranges 1.5 times": (scaled(1.5), "the laser's ranges"),
+    "ranges 0.7 times": (scaled(0.7), "the laser's ranges"),
+    "ranges 50 m too short": (scaled(1.0, -50.0), "the laser's ranges"),
+    "ranges 100 m too long": (scaled(1.0, 100.0), "the laser's ranges"),
     "yaw 15 degrees to the left": (turned(-15.0), "the gimbal's yaw is"),
     "yaw 20 degrees to the right": (turned(20.0), "the gimbal's yaw is"),
     "yaw 40 degrees to the left": (turned(-40.0), "the gimbal's yaw is"),
