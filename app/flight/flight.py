@@ -222,6 +222,11 @@ class Flight:
         last = self._vehicle.latest.get("GLOBAL_POSITION_INT")
         return math.inf if last is None else float(last.fields["time_boot_ms"]) * 1e-3
 
+    @property
+    def loaded(self) -> bool:
+        """Whether a mission of sidelong is on board."""
+        return self._loop is not None and self._loop.controller.loaded
+
     def put_event(self, event: events.Event) -> None:
         """Pass the core an event that does not come from the vehicle; ignored if the core does not run."""
         if self._loop is not None:

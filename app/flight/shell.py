@@ -309,19 +309,25 @@ class Life:
             self._task.cancel()  # there is nothing to wind up
 
 
-def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Present, simulated: bool) -> str:
-    """Return what the aircraft does now that this program leaves off, as the end of a sentence."""
+def describe_aircraft(
+    vehicle: Vehicle, autopilot: Autopilot, snapshot: Present, *, loaded: bool, simulated: bool
+) -> str:
+    """Return what the aircraft does now that this program leaves off, as the end of a sentence.
+
+    loaded: a mission of sidelong is on board.
+    """
+    mode, waits = mode_of(vehicle), snapshot.phase is Phase.WAITING
     if not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
         does = "the aircraft is not armed"
     elif snapshot.phase is Phase.YIELDED:
         does = "a pilot or another station flies the aircraft"
-    elif mode_of(vehicle) not in (autopilot.mission_mode, autopilot.circle_mode):
-        flies, mode = is_flying(vehicle), mode_of(vehicle)
+    elif mode not in (autopilot.mission_mode, autopilot.circle_mode) or (waits and not loaded):
+        flies = is_flying(vehicle)
         does = f"the aircraft flies on in {mode}" if flies else f"the aircraft is armed on the ground in {mode}"
-    elif snapshot.phase is not Phase.WAITING:
-        does = "the aircraft goes on circling where it is"
-    else:
+    elif waits:
         does = "the aircraft flies to its first circle and stays on it"
+    else:
+        does = "the aircraft goes on circling where it is"
     if simulated:
         return f"{does}, but it was simulated and ends with this program"
     return does if snapshot.connected else f"by its last message, {does}"
@@ -607,9 +613,8 @@ class Shell:
         for craft in self._aircraft:
             vehicle, simulated = craft.session.vehicle, self._simulated is not None
             craft.links = tuple(report.as_json(craft.clock_rate.mean) for report in vehicle.link.reports())
-            does = describe_aircraft(
-                vehicle, craft.session.autopilot, craft.controller.snapshot(), simulated=simulated
-            )
+            autopilot, present, loaded = craft.session.autopilot, craft.controller.snapshot(), craft.flight.loaded
+            does = describe_aircraft(vehicle, autopilot, present, loaded=loaded, simulated=simulated)
             described.append(f"{craft.name}: {does}" if craft.name else does)
         return "; ".join(described)
 

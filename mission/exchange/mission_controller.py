@@ -108,6 +108,11 @@ class MissionController:
             return self._way_home.done
         return self._silent or self._backend.idle
 
+    @property
+    def loaded(self) -> bool:
+        """Whether a mission of sidelong is on board."""
+        return self._missions.loaded
+
     def snapshot(self) -> Present:
         """Return the state as a display wants it."""
         return replace(self.controller.snapshot(), waypoints_m=self._missions.waypoints_m)

@@ -258,6 +258,11 @@ class MissionItemBackend:
         parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
         return min([*parts, self._ownership.next_timer_s])
 
+    @property
+    def loaded(self) -> bool:
+        """Whether a mission of sidelong is on board."""
+        return self._layout is not None
+
     # -- the first mission ---------------------------------------------------------------------------------
 
     def load(self, plan: Plan, lead_in: tuple[MissionItem, ...] = ()) -> None:
