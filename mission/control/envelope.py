@@ -27,6 +27,7 @@ from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 
 _HEIGHT_M, _FLOOR_M, _CLEARANCE_M = 15.0, 5.0, 15.0  # how far an autopilot may be off the height of its plan
 _PATH_M, _FENCE_M = 60.0, 15.0  # the same across its path; transitions are judged closer: see PlanChanges
+_STRAYED_KEPT = math.exp(-1.0 / 60.0)  # of how far the aircraft strayed, in a second
 _LEAVES_M = 3.0  # more in a second: the aircraft is carried off its plan
 _OFF_M = 20.0  # farther off its plan an aircraft may not roll as fast as it has to
 _LASTS_S, _OVER_S = 2.0, 3.0  # a breach is reported after the one and is over after the other
@@ -147,6 +148,7 @@ class Envelope:
         self.target_before = (-math.inf, 0.0, 0.0)  # the same before it moved too fast
         self._wind, self._airspeed_m_s = Wind(), math.nan
         self.turns = _Turns()
+        self.strayed_m = 0.0  # how far off its plan it was lately
         self._reported_rad = self._reached_rad = math.inf  # bank limits
         self._rolls_rad_s, self._short, self._leaving = math.inf, 0, 0
         self._limit, self._learned_s, self._now_s = "", -math.inf, -math.inf  # what was learned last, and when
@@ -213,6 +215,7 @@ class Envelope:
         """Learn a bank that is not exceeded although the aircraft is carried out of its turn."""
         point = point_at(plan, nearest_arc_m(plan, here), here)
         before_m, self.off_m = self.off_m, math.hypot(here.east_m - point.east_m, here.north_m - point.north_m)
+        self.strayed_m = max(self.strayed_m * _STRAYED_KEPT, 0.0 if self._path.arrives else self.off_m)
         is_leaving = self.off_m > before_m + _LEAVES_M and not self._path.arrives
         self._leaving = self._leaving + 1 if is_leaving else 0
         bank_rad = self.turns.bank_rad()

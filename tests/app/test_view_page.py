@@ -418,8 +418,8 @@ def test_numbers_of_the_grid_never_cover_the_name_of_an_axis(page):
     page.mouse.down()
     for step in range(60):
         page.mouse.move(at_x - 4 * step, at_y)
-        boxes = page.locator("#map .tick").evaluate_all(
-            "all => all.map((one) => one.getBoundingClientRect().toJSON())"
+        boxes = page.locator("#map").evaluate(  # at once: each drawing makes new ones
+            "map => [...map.querySelectorAll('.tick')].map((one) => one.getBoundingClientRect().toJSON())"
         )
         row = sorted((box for box in boxes if box["bottom"] == boxes[0]["bottom"]), key=lambda box: box["left"])
         assert len(row) > 2
