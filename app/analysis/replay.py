@@ -50,6 +50,7 @@ _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is take
 
 
 _ROUNDING = 1e-6  # relative: costs of an x86-64 journal differ by 1e-8 on arm64
+_SAME_CIRCLE_M = 1.0
 _SMALL = 1e-3  # numbers below it are compared by their difference: what is left of a subtraction has few digits
 
 
@@ -217,6 +218,7 @@ class JournalReplay(Comparison):
 
     mission: the complete core, to compare uploads, switches and yields too. None: the controller alone is stepped,
     with the recorded results of the exchange: its state is the same. compares: whether to: a tenth of the time.
+    Once another plan is sent than in the flight, the exchange is left out, and what is flown is judged by no plan.
     """
 
     def __init__(
@@ -232,8 +234,12 @@ class JournalReplay(Comparison):
     def run(self, records: Iterable[Any]) -> Iterator[Replayed]:
         """Yield the events of the journal with the step's present results; skip those that no consumer needs."""
         controller, outputs_too, left_out = self.controller, self._outputs, self._left_out
+        sent: UploadPlan | None = None
         for record in records:
             kind = type(record)
+            if kind is UploadPlan and controller.envelope.judges and _is_another(record, sent):
+                controller.envelope.judges = False
+                self._step, outputs_too, left_out = controller.step, _COMMANDS, _EXCHANGE
             if kind in left_out:
                 if kind is ShutdownRequested:
                     return  # from here on the flight has stepped its exchange alone
@@ -250,8 +256,16 @@ class JournalReplay(Comparison):
             if self._compares:
                 self.replayed(record, outputs)
             commands = tuple(output for output in outputs if isinstance(output, StepOutput)) if outputs else ()
+            sent = next((one for one in commands if isinstance(one, UploadPlan)), sent)
             if commands or kind not in UNSEEN:
                 yield Replayed(record, commands, controller.estimate, controller.snapshot)
+
+
+def _is_another(flown: UploadPlan, sent: UploadPlan | None) -> bool:
+    if sent is None or sent.number != flown.number:
+        return True
+    a, b = flown.plan.circle, sent.plan.circle
+    return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) > _SAME_CIRCLE_M
 
 
 def last_digits(a: object, b: object) -> float:

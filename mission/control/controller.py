@@ -143,8 +143,6 @@ class StandoffSettings:
     at_breach: Literal["recover", "return"] = "recover"
 
 
-import os
-TRIG = float(os.environ.get("TRIG", "0"))
 class StandoffController:
     """The mission's whole state."""
 
@@ -742,7 +740,7 @@ class StandoffController:
         if flown_m >= present.transition_m:
             present = replace(present, transition=None)
         clear_m = min(one.clearance_m(present, airspeed_m_s, LEAVE_S, flown_m) for one in reaches)
-        if clear_m < keep_m + TRIG * self._spare_m and is_seen:
+        if clear_m < keep_m + self._spare_m and is_seen:
             plan, _ = self._best_way(aircraft, present)
         elif clear_m < keep_m:
             start, later = dead_reckoned(aircraft, latency_s), [one.after(latency_s) for one in reaches]

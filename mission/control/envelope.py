@@ -28,7 +28,6 @@ from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 _HEIGHT_M, _FLOOR_M, _CLEARANCE_M = 15.0, 5.0, 15.0  # how far an autopilot may be off the height of its plan
 _PATH_M, _FENCE_M = 60.0, 15.0  # the same across its path; transitions are judged closer: see PlanChanges
 _STRAYED_KEPT = math.exp(-1.0 / 60.0)  # of how far the aircraft strayed, in a second
-_LEAVES_M = 3.0  # more in a second: the aircraft is carried off its plan
 _OFF_M = 20.0  # farther off its plan an aircraft may not roll as fast as it has to
 _LASTS_S, _OVER_S = 2.0, 3.0  # a breach is reported after the one and is over after the other
 # A target's way over two times, s, against its limit: the share of it and the speed, m/s, allowed for errors.
@@ -43,6 +42,7 @@ _ADAPTED_S = 10.0  # a limit that was learned is reported for this time at least
 _STEADY_S, _STEADY_RAD, _TURNING_RAD = 3.0, math.radians(4.0), math.radians(5.0)
 _SHORT_RAD, _WIDE_M, _WIDE_SHARE = math.radians(5.0), 10.0, 0.25
 _ROLLED_RAD, _EVEN_RAD, _ROLL_SHORT = math.radians(9.0), math.radians(1.0), 0.8
+_ROLLS = 3  # as fast as each other: a limit
 _FASTER, _FASTEST_S = 1.3, 300.0  # no limit is what the aircraft rolled this much faster than within this time
 _EFFICIENCY_MIN, _EFFICIENCY_MAX, _EFFICIENCY_OVER_S = 0.6, 1.0, 10.0
 
@@ -77,6 +77,7 @@ class _Turns:
         self.efficiency = 1.0
         self._rolls: deque[AttitudeReading] = deque()
         self._fastest_rad_s, self._fastest_s = 0.0, -math.inf
+        self._steady_rolls: deque[tuple[float, float]] = deque(maxlen=_ROLLS)  # when, and how fast
 
     def note(self, reading: AttitudeReading) -> None:
         """Process an attitude."""
@@ -116,18 +117,28 @@ class _Turns:
         share = min(max(share, _EFFICIENCY_MIN), _EFFICIENCY_MAX)
         self.efficiency += (share - self.efficiency) / _EFFICIENCY_OVER_S
 
-    def roll_rate_rad_s(self, goal_rad: float) -> float:
-        """Return the roll rate while it has been steady far from the bank asked for, as by a limit; else infinity."""
-        recent = self._rolls
+    def note_roll(self) -> None:
+        """Note the roll rate of an aircraft off its plan, where it has been steady for some seconds, as by a limit."""
+        recent, rolls = self._rolls, self._steady_rolls
         if not self._is_filled:
-            return math.inf
+            return
         first, last = recent[0], recent[-1]
         rate_rad_s = (last.roll_rad - first.roll_rad) / (last.time_s - first.time_s)
         off_rad = max(abs(one.roll_rad - first.roll_rad - rate_rad_s * (one.time_s - first.time_s)) for one in recent)
-        is_steady = abs(last.roll_rad - first.roll_rad) > _ROLLED_RAD and off_rad < _EVEN_RAD
-        is_far = math.copysign(1.0, rate_rad_s) * (goal_rad - last.roll_rad) > _SHORT_RAD
-        is_limit = self._fastest_rad_s < _FASTER * abs(rate_rad_s)
-        return abs(rate_rad_s) if is_steady and is_far and is_limit else math.inf
+        if abs(last.roll_rad - first.roll_rad) < _ROLLED_RAD or off_rad > _EVEN_RAD:
+            return
+        if rolls and last.time_s - rolls[-1][0] < _STEADY_S:  # it goes on
+            rolls.pop()
+        rolls.append((last.time_s, abs(rate_rad_s)))
+
+    @property
+    def roll_rate_rad_s(self) -> float:
+        """The roll rate that several steady rolls had, and none exceeded by much; infinity: no limit is known."""
+        rolls = self._steady_rolls
+        if len(rolls) < _ROLLS or rolls[-1][0] - rolls[0][0] > _FASTEST_S:
+            return math.inf
+        slowest, fastest = min(rate for _, rate in rolls), max(rate for _, rate in rolls)
+        return fastest if self._fastest_rad_s < _FASTER * slowest else math.inf
 
 
 class Envelope:
@@ -150,7 +161,7 @@ class Envelope:
         self.turns = _Turns()
         self.strayed_m = 0.0  # how far off its plan it was lately
         self._reported_rad = self._reached_rad = math.inf  # bank limits
-        self._rolls_rad_s, self._short, self._leaving = math.inf, 0, 0
+        self._rolls_rad_s, self._short = math.inf, 0
         self._limit, self._learned_s, self._now_s = "", -math.inf, -math.inf  # what was learned last, and when
 
     @property
@@ -180,9 +191,11 @@ class Envelope:
             self._reported_rad = limit_rad
             self._learn(f"by its parameters it banks {math.degrees(bank_rad):.0f} degrees at most")
 
-    def _judge_roll(self, goal_rad: float) -> None:
-        """Learn a roll rate that is not exceeded while the aircraft, far off its plan, rolls towards its bank."""
-        own, rate_rad_s = self.aircraft, self.turns.roll_rate_rad_s(goal_rad)
+    def _judge_roll(self) -> None:
+        """Learn a roll rate that the aircraft does not exceed when it is off its plan."""
+        if self.off_m > _WIDE_M:
+            self.turns.note_roll()
+        own, rate_rad_s = self.aircraft, self.turns.roll_rate_rad_s
         planned_rad_s = own.airspeed_m_s**3 * sharpness_per_m2(own.airspeed_m_s, craft_of(own)) / GRAVITY_M_S2
         if rate_rad_s < min(_ROLL_SHORT * planned_rad_s, self._rolls_rad_s):
             self._rolls_rad_s = rate_rad_s
@@ -214,16 +227,12 @@ class Envelope:
     def _judge_bank(self, now: Present, here: AircraftState, plan: Plan) -> None:
         """Learn a bank that is not exceeded although the aircraft is carried out of its turn."""
         point = point_at(plan, nearest_arc_m(plan, here), here)
-        before_m, self.off_m = self.off_m, math.hypot(here.east_m - point.east_m, here.north_m - point.north_m)
+        self.off_m = math.hypot(here.east_m - point.east_m, here.north_m - point.north_m)
         self.strayed_m = max(self.strayed_m * _STRAYED_KEPT, 0.0 if self._path.arrives else self.off_m)
-        is_leaving = self.off_m > before_m + _LEAVES_M and not self._path.arrives
-        self._leaving = self._leaving + 1 if is_leaving else 0
+        self._judge_roll()
         bank_rad = self.turns.bank_rad()
         if bank_rad is None:
             self._short = 0
-            if self.off_m > _OFF_M and self._leaving >= _STEADY_S:
-                per_m = point.curvature_per_m / self.turns.efficiency
-                self._judge_roll(math.atan(here.ground_speed_m_s**2 * per_m / GRAVITY_M_S2))
             return
         self.turns.learn(bank_rad, _airspeed_m_s(here, now.wind))
         sense = math.copysign(1.0, point.curvature_per_m)

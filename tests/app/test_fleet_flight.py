@@ -9,9 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.errors import InputError
 from sidelong.app.flight import shell
-from sidelong.app.flight.shell import Shell, check_apart
+from sidelong.app.flight.shell import Shell, check_apart, describe_aircraft
+from sidelong.mission.control.present import Phase
 from tests.messages import message
 
 
@@ -54,6 +56,24 @@ def test_a_fault_of_ours_is_not_hidden(fleet):
     make, _ = fleet
     with pytest.raises(ZeroDivisionError):
         make(flies=True)._go_on_with([ZeroDivisionError(), None])
+
+
+@pytest.mark.parametrize(
+    ("phase", "mode", "loaded", "does"),
+    [
+        (Phase.WAITING, "AUTO", False, "the aircraft flies on in AUTO"),
+        (Phase.WAITING, "AUTO", True, "the aircraft flies to its first circle and stays on it"),
+        (Phase.WAITING, "RTL", True, "the aircraft flies on in RTL"),
+        (Phase.WATCHING, "AUTO", True, "the aircraft goes on circling where it is"),
+    ],
+)
+def test_what_the_aircraft_does_now_is_what_it_was_ordered(monkeypatch, phase, mode, loaded, does):
+    monkeypatch.setattr(shell, "is_flying", lambda _vehicle: True)
+    monkeypatch.setattr(shell, "mode_of", lambda _vehicle: mode)
+    vehicle = SimpleNamespace(latest={"HEARTBEAT": message("HEARTBEAT", base_mode=128)})
+    (autopilot,) = [one for one in AUTOPILOTS if one.key == "arduplane"]
+    present = SimpleNamespace(phase=phase, connected=True)
+    assert describe_aircraft(vehicle, autopilot, present, loaded=loaded, simulated=False) == does
 
 
 def test_the_duration_runs_from_when_the_clock_is_known(monkeypatch):

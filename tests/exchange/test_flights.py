@@ -28,6 +28,7 @@ def test_a_replay_repeats_uploads_and_switches_to_the_last_bit(in_the_air, tmp_p
     flight = in_the_air(flavour, faults=BAD, guidance=guidance)
     flight.run(60.0)
     assert len(statuses(flight, "departed")) >= 2
+    assert flight.core.loaded == (guidance == "mission")
     assert not flight.found(Yield)
     assert not [one for one in flight.found(Announce) if "another station" in one.text]
     replay = flight.replayed(tmp_path / "journal.jsonl")
@@ -270,6 +271,19 @@ def test_arming_that_is_in_progress_indefinitely_is_given_up_and_disarmed(fly, f
     (failed,) = flight.found(TakeoverFailed)
     assert "did not arm (in progress)" in failed.reason
     assert not flight.autopilot.armed
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_a_first_mission_that_is_not_taken_is_not_on_board(fly, flavour):
+    flight = fly(flavour, begin=False)
+    handle = flight.autopilot.handle
+    flight.autopilot.handle = lambda station, message: (
+        None if message.get_type() == "MISSION_ITEM_INT" else handle(station, message)
+    )
+    flight.take_over()
+    assert flight.run(120.0, lambda: flight.found(TakeoverFailed))
+    assert "nothing was commanded" in flight.found(TakeoverFailed)[0].reason
+    assert not flight.core.loaded
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
