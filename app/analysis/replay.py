@@ -50,7 +50,6 @@ _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is take
 
 
 _ROUNDING = 1e-6  # relative: costs of an x86-64 journal differ by 1e-8 on arm64
-_SAME_CIRCLE_M = 1.0
 _SMALL = 1e-3  # numbers below it are compared by their difference: what is left of a subtraction has few digits
 
 
@@ -237,7 +236,7 @@ class JournalReplay(Comparison):
         sent: UploadPlan | None = None
         for record in records:
             kind = type(record)
-            if kind is UploadPlan and controller.envelope.judges and _is_another(record, sent):
+            if kind is UploadPlan and controller.envelope.judges and not _is_sent(record, sent):
                 controller.envelope.judges = False
                 self._step, outputs_too, left_out = controller.step, _COMMANDS, _EXCHANGE
             if kind in left_out:
@@ -261,11 +260,10 @@ class JournalReplay(Comparison):
                 yield Replayed(record, commands, controller.estimate, controller.snapshot)
 
 
-def _is_another(flown: UploadPlan, sent: UploadPlan | None) -> bool:
+def _is_sent(flown: UploadPlan, sent: UploadPlan | None) -> bool:
     if sent is None or sent.number != flown.number:
-        return True
-    a, b = flown.plan.circle, sent.plan.circle
-    return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) > _SAME_CIRCLE_M
+        return False
+    return last_digits(sent.plan.circle, flown.plan.circle) < _ROUNDING
 
 
 def last_digits(a: object, b: object) -> float:

@@ -312,10 +312,7 @@ class Life:
 def describe_aircraft(
     vehicle: Vehicle, autopilot: Autopilot, snapshot: Present, *, loaded: bool, simulated: bool
 ) -> str:
-    """Return what the aircraft does now that this program leaves off, as the end of a sentence.
-
-    loaded: a mission of sidelong is on board.
-    """
+    """Return what the aircraft does now that this program leaves off, as the end of a sentence."""
     mode, waits = mode_of(vehicle), snapshot.phase is Phase.WAITING
     if not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
         does = "the aircraft is not armed"

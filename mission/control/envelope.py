@@ -118,7 +118,7 @@ class _Turns:
         self.efficiency += (share - self.efficiency) / _EFFICIENCY_OVER_S
 
     def note_roll(self) -> None:
-        """Note the roll rate of an aircraft off its plan, where it has been steady for some seconds, as by a limit."""
+        """Note the roll rate of an aircraft off its plan where it has been steady for some seconds."""
         recent, rolls = self._rolls, self._steady_rolls
         if not self._is_filled:
             return
@@ -134,11 +134,10 @@ class _Turns:
     @property
     def roll_rate_rad_s(self) -> float:
         """The roll rate that several steady rolls had, and none exceeded by much; infinity: no limit is known."""
-        rolls = self._steady_rolls
+        rolls, rates_rad_s = self._steady_rolls, [rate for _, rate in self._steady_rolls]
         if len(rolls) < _ROLLS or rolls[-1][0] - rolls[0][0] > _FASTEST_S:
             return math.inf
-        slowest, fastest = min(rate for _, rate in rolls), max(rate for _, rate in rolls)
-        return fastest if self._fastest_rad_s < _FASTER * slowest else math.inf
+        return max(rates_rad_s) if self._fastest_rad_s < _FASTER * min(rates_rad_s) else math.inf
 
 
 class Envelope:

@@ -37,6 +37,15 @@ def test_another_value_is_flown_from_a_moment_on(flown, tmp_path):
     assert both["what_if"]["max_range_m"] < 700.0
 
 
+def test_a_replay_that_decides_otherwise_judges_the_path_as_it_was_flown(flown, tmp_path):
+    shares = []
+    for side in ("left", "right"):
+        out = tmp_path / f"{side}.json"
+        assert run(["replay", str(flown), "--quiet", "--json", str(out), "--set", f"requirement.side={side}"]) == 0
+        shares.append(json.loads(out.read_text())["time_in_band"])
+    assert shares[0] == pytest.approx(shares[1])
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
