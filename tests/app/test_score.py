@@ -112,7 +112,27 @@ def test_the_page_follows_the_same_course_as_the_judge():
         state = one.target_east_m, one.target_north_m, one.target_velocity_east_m_s, one.target_velocity_north_m_s
         course.update(TargetEstimate(one.time_s, *state, np.zeros((4, 4)), TrackQuality.GOOD, one.time_s), 20.0)
         followed.append(math.nan if course.made_good_rad is None else course.made_good_rad)
-    np.testing.assert_allclose(followed, judge_moments(seen, LEFT).course_rad, atol=1e-9)
+    unknown = [one.time_s for one, course_rad in zip(seen, followed, strict=True) if math.isnan(course_rad)]
+    jumped_s = max(unknown)  # it has no course either until the target has moved
+    known = ~np.isnan(followed)
+    np.testing.assert_allclose(np.array(followed)[known], judge_moments(seen, LEFT).course_rad[known], atol=1e-9)
+    assert seen[-1].time_s > jumped_s
+    assert sum(one > jumped_s - 40.0 for one in unknown) <= 21
+
+
+def test_a_target_that_started_out_of_sight_has_no_course_until_it_is_found():
+    """It went east, stood, and was hidden while it went on to the north."""
+    course, followed = TargetCourse(), {}
+    for time_s in np.arange(70.0).tolist():
+        north_m = 3.0 * max(time_s - 50.0, 0.0) if time_s >= 55.0 else 0.0
+        state = 3.0 * min(time_s, 20.0), north_m, 3.0 * (time_s < 20.0), 3.0 * (time_s >= 55.0)
+        course.update(
+            TargetEstimate(time_s, *state, np.diag([1.0, 1.0, 0.01, 0.01]), TrackQuality.GOOD, time_s), 20.0
+        )
+        followed[time_s] = course.made_good_rad
+    assert followed[54.0] == pytest.approx(math.pi / 2)
+    assert followed[55.0] is None
+    assert followed[69.0] == pytest.approx(0.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("sigma_m", "course_rad"), [(4.0, math.pi / 2), (1.0, 0.0)])
