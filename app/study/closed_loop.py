@@ -318,7 +318,7 @@ class FlownOn(ClosedLoop[Message | Reading]):
         from_m = math.inf if circle is None else math.dist(place[:2], (circle.east_m, circle.north_m))
         if circle is None or abs(from_m - circle.radius_m) > _ON_CIRCLE_M:
             circle = Circle.tangent_to(*place, limits.radius_m, config.requirement.requirement().side.clockwise)
-        height_m = begin.height_m if math.isfinite(begin.height_m) else own.height_m
+        height_m = own.height_m if begin.plan is None else begin.plan.circle_height_m(own.height_m)
         home = Home(plane.origin_latitude_deg, plane.origin_longitude_deg, home_altitude_m)
         body = Body.configured(own, LAG_S[autopilot.key])
         errors = PayloadErrors(
@@ -327,6 +327,8 @@ class FlownOn(ClosedLoop[Message | Reading]):
         start = Start(plane, home, circle, height_m, state, begin.time_s)
         self._target, payload = OnTicks(target, target.duration_s), Payload(errors, np.random.default_rng(1))
         vehicle = KinematicVehicle(autopilot, body, wind, start, payload, self._target, RATES)
+        if math.isfinite(begin.height_m):  # it may still climb to its circle
+            vehicle.craft.height_m = begin.height_m
         super().__init__(vehicle)
         if controller.surroundings.ground is not None:
             put_over(vehicle, controller.surroundings.ground)

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from sidelong.app.assembly import controller_of
+from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.cli import run
+from sidelong.app.study.closed_loop import FlownOn
+from sidelong.app.study.recorded import RecordedTarget
+from sidelong.mission.core.events import HealthChanged
+from sidelong.mission.core.inputs import Input
+from sidelong.mission.core.requirement import Wind
+from tests.app.conftest import PLANE
 
 DURATION_S = 240.0
 
@@ -35,6 +45,16 @@ def test_another_value_is_flown_from_a_moment_on(flown, tmp_path):
     assert both["what_if"]["duration_s"] == pytest.approx(DURATION_S - 60.0, abs=15.0)
     assert both["what_if"]["moves"] >= 1  # it goes to the other side, and does not stay on the flown path
     assert both["what_if"]["max_range_m"] < 700.0
+
+
+def test_an_aircraft_that_still_climbs_is_flown_on_to_the_height_of_its_circle(config, flight):
+    *_, (_, _, controller) = flight(60.0)
+    begin, still = replace(controller.snapshot(), height_m=75.0), np.zeros(120)
+    core, (autopilot, *_) = controller_of(config), AUTOPILOTS
+    flown_on = FlownOn(config, core, autopilot, PLANE, 0.0, begin, Wind(), RecordedTarget("still", still, still), 0.0)
+    changes = [one for step in flown_on.steps() for one in step.commands if isinstance(one, HealthChanged)]
+    assert [one for one in changes if one.input is Input.HEIGHT] == []
+    assert core.snapshot().height_m == pytest.approx(config.aircraft.height_m, abs=3.0)
 
 
 def test_a_replay_that_decides_otherwise_judges_the_path_as_it_was_flown(flown, tmp_path):
