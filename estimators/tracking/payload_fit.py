@@ -160,7 +160,6 @@ _SEEN_AGAIN = 0.6  # of the evidence, for a yaw that drifted a judgement before
 _LONG_COUNT = 1  # of a range error that lasts, and that no fit of constant errors finds
 _YAW_EVIDENCE, _RANGE_EVIDENCE, _SUSPICIOUS, _DRIFTING_SIGMA_M = 30.0, 40.0, 10.0, 1.0
 _WANDER_MIN_M = 10.0  # less is within what the ellipse of the estimate and the band allow for
-_LAST = 5  # readings: the median place of these
 # Ranges that are wrong at some bearings.
 _BIN_RAD, _BIN_COUNT, _VISITS, _VISIT_S = math.radians(15.0), 4, 2, 5.0
 _WRONG_SHARE, _WRONG_SIGMA, _WRONG_EVIDENCE = 0.06, 0.05, 60.0  # shares of the range
@@ -352,8 +351,6 @@ class PayloadFit:
         self.is_changed = True
         self._fit_s = self._drift_s = self._wander_s = -math.inf
         self._wander = 0.0, 0.0  # suspected error of the estimate m, and its growth m/s
-        # Time s, place (east, north) m and its standard deviation m, without the drift that is likely.
-        self.place: tuple[float, float, float, float] | None = None
 
     def _expect_another_laser(self) -> None:
         self._range_repeats, self._range_stays = _Repeats(_SAME_RANGE_M), _Repeats(_EXACT_M)
@@ -457,7 +454,6 @@ class PayloadFit:
     def _row(self, now_s: float) -> None:
         if now_s < self._row_s:  # the clock was set back
             self._history.clear()
-            self.place = None
             self._sampled_s = self._judged_s = self._since_s = self._fit_s = self._drift_s = -math.inf
         self._row_s = now_s
         if self._since_s == -math.inf:
@@ -1106,7 +1102,6 @@ class PayloadFit:
         readings = right
         sound, by_yaw, by_range, fit = self._drift_fits(readings)
         if self._judge_bearings(readings, sound, fit, sound.cost - min(by_yaw.cost, by_range.cost)):
-            self.place = None
             return _NOTHING
         if known is not None:
             self._clear_bearings(everywhere, fit)
@@ -1115,20 +1110,17 @@ class PayloadFit:
         calm_m = max(sound.scale_m, _CALM_DRIFT_M)
         if by_yaw.scale_m > calm_m:
             by_yaw = sound
-        bearing_rad, down_rad = _looks(readings)
-        level_m = readings.ranges[:, 1] * np.cos(down_rad)
-        if by_range.shared[3] > _RANGE_SHARE_MAX * _level_m(readings):
+        level_m = _level_m(readings)
+        if by_range.shared[3] > _RANGE_SHARE_MAX * level_m:
             by_range = sound
         yaw_rad, range_m = float(by_yaw.shared[2]), float(by_range.shared[3])
         yaw_gain, range_gain = sound.cost - by_yaw.cost, sound.cost - by_range.cost
         self._bound(
             readings,
-            _level_m(readings),
+            level_m,
             by_yaw if yaw_gain > _SUSPICIOUS else None,
             by_range if range_gain > _SUSPICIOUS and by_range.scale_m <= calm_m else None,
         )
-        best, error = (by_yaw, 2) if yaw_gain > range_gain else (by_range, 3)
-        self.place = self._place(readings, best, error, bearing_rad, level_m) if best is not sound else None
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return _NOTHING
         pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings)
@@ -1226,22 +1218,6 @@ class PayloadFit:
                 off_m = abs(float(one.shared[k]) - known) + 2.0 * _sigma_at_end(one, k)
                 self._wander = max(self._wander, (metres * off_m, metres * abs(float(one.shared[k + 2]))))
         self._wander_s = float(readings.ranges[-1, 0])
-
-    @staticmethod
-    def _place(
-        readings: Readings, drift: Fit, error: int, bearing_rad: FloatArray, level_m: FloatArray
-    ) -> tuple[float, float, float, float]:
-        """Return the time of the last readings, and the place that they show without the drift, with its sigma, m."""
-        time_s = readings.ranges[-_LAST:, 0]
-        level_m = level_m[-_LAST:] - drift.shared[3]
-        bearing_rad = bearing_rad[-_LAST:] - math.atan(drift.shared[2])
-        east_m, north_m = (
-            float(np.median(np.interp(time_s, readings.positions[:, 0], readings.positions[:, k]) + level_m * way))
-            for k, way in ((1, np.sin(bearing_rad)), (2, np.cos(bearing_rad)))
-        )
-        metres = float(level_m[-1]) if error == 2 else 1.0
-        noise_m = math.hypot(readings.noise[0] * float(level_m[-1]), readings.noise[1])
-        return float(time_s[-1]), east_m, north_m, math.hypot(metres * _sigma_at_end(drift, error), noise_m)
 
     def wander_m(self, time_s: float) -> float:
         """Return how far the estimate may be off by a drift that is suspected; 0 while the motion shows none, m."""

@@ -381,7 +381,7 @@ class UnseenTarget:
         """Return where the target can be, None while it is seen; estimate: as :meth:`predicted`.
 
         A track that begins again may be a wrong one: it counts only some seconds later. With a fault of laser or
-        gimbal the target can be wherever it can have gone; where they drift, the place without the drift is used.
+        gimbal the target can be wherever it can have gone.
         """
         unseen_s = now_s - estimate.last_sighting_s
         if estimate.quality is TrackQuality.LOST:
@@ -404,10 +404,6 @@ class UnseenTarget:
             east_m = estimate.east_m - unseen_s * estimate.velocity_east_m_s
             north_m = estimate.north_m - unseen_s * estimate.velocity_north_m_s
             sigma_m = 0.0
-        place = self._tracker.payload.place
-        if place is not None and place[0] > estimate.last_sighting_s:
-            at_s, east_m, north_m, sigma_m = place
-            unseen_s = now_s - at_s
         reach = Reach(east_m, north_m, 2.0 * sigma_m + speed_m_s * unseen_s, speed_m_s)
         self._last = now_s, reach
         return reach
