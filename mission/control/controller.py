@@ -921,7 +921,7 @@ class StandoffController:
             case "resume":
                 self.phase = Phase.WATCHING
             case "confirm":
-                self._object.confirm()
+                self._object.explain("confirmed")
             case "end":
                 self._end(Phase.ENDED, "ended by the operator")
             case "side" if event.side is None or settings.requirement.sector is not None:
