@@ -6,6 +6,7 @@ Source: docs/how-to/read-the-terminal.md; docs/health.md#the-target-is-not-seen.
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +39,7 @@ _OBJECTED_NIS = 6.0  # of two or three measured numbers: beyond it one in ten
 _LASTS_S, _AGREE_S = 2.0, 60.0
 _JUDGE_S, _SHADOW_S, _SPACED_S, _SHADOW_COUNT = 1.0, 12.0, 0.8, 9
 _SHADOW_FLOWN_M, _SHADOW_SHARE, _SHADOW_SPEED_SHARE = 20.0, 0.3, 0.6
-_SHADOW_QUANTILE = 0.8  # the rest may be outliers
+_SHADOW_PARTS = 5  # of which one may be outliers
 
 
 class PayloadNews:
@@ -275,12 +276,16 @@ class AnotherObject:
             return
         if speed_m_s > _SHADOW_SPEED_SHARE * ground_speed_m_s:
             return  # a target of that speed can drive as the aircraft flies
-        own_m, seen_m = (np.array([getattr(one, name) for one in self._moved]) for name in ("aircraft_m", "place_m"))
-        apart_m = seen_m - own_m
-        differs_m = np.linalg.norm(apart_m - np.median(apart_m, axis=0), axis=1)
-        limit_m = float(np.quantile(differs_m, _SHADOW_QUANTILE))
-        own_m = own_m[differs_m <= limit_m]  # the motion that rests on the others may be that of one outlier
-        flown_m = float(np.linalg.norm(own_m - own_m.mean(axis=0))) / math.sqrt(len(own_m))
+        # Plain numbers: arrays of a dozen positions cost ten times as much.
+        own_m, seen_m = ([getattr(one, name) for one in self._moved] for name in ("aircraft_m", "place_m"))
+        apart_m = [(seen[0] - own[0], seen[1] - own[1]) for seen, own in zip(seen_m, own_m, strict=True)]
+        middle_m = [statistics.median(axis_m) for axis_m in zip(*apart_m, strict=True)]
+        differs_m = [math.dist(one, middle_m) for one in apart_m]
+        limit_m = statistics.quantiles(differs_m, n=_SHADOW_PARTS, method="inclusive")[-1]
+        # The motion that rests on the others may be that of one outlier.
+        kept_m = [own for own, off_m in zip(own_m, differs_m, strict=True) if off_m <= limit_m]
+        mean_m = [statistics.fmean(axis_m) for axis_m in zip(*kept_m, strict=True)]
+        flown_m = math.sqrt(statistics.fmean(math.dist(own, mean_m) ** 2 for own in kept_m))
         if flown_m > _SHADOW_FLOWN_M and limit_m < _SHADOW_SHARE * flown_m:
             first = self._moved[0]
             left = first.time_s, Reach(*first.place_m, 2.0 * first.sigma_m, speed_m_s)
