@@ -42,7 +42,7 @@ class Sighting:
     """The target as seen from the aircraft at ``time_s``. Sigmas are those of the three measured numbers.
 
     The aircraft's height has an arbitrary zero, the same for all sightings. ``payload`` is the index of the payload
-    in a filter of several. Without ``has_range`` the slant range only says where to linearise.
+    in a filter of several. Without ``has_range`` the slant range only shows where to linearise.
     """
 
     time_s: float

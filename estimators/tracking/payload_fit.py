@@ -879,7 +879,7 @@ class PayloadFit:
                 self._fit_s = now_s + _EVERY_MIN_S
         tan_yaw, range_m = best.shared[2:4].tolist()
         if self._erring is None and abs(tan_yaw) > _YAW_MIN_RAD:
-            return  # far beyond its prior, and yet not so likely as to be believed
+            return  # far beyond its prior, and yet not likely enough
         if self._erring is None or self._on_ground:
             range_m = 0.0  # it may be the target's height
         if self._erring is not None:  # of an error that is there, nothing is known before
