@@ -236,7 +236,7 @@ class JournalReplay(Comparison):
         sent: UploadPlan | None = None
         for record in records:
             kind = type(record)
-            if kind is UploadPlan and controller.envelope.judges and not _is_sent(record, sent):
+            if kind is UploadPlan and controller.envelope.judges and not _is_same_plan(record, sent):
                 controller.envelope.judges = False
                 self._step, outputs_too, left_out = controller.step, _COMMANDS, _EXCHANGE
             if kind in left_out:
@@ -260,7 +260,7 @@ class JournalReplay(Comparison):
                 yield Replayed(record, commands, controller.estimate, controller.snapshot)
 
 
-def _is_sent(flown: UploadPlan, sent: UploadPlan | None) -> bool:
+def _is_same_plan(flown: UploadPlan, sent: UploadPlan | None) -> bool:
     if sent is None or sent.number != flown.number:
         return False
     return last_digits(sent.plan.circle, flown.plan.circle) < _ROUNDING

@@ -117,26 +117,20 @@ class _Turns:
         share = min(max(share, _EFFICIENCY_MIN), _EFFICIENCY_MAX)
         self.efficiency += (share - self.efficiency) / _EFFICIENCY_OVER_S
 
-    def note_roll(self) -> None:
-        """Note the roll rate of an aircraft off its plan where it has been steady for some seconds."""
+    def roll_limit_rad_s(self, *, is_off: bool) -> float:
+        """Return the rate of several steady rolls off the plan that none exceeds by much; infinity: none is known."""
         recent, rolls = self._rolls, self._steady_rolls
-        if not self._is_filled:
-            return
-        first, last = recent[0], recent[-1]
-        rate_rad_s = (last.roll_rad - first.roll_rad) / (last.time_s - first.time_s)
-        off_rad = max(abs(one.roll_rad - first.roll_rad - rate_rad_s * (one.time_s - first.time_s)) for one in recent)
-        if abs(last.roll_rad - first.roll_rad) < _ROLLED_RAD or off_rad > _EVEN_RAD:
-            return
-        if rolls and last.time_s - rolls[-1][0] < _STEADY_S:  # it goes on
-            rolls.pop()
-        rolls.append((last.time_s, abs(rate_rad_s)))
-
-    @property
-    def roll_rate_rad_s(self) -> float:
-        """The roll rate that several steady rolls had, and none exceeded by much; infinity: no limit is known."""
-        rolls, rates_rad_s = self._steady_rolls, [rate for _, rate in self._steady_rolls]
+        if is_off and self._is_filled:
+            first, last = recent[0], recent[-1]
+            rate = (last.roll_rad - first.roll_rad) / (last.time_s - first.time_s)
+            off_rad = max(abs(one.roll_rad - first.roll_rad - rate * (one.time_s - first.time_s)) for one in recent)
+            if abs(last.roll_rad - first.roll_rad) > _ROLLED_RAD and off_rad < _EVEN_RAD:
+                if rolls and last.time_s - rolls[-1][0] < _STEADY_S:  # it goes on
+                    rolls.pop()
+                rolls.append((last.time_s, abs(rate)))
         if len(rolls) < _ROLLS or rolls[-1][0] - rolls[0][0] > _FASTEST_S:
             return math.inf
+        rates_rad_s = [rate for _, rate in rolls]
         return max(rates_rad_s) if self._fastest_rad_s < _FASTER * min(rates_rad_s) else math.inf
 
 
@@ -192,9 +186,7 @@ class Envelope:
 
     def _judge_roll(self) -> None:
         """Learn a roll rate that the aircraft does not exceed when it is off its plan."""
-        if self.off_m > _WIDE_M:
-            self.turns.note_roll()
-        own, rate_rad_s = self.aircraft, self.turns.roll_rate_rad_s
+        own, rate_rad_s = self.aircraft, self.turns.roll_limit_rad_s(is_off=self.off_m > _WIDE_M)
         planned_rad_s = own.airspeed_m_s**3 * sharpness_per_m2(own.airspeed_m_s, craft_of(own)) / GRAVITY_M_S2
         if rate_rad_s < min(_ROLL_SHORT * planned_rad_s, self._rolls_rad_s):
             self._rolls_rad_s = rate_rad_s

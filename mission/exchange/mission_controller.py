@@ -111,7 +111,7 @@ class MissionController:
     @property
     def loaded(self) -> bool:
         """Whether a mission of sidelong is on board."""
-        return self._missions.loaded
+        return self._missions.layout is not None
 
     def snapshot(self) -> Present:
         """Return the state as a display wants it."""

@@ -219,7 +219,7 @@ class MissionItemBackend:
 
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: ExchangeSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
-        self._layout: MissionLayout | None = None
+        self.layout: MissionLayout | None = None
         self._loading: MissionLayout | None = None
         self._read: MissionRead | None = None
         self._queued: UploadPlan | None = None  # until the next tick
@@ -258,11 +258,6 @@ class MissionItemBackend:
         parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
         return min([*parts, self._ownership.next_timer_s])
 
-    @property
-    def loaded(self) -> bool:
-        """Whether a mission of sidelong is on board."""
-        return self._layout is not None
-
     # -- the first mission ---------------------------------------------------------------------------------
 
     def load(self, plan: Plan, lead_in: tuple[MissionItem, ...] = ()) -> None:
@@ -295,7 +290,7 @@ class MissionItemBackend:
         head = len(self._dialect.head(self._settings.home))
         min_items = self._dialect.min_items
         kept = max(last + 1, min_items)
-        self._layout = MissionLayout(items[:kept], head, max(first, head), last + 1, min_items).filled()
+        self.layout = MissionLayout(items[:kept], head, max(first, head), last + 1, min_items).filled()
         self._onboard = items
         self._ownership.adopted(self._current)
         item = items[last]
@@ -304,8 +299,8 @@ class MissionItemBackend:
     @property
     def line_first(self) -> int:
         """Index of the first item of the line that is flown."""
-        assert self._layout is not None
-        return self._layout.first
+        assert self.layout is not None
+        return self.layout.first
 
     @property
     def flown_index(self) -> int | None:
@@ -315,7 +310,7 @@ class MissionItemBackend:
     @property
     def waypoints_m(self) -> tuple[tuple[float, float], ...]:
         """Positions (east, north) of the waypoints ahead: of the path on its way, else of the path that is flown."""
-        layout, seq = self._layout if self._change is None else self._change.layout, self.flown_index
+        layout, seq = self.layout if self._change is None else self._change.layout, self.flown_index
         if layout is None:
             return ()
         first = seq if seq is not None and seq in layout else layout.first
@@ -338,7 +333,7 @@ class MissionItemBackend:
         """Bring a plan to the autopilot without flying it yet."""
         change = self._change
         busy = self._write is not None or (change is not None and change.stage is _Stage.ACTIVATING)
-        if busy or self._closed or self._layout is None:
+        if busy or self._closed or self.layout is None:
             self._announce(command.number, "failed", "the plan before is not settled" if busy else "the flight ends")
             return
         if change is not None and change.stage is _Stage.NOT_TAKEN:
@@ -352,13 +347,13 @@ class MissionItemBackend:
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
             self._announce(command.number, "failed", "it is not on board")
             return
-        assert self._layout is not None
+        assert self.layout is not None
         change.stage = _Stage.ACTIVATING
         change.activation = Activation(
             self._outbox,
             change.command,
             change.layout,
-            self._layout,
+            self.layout,
             self._round_trip_s,
             self._target,
             read_in_order=not self._dialect.quirks.stores_items_one_by_one,
@@ -373,7 +368,7 @@ class MissionItemBackend:
         """Do what is due."""
         self._waits = False
         self._ownership.expire()
-        index, layout = self.flown_index, self._layout
+        index, layout = self.flown_index, self.layout
         can_ask = self._write is None and layout is not None and index is not None and index in layout
         self._ownership.audit(index if can_ask else None)
         if self._ownership.frozen:
@@ -394,7 +389,7 @@ class MissionItemBackend:
 
     def _lay_out(self, command: UploadPlan) -> None:
         """Find free places for the plan's items next to those that are flown, and write them there."""
-        assert self._layout is not None
+        assert self.layout is not None
         self._queued = None
         try:
             line = self.line(replace(command.plan, circle=command.commanded), command.wind, command.home_m)
@@ -402,8 +397,8 @@ class MissionItemBackend:
             self._announce(command.number, "failed", str(error))
             return
         if self._current is not None:
-            self._layout = self._layout.since(self._current.seq)
-        layout = self._layout.with_line(line)
+            self.layout = self.layout.since(self._current.seq)
+        layout = self.layout.with_line(line)
         self._change = _Change(command, layout)
         self._begin_upload(layout, command)
 
@@ -496,7 +491,7 @@ class MissionItemBackend:
         change = self._change
         if change is None:
             self.load_result = result
-            self._layout = self._loading if result is WriteResult.ACCEPTED else None
+            self.layout = self._loading if result is WriteResult.ACCEPTED else None
             return
         is_early = self._outbox.time_s + self._took_s < change.command.plan.departure_s
         if result is WriteResult.ACCEPTED:
@@ -513,7 +508,7 @@ class MissionItemBackend:
 
         That is the item flown at that moment, so a waypoint passed during the upload is not flown again.
         """
-        layout, aircraft, seq = self._layout, self._aircraft, self.flown_index
+        layout, aircraft, seq = self.layout, self._aircraft, self.flown_index
         assert layout is not None
         index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
         if aircraft is None or index == layout.end - 1:
@@ -553,14 +548,14 @@ class MissionItemBackend:
             case PositionTargetReported() if self._dialect.quirks.reports_target_at_once:
                 self._target = report
                 activating = None if change is None or change.activation is None else change.layout
-                self._ownership.target(report, (self._layout, self._left, activating))
+                self._ownership.target(report, (self.layout, self._left, activating))
                 if change is not None and change.activation is not None:
                     change.activation.target(report)
                     self._judge_activation(change)
             case MissionCountReported() if change is not None and change.activation is not None:
                 change.activation.counted()
-            case MissionItemReported() if self._write is None and self._layout is not None:
-                self._ownership.item(report, self._layout)
+            case MissionItemReported() if self._write is None and self.layout is not None:
+                self._ownership.item(report, self.layout)
         self._waits = self._waits or (frozen and not self._ownership.frozen)
 
     def _on_current(self, report: MissionCurrentReported) -> None:
@@ -571,20 +566,20 @@ class MissionItemBackend:
         if change is not None and change.activation is not None:
             change.activation.current(report.seq)
             self._judge_activation(change)
-        if self._layout is None:
+        if self.layout is None:
             return
-        if report.seq not in self._layout:
+        if report.seq not in self.layout:
             self._taken_after_all(report.seq)
-        if report.seq in self._layout:
+        if report.seq in self.layout:
             self._left = None
-        self._ownership.current(report, self._layout, self._left)
+        self._ownership.current(report, self.layout, self._left)
 
     def _look_for_skipped(self, before: _Flown | None, aircraft: AircraftState) -> None:
         """Announce that another station has chosen a later item of our line: it is flown.
 
         The aircraft cannot have passed the waypoint before that; one that misses a waypoint passes it abeam.
         """
-        layout, now = self._layout, self._flown
+        layout, now = self.layout, self._flown
         if before is None or now is None or layout is None or now.seq <= before.seq or before.seq not in layout:
             return
         if now.seq - 1 not in layout or now.seq not in layout:
@@ -632,7 +627,7 @@ class MissionItemBackend:
         self._fly(late, seq)
 
     def _fly(self, change: _Change, index: int) -> None:
-        self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
+        self._left, self.layout, self._not_taken = self.layout, change.layout.since(index), None
         self._ownership.switched()
         self._announce(change.command.number, "departed")
 

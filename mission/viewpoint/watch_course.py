@@ -57,13 +57,10 @@ class CourseHold:
 
 
 class TargetCourse:
-    """Both courses of a target, as the planner takes them, None until it has moved; for a horizon of 0 the same.
-
-    After a jump over a path that has a course the course made good is None, until it is found again or the horizon
-    has passed: out of sight the target may have moved.
-    """
+    """Both courses of a target, as the planner takes them, None until it has moved; for a horizon of 0 the same."""
 
     def __init__(self) -> None:
+        self._seen: TargetEstimate | None = None
         self._jumped = -math.inf, math.nan  # when, and the course made good until then
         self.made_good_rad: float | None = None
         self.present_rad: float | None = None
@@ -73,17 +70,15 @@ class TargetCourse:
         """Process an estimate."""
         if math.hypot(target.velocity_east_m_s, target.velocity_north_m_s) >= STANDING_M_S:
             self.present_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
-        estimates, memory = estimates_of(target), self._memories[0]
-        seen, since_s = estimates.seen, estimates.seen.time_s - memory.last_s
-        east_m = seen.east_m - memory.last_east_m - since_s * memory.last_velocity_east_m_s
-        north_m = seen.north_m - memory.last_north_m - since_s * memory.last_velocity_north_m_s
-        if memory.places and math.hypot(east_m, north_m) > kernel.MIN_WAY_M:
-            self._jumped = seen.time_s, float(memory.made_good_rad)
-        _, made_good_rad = kernel.courses_of(estimates, horizon_s, self._memories)
-        jumped_s, before_rad = self._jumped
+        seen, before, held_rad = target.as_seen or target, self._seen, float(self._memories[0].made_good_rad)
+        self._seen = seen
+        if before and math.dist(before.position_m(seen.time_s), (seen.east_m, seen.north_m)) > kernel.MIN_WAY_M:
+            self._jumped = seen.time_s, held_rad
+        _, made_good_rad = kernel.courses_of(estimates_of(target), horizon_s, self._memories)
         if horizon_s == 0.0:
             self.made_good_rad = self.present_rad
-        elif made_good_rad == before_rad and seen.time_s < jumped_s + horizon_s:
+        # A target that jumped may have moved out of sight: until its course is found again, or for the horizon.
+        elif made_good_rad == self._jumped[1] and seen.time_s < self._jumped[0] + horizon_s:
             self.made_good_rad = None
         elif not math.isnan(made_good_rad):
             self.made_good_rad = made_good_rad

@@ -124,7 +124,7 @@ def test_late_reports_of_the_line_before_are_no_other_station(in_the_air):
     flight.autopilot.broadcast_now = lambda _id: None
     before = flight.core._backend._current
     assert flight.run(60.0, lambda: bool(statuses(flight, "departed")))
-    assert before.seq not in flight.core._backend._layout
+    assert before.seq not in flight.core._backend.layout
     for _ in range(6):
         flight.put(replace(before, time_s=flight.telemetry.now_s, link_s=flight.link_s))
         flight.run(0.4)
@@ -136,7 +136,7 @@ def test_late_reports_of_a_mission_that_was_replaced_are_no_other_station(in_the
     before = flight.core._backend._current
     assert flight.run(60.0, lambda: bool(statuses(flight, "departed")))
     # The highest number of the plan's own, of the mission before it: the plan's first numbers come after it.
-    late = replace(before, seq=flight.core._backend._layout.end - 1)
+    late = replace(before, seq=flight.core._backend.layout.end - 1)
     for _ in range(4):
         flight.put(replace(late, time_s=flight.telemetry.now_s, link_s=flight.link_s))
         flight.run(0.5)
@@ -202,7 +202,7 @@ def test_another_station_goes_back_in_our_own_line(in_the_air, flavour):
     flight = in_the_air(flavour, faults=BAD)
 
     def passed() -> int:
-        layout = flight.core._backend._layout
+        layout = flight.core._backend.layout
         return flight.autopilot.mission.index - layout.first if flight.autopilot.mission.index in layout else 0
 
     assert flight.run(120.0, lambda: passed() >= 2)
@@ -219,7 +219,7 @@ def test_another_station_that_skips_waypoints_of_our_line_is_reported(in_the_air
         return [one for one in flight.found(Announce) if "another station has chosen item" in one.text]
 
     def begun() -> bool:
-        layout, here = flight.core._backend._layout, flight.autopilot.here
+        layout, here = flight.core._backend.layout, flight.autopilot.here
         if layout.end - layout.first < 4 or flight.autopilot.mission.index != layout.first:
             return False
         last = layout.items[layout.end - 2]
@@ -228,7 +228,7 @@ def test_another_station_that_skips_waypoints_of_our_line_is_reported(in_the_air
 
     assert flight.run(600.0, lambda: begun() and flight.core._backend._change is None)
     assert not skips()
-    flight.autopilot.set_current_item(flight.core._backend._layout.end - 1)
+    flight.autopilot.set_current_item(flight.core._backend.layout.end - 1)
     assert flight.run(3.0, lambda: bool(skips()))
 
 

@@ -154,7 +154,7 @@ class Exchange(RuleBasedStateMachine):
         elif what == "item":
             # An item of no line that is flown or under way: they lie at both ends of the list of ArduPlane.
             known = flight.core._backend
-            lines = [known._layout, known._left, known._change.layout if known._change else None]
+            lines = [known.layout, known._left, known._change.layout if known._change else None]
             free = [
                 seq
                 for seq, item in enumerate(items)
