@@ -92,10 +92,10 @@ class Watch:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         self.plane, self._request = plane, request
 
-    def film(self, picture: Callable[[], bytes]) -> None:
+    def show_picture(self, picture: Callable[[], bytes]) -> None:
         """Show no picture."""
 
-    def engage(self, start_s: float, duration_s: float | None) -> None:
+    def watching_began(self, start_s: float, duration_s: float | None) -> None:
         """Learn that watching has begun."""
 
     def ended(self, flown: FlightEnded | None, error: BaseException | None) -> None:

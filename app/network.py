@@ -45,11 +45,12 @@ class Allowances:
         self._left: dict[Hashable, tuple[float, float]] = {}  # what is left, and since when
 
     def left(self, sender: Hashable, now_s: float) -> float:
+        """Return the units that a sender has left."""
         left, at_s = self._left.get(sender, (self._burst, now_s))
         return min(self._burst, left + (now_s - at_s) * self._rate_s)
 
     def used(self, sender: Hashable, now_s: float, amount: float = 1.0) -> bool:
-        """Take an amount of a sender's if one unit is left; what it then lacks is paid later."""
+        """Return whether a sender has one unit left, and take an amount from it; a deficit is paid later."""
         left = self.left(sender, now_s)
         self._left.pop(sender, None)
         self._left[sender] = (left - amount if left >= 1.0 else left, now_s)

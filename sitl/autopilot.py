@@ -239,7 +239,7 @@ class SimulatedAutopilot(ABC):
         }
 
     def attach(self, mission: Store, telemetry: AutopilotTelemetry) -> None:
-        """Take what the flavour has made; fence and rally points are stored as a whole."""
+        """Connect the flavour's mission store and telemetry; fence and rally points are stored as a whole."""
         self._builder_of = telemetry.builder
         fence, rally = Store(mission.with_checksum), Store(mission.with_checksum)
         for mission_type, store in enumerate((mission, fence, rally)):
@@ -402,7 +402,7 @@ class SimulatedAutopilot(ABC):
             self.handle_own(station, message, kind)
 
     def handle_own(self, station: Station, message: Any, kind: str) -> None:
-        """Take a message that is meant for this autopilot or for everyone."""
+        """Process a message that is meant for this autopilot or for everyone."""
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
             self.on_command(station, Command.from_message(message))
         elif kind == "HEARTBEAT":

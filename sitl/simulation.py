@@ -79,7 +79,7 @@ class Simulation(Wired):
         self.vehicle.radio.connect(address, self.vehicle.now_s).expected = True
 
     def receive(self, address: Hashable, data: bytes) -> None:
-        """Take a datagram from a station, known or new."""
+        """Process a datagram from a station, known or new."""
         if self._steps < self._boot_step or self.time_s >= self.lost_s:
             return
         station = self.vehicle.radio.connect(address, self.vehicle.now_s)

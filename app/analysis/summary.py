@@ -194,7 +194,7 @@ class SummaryCollector:
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Present) -> None:
-        """Take a snapshot; only departures are taken from those without a new estimate."""
+        """Process a snapshot; only departures are taken from those without a new estimate."""
         self._position_age_s = snapshot.position_age_s
         self.input_times.note(snapshot.health)
         self._breaches.note(snapshot.time_s, bool(snapshot.breach))
@@ -323,7 +323,7 @@ class MissionTrack:
     rows: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def add(self, time_s: float, east_m: float, north_m: float, height_m: float) -> None:
-        """Take a place; those that are not later than the last are passed over."""
+        """Add a position; one that is not later than the last is ignored."""
         if math.isfinite(height_m) and (not self.rows or time_s > self.rows[-1][0]):
             self.rows.append((time_s, east_m, north_m, height_m))
 

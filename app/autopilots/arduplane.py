@@ -90,10 +90,12 @@ class ArduPlane:
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
         # Whatever is put at 0 is silently replaced by home: put home there.
+        """Return the items at the beginning of every mission."""
         place = *e7((home.latitude_deg, home.longitude_deg)), home.altitude_m
         return (MissionItem(_mav.MAV_CMD_NAV_WAYPOINT, _mav.MAV_FRAME_GLOBAL, 0.0, 0.0, 0.0, 0.0, *place),)
 
     def tail(self, home: Home) -> tuple[MissionItem, ...]:
+        """Return the items that close every mission without ever being reached."""
         return ()
 
     def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
@@ -101,6 +103,7 @@ class ArduPlane:
         return LineTracking(airspeed_m_s, wind)
 
     def stored(self, item: MissionItem) -> MissionItem:
+        """Return the item as ArduPlane stores it."""
         if item.command == _mav.MAV_CMD_NAV_LOITER_UNLIM:
             return replace(item, param3=float(round(item.param3)))
         return item
@@ -120,6 +123,7 @@ class ArduPlane:
         return VehicleCommand(_mav.MAV_CMD_DO_REPOSITION, params, frame, order.x, order.y, order.height_m)
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
+        """Return the circle that a report states, None for other reports."""
         if not isinstance(report, PositionTargetReported):
             return None
         return CircleOrder(report.x, report.y, 0.0, 0.0, 0.0)
@@ -129,6 +133,7 @@ class ArduPlane:
 
     def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
         # Only heartbeats of MAV_GCS_SYSID count.
+        """Return the failsafe, in words, that heartbeats of this ground station (system id) keep from acting."""
         action = values.get("FS_GCS_ENABL", 0.0)
         is_its_own = values.get("MAV_GCS_SYSID") == station_id
         return f"FS_GCS_ENABL = {action:g} of ground station {station_id}" * (is_its_own and action > 0.0)

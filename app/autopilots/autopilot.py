@@ -136,6 +136,7 @@ class ParameterTable:
         )
 
     def found_for(self, purpose: Purpose) -> str:
+        """Return in words the parameters that were found for a purpose."""
         names = [parameter.name for parameter in self._listed if parameter.purpose is purpose]
         return "; ".join(
             f"{name} = {self.read[name]:g}" if name in self.read else f"{name} is not reported" for name in names

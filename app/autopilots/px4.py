@@ -94,12 +94,14 @@ class Px4:
         return tuple(required_parameters)
 
     def head(self, home: Home) -> tuple[MissionItem, ...]:
+        """Return the items at the beginning of every mission."""
         return ()
 
     def tail(self, home: Home) -> tuple[MissionItem, ...]:
         # MIS_TKO_LAND_REQ 2, the fixed-wing default, drops a mission without a landing to HOLD. The circle before
         # it never completes, so these items are only reached if a landing is commanded: a straight approach
         # to home from the south, flat enough and outside the circle where it begins, as PX4 demands.
+        """Return the items that close every mission without ever being reached."""
         x, y = e7((home.latitude_deg, home.longitude_deg))
         south_x = x - round(_APPROACH_M / _METRES_PER_DEGREE * 1e7)
         frame, nan = _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, float("nan")
@@ -122,6 +124,7 @@ class Px4:
         )
 
     def stored(self, item: MissionItem) -> MissionItem:
+        """Return the item as PX4 stores it."""
         return item
 
     def start_mission(self) -> VehicleCommand:
@@ -136,6 +139,7 @@ class Px4:
         return VehicleCommand(_mav.MAV_CMD_DO_ORBIT, params, frame, order.x, order.y, order.altitude_m)
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
+        """Return the circle that a report states, radius 0: none; None for other reports."""
         if not isinstance(report, OrbitReported):
             return None
         return CircleOrder(report.x, report.y, 0.0, 0.0, report.signed_radius_m)
@@ -146,6 +150,7 @@ class Px4:
 
     def renewed_failsafe(self, values: Mapping[str, float], station_id: int) -> str:
         # Any heartbeat of MAV_TYPE_GCS renews the clock of the data link, whatever its system id.
+        """Return the failsafe, in words, that heartbeats of this ground station (system id) keep from acting."""
         action = values.get("NAV_DLL_ACT", 0.0)
         after_s = values.get("COM_DL_LOSS_T", math.nan)
         return f"NAV_DLL_ACT = {action:g} after COM_DL_LOSS_T = {after_s:g} s" * (action > 0.0)

@@ -105,7 +105,7 @@ class TargetCamera:
     # -- what happens --------------------------------------------------------------------------------------
 
     def event(self, event: object) -> None:
-        """Take an event of the flight."""
+        """Process an event of the flight."""
         if isinstance(event, PositionReading):
             self._poses.positions.add(event)
         elif isinstance(event, AttitudeReading):
@@ -129,7 +129,7 @@ class TargetCamera:
             self.latest = replace(self.latest, tracked=Tracked("idle"))
 
     def picture(self, picture: Picture, time_s: float) -> Pictured | None:
-        """Take a picture (BGR); return what it gave, None while the camera's position or attitude is unknown."""
+        """Process a picture (BGR); return the result, None while the camera's position or attitude is unknown."""
         position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s)
         gimbal = self._gimbals.newest() if found is None else found[0]
         attitude = self._poses.attitude_at(time_s) or self._poses.attitudes.newest()

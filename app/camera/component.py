@@ -121,7 +121,7 @@ class CameraComponent:
         return sent
 
     def command(self, message: Message, now_s: float) -> list[Sent]:
-        """Take a COMMAND_LONG or COMMAND_INT; return the answers, none where it is for another component."""
+        """Process a COMMAND_LONG or COMMAND_INT; return the answers, none where it is for another component."""
         fields = message.fields
         if message.name not in ("COMMAND_LONG", "COMMAND_INT"):
             return []

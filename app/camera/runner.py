@@ -130,7 +130,7 @@ class CameraRunner:
         self._fault: Exception | None = None
 
     def stepped(self, event: object, _outputs: object) -> None:
-        """Take an event of the flight."""
+        """Process an event of the flight."""
         self._isolated(self.camera.event, event)
 
     def _isolated(self, work: Callable[[Any], object], argument: Any) -> None:

@@ -336,11 +336,11 @@ class ObjectTracker:
         velocity_m_s: tuple[float, float] | None = None,
         velocity_sigma_m_s: float = 0.0,
     ) -> Tracked:
-        """Take a picture.
+        """Search the followed object in a picture (BGR).
 
         Args:
-            time_s: When it was taken.
-            view: From where and which way.
+            time_s: When the picture was taken.
+            view: The camera's position and direction then.
             velocity_m_s: The target's velocity (east, north) by the estimate, None where it is not known.
             velocity_sigma_m_s: Its standard deviation.
         """

@@ -287,6 +287,7 @@ class Coordination:
         return received
 
     def message(self, name: str, message: Message) -> None:
+        """Process a message of an aircraft: its clock and its battery's charge."""
         participant = self._participants[name]
         participant.received_s = time.monotonic()
         advised = participant.clock.report(message)
@@ -324,7 +325,7 @@ class Coordination:
             self.put(events.ChargeReported(participant.name, now_s, charge / 100.0))
 
     def lost(self, name: str, reason: str) -> None:
-        """Take an aircraft out whose flight has ended."""
+        """Remove an aircraft whose flight has ended."""
         if math.isfinite(self.now_s):
             self.put(events.VehicleLost(name, self.now_s, reason))
 

@@ -144,6 +144,7 @@ class FleetFlight:
             give_route(route, self._aircraft[0].session, first.plane, put, self._note)
 
     def stepped(self, craft: FlyingAircraft) -> Stepped:
+        """Return what to call after each step of an aircraft's core."""
         report, track = self._coordination.stepped(craft.name), self._tracks[craft.name]
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:

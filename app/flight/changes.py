@@ -61,6 +61,7 @@ class MissionChanges:
             self._making_ready.begin(lambda: self._carry_out(change, changed))
 
     def stop(self) -> None:
+        """Give up the change that is being prepared."""
         self._making_ready.stop()
 
     def _checked(self, change: MissionChange) -> Config:

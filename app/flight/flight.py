@@ -96,6 +96,7 @@ class StoppedClock:
     seconds: float = 0.0  # for how long it has stood still; 0 once it has gone on by more than that
 
     def update(self, now_s: float, wall_s: float) -> None:
+        """Compare the vehicle's clock with this computer's; ``seconds`` is how long the former has stood still."""
         if now_s == self._now_s:
             self.seconds += wall_s - self._wall_s
         elif abs(now_s - self._now_s) > self.seconds:
@@ -491,7 +492,7 @@ class Flight:
             point=point,
             clicks=places.simulated is not None,
             record=places.record,
-            show=self._display.film,
+            show=self._display.show_picture,
         )
 
     def _status(self) -> VehicleStatus:
@@ -509,7 +510,7 @@ class Flight:
             return
         self.put_event(events.HomeReported(acquired.time_s, *self._home_m))  # it may have been reported long before
         self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
-        self._display.engage(self._start_s, self._duration_s)
+        self._display.watching_began(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
 
     def _failure(self, failed: TakeoverFailed) -> Exception:
@@ -649,7 +650,7 @@ class AlarmWatch:
                 self._look(self._snapshot)
 
     def completed(self, present: Present) -> Present:
-        """Take what is flown and return it with the vehicle's status; cheap but for once in half a second."""
+        """Return the state with the vehicle's status; twice a second the alarms are judged, which takes longer."""
         before, self._snapshot = self._snapshot, present
         if before is None or present.time_s != before.time_s:
             self._received_at_s = self._clock_s()

@@ -229,12 +229,12 @@ class FlightDisplay(Display, Protocol):
     """A display that is active from the connection on, before there is a mission to show."""
 
     def note(self, text: str) -> None: ...
-    def engage(self, start_s: float, duration_s: float | None) -> None: ...  # watching has begun
+    def watching_began(self, start_s: float, duration_s: float | None) -> None: ...
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         """Receive the local plane, the receiver of the operator's requests, and the configuration as it is flown."""
 
-    def film(self, picture: Callable[[], bytes]) -> None:
+    def show_picture(self, picture: Callable[[], bytes]) -> None:
         """Receive a picture of the camera: what returns its marks as a line of JSON, and then itself as JPEG."""
 
 

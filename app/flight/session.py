@@ -171,7 +171,7 @@ class VehicleInputs:
         self.listen()
 
     def listen(self) -> None:
-        """Take the vehicle's messages from now on, and the clock and the plane of the last one."""
+        """Process the vehicle's messages from now on, and the clock and the plane of the last one."""
         self._vehicle.listen(self._message, "GLOBAL_POSITION_INT")
 
     def close(self) -> None:

@@ -358,7 +358,7 @@ class FlyingAircraft:
         self.clock_rate = ClockRate(lambda: self.session.telemetry.now_s)
 
     def own_frame(self, data: bytes) -> None:
-        """Take a frame of a link that is shared, from any thread: the others' are theirs to record."""
+        """Record a frame of a shared link, from any thread, unless it is of another aircraft of the flight."""
         if Frame(data).system_id in (self.config.link.system_id, OWN_SYSTEM_ID):
             self.recording.frame(data)
 
@@ -403,10 +403,15 @@ class Coordinator(Protocol):
     def now_s(self) -> float: ...  # mission time; -inf before the first clock is known
     def prepare(self) -> None: ...  # may compute for some seconds
     def coordinated(self, aircraft: list[FlyingAircraft]) -> contextlib.AbstractAsyncContextManager[None]: ...
-    def stepped(self, craft: FlyingAircraft) -> Stepped: ...  # what is called after each step of its core
+    def stepped(self, craft: FlyingAircraft) -> Stepped:
+        """Return what to call after each step of an aircraft's core."""
+
     def lost(self, craft: FlyingAircraft) -> None: ...  # its flight is over
-    def flown(self, craft: FlyingAircraft) -> tuple[float, MissionTrack]: ...  # mission time less its own; its track
-    def asked(self) -> dict[str, Asked]: ...  # the requirements of each target, in mission time
+    def flown(self, craft: FlyingAircraft) -> tuple[float, MissionTrack]:
+        """Return the mission time less the time of the aircraft, s, and its track."""
+
+    def asked(self) -> dict[str, Asked]:
+        """Return by target the requirements, each with the mission time from which it holds."""
 
 
 @dataclass(eq=False)

@@ -171,9 +171,11 @@ class MavsdkLink:
         return link
 
     def reports(self) -> tuple[LinkReport, ...]:
+        """Return the quality of each link since it was opened."""
         return self._links.reports()
 
     def recent(self) -> tuple[LinkReport, ...]:
+        """Return the quality of each link over the last seconds."""
         return self._links.recent()
 
     async def _hear_others(self) -> None:

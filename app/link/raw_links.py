@@ -281,7 +281,7 @@ class RawLinks:
         self._watcher.start()
 
     def speak_as(self, own: tuple[int, int], mav_type: int) -> None:
-        """Send heartbeats of this system, component and MAV_TYPE from now on."""
+        """Send heartbeats as this system and component, of this MAV_TYPE, from now on."""
         with self._lock:
             self._own, self._packer = own, dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
             for link in self._links:

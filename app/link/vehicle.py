@@ -55,7 +55,7 @@ class StatusTexts:
         self.listeners: list[Callable[[StatusText], object]] = []
 
     def take(self, message: Message) -> StatusText | None:
-        """Take a STATUSTEXT, and return the text that it completes, None while chunks are missing.
+        """Process a STATUSTEXT; return the text that it completes, None while chunks are missing.
 
         A text whose chunks do not all come is completed, with a gap, by the next one.
         """
@@ -89,7 +89,7 @@ class StatusTexts:
         return self.add(StatusText(text, arriving.severity, arriving.received_s)) if text else None
 
     def add(self, completed: StatusText) -> StatusText:
-        """Take a whole text."""
+        """Store a complete text."""
         self._texts.append(completed)
         for listener in self.listeners:
             listener(completed)
@@ -106,8 +106,12 @@ class Link(Protocol):
     async def send(self, name: str, fields: Mapping[str, Any]) -> None: ...  # raises LinkError when it cannot
     async def parameter(self, name: str) -> float | None: ...  # None where the vehicle has none of that name
     async def set_parameter(self, name: str, value: float) -> bool: ...  # whether the vehicle accepted it
-    def reports(self) -> tuple[LinkReport, ...]: ...  # of each way to the vehicle, since the beginning
-    def recent(self) -> tuple[LinkReport, ...]: ...  # the same of the last seconds
+    def reports(self) -> tuple[LinkReport, ...]:
+        """Return the quality of each link since it was opened."""
+
+    def recent(self) -> tuple[LinkReport, ...]:
+        """Return the quality of each link over the last seconds."""
+
     async def close(self) -> None: ...  # safe to call more than once
 
     def serving(
@@ -324,14 +328,14 @@ class VehicleTimeline:
         self._samples: deque[tuple[float, float]] = deque()  # (arrival, stamp)
 
     def on_report(self, message: Message) -> bool:
-        """Take a message that has just arrived; return whether it is a position or an attitude of the autopilot's."""
+        """Process a message that has just arrived; return whether it is an autopilot's position or attitude."""
         if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
             return False
         self.on_message(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
         return True
 
     def on_message(self, stamp_s: float, arrived_s: float) -> None:
-        """Take a message of the vehicle by its stamp, and when it arrived by this computer's clock."""
+        """Process the time stamp of a message of the vehicle, and when it arrived by this computer's clock."""
         expected_s = self.vehicle_s(arrived_s)
         if expected_s is not None and abs(stamp_s - expected_s) > _JUMP_S:
             self._samples.clear()  # the autopilot has rebooted, or its clock was set

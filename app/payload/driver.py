@@ -90,7 +90,7 @@ class PayloadDriver(Protocol):
         """Return the requests to send now. To be called every 10 ms or so."""
 
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
-        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        """Process bytes that arrived at ``now_s``; return the measurements that they complete."""
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft data to send to the gimbal; call it after each new attitude."""

@@ -125,7 +125,7 @@ class PayloadSession:
         return list(self._driver.due(now_s))
 
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
-        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        """Process bytes that arrived at ``now_s``; return the measurements that they complete."""
         self._bytes_s = now_s
         received = self._driver.receive(data, now_s)
         measured = [replace(each, time_s=each.time_s - self._delays_s[type(each)]) for each in received]

@@ -80,6 +80,7 @@ class FlownTrack:
     route: Route | None = None
 
     def named(self, what: str) -> str:
+        """Return a name for a track, with that of the aircraft if several flew."""
         return f"{self.label} {what}" if self.label else what
 
     def of_targets(self) -> dict[str, list[TargetEstimate]]:

@@ -82,10 +82,10 @@ class ServiceDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         self.request = request
 
-    def film(self, picture: Callable[[], bytes]) -> None:
+    def show_picture(self, picture: Callable[[], bytes]) -> None:
         """Show no picture: the page around it does."""
 
-    def engage(self, start_s: float, duration_s: float | None) -> None:
+    def watching_began(self, start_s: float, duration_s: float | None) -> None:
         self._changed()
 
     def say(self, announcement: Announce) -> None:
@@ -200,7 +200,7 @@ class Resident:
         return {"accepted": accepted, "text": text or str(self.status), "status": asdict(self.status)}
 
     def request(self, request: Request, who: str) -> tuple[bool, str]:
-        """Take a request; return whether it is accepted, and what comes of it in words."""
+        """Process a request; return whether it is accepted, and its result in words."""
         takes = {"watch": self._watch, "release": self._release, "confirm": self._confirm}
         accepted, text = takes[request](who)
         self._log(f"{request} by {who}: {text}")

@@ -188,6 +188,7 @@ class Triggers:
     _commanded: tuple[float, Request] | None = None
 
     def take(self, message: Message) -> Request | None:
+        """Return the request that a message of the vehicle or a ground station makes, if any."""
         config = self._config
         if message.name in _COMMANDS and config.aux_function is not None:
             return self._aux(message, config.aux_function)

@@ -40,9 +40,11 @@ class SimulatedVehicle(Protocol[P]):
 
     def receive(self, frame: bytes) -> None: ...
 
-    def take(self) -> Sequence[P]: ...  # what it has sent since the last call
+    def take(self) -> Sequence[P]:
+        """Return the packets sent since the last call."""
 
-    def messages(self, packet: P, received_s: float) -> Iterable[Message | Reading]: ...  # what it sent, decoded
+    def messages(self, packet: P, received_s: float) -> Iterable[Message | Reading]:
+        """Return the messages in a packet."""
 
 
 class ClosedLoop(Generic[P]):
@@ -97,6 +99,7 @@ class ClosedLoop(Generic[P]):
         return False
 
     def step(self) -> None:
+        """Move the clock by a step of the vehicle and process what it sends."""
         simulated = self.simulated
         if self._sent:
             sent, self._sent = self._sent, []

@@ -172,6 +172,7 @@ def run(
 def fly(
     settings: StudySettings, number: int, make_planner: CheckedPlannerFactory, keep_track: bool = False
 ) -> RunResult:
+    """Fly one run with a planner of this kind in the closed loop."""
     flown, config, ground = scene(settings, number), settings.config, None
     if settings.hills is not None:
         place_rng = np.random.default_rng(np.random.SeedSequence((settings.seed, number, 1)))
@@ -257,6 +258,7 @@ def _some_place_sees(
 
 
 def hills_of(ground: Ground) -> StudyTerrain:
+    """Return a ground with a digest of it, by which runs are stored."""
     posts = (ground.west_m, ground.south_m, ground.step_east_m, ground.step_north_m, ground.sigma_m)
     return StudyTerrain(ground, hashlib.sha256(repr(posts).encode() + ground.heights_m.tobytes()).hexdigest()[:16])
 
@@ -288,6 +290,7 @@ _ON_CIRCLE_M = 50.0  # nearer to it, the aircraft flies the circle of its plan
 
 
 def recorded_motion(moments: Sequence[Moment], from_s: float) -> RecordedTarget:
+    """Return the target's motion in a recording from a time on."""
     rows = np.array([(one.time_s - from_s, one.target_east_m, one.target_north_m) for one in moments]).T
     steps_s = np.arange(0.0, rows[0, -1], STEP_S)
     return RecordedTarget("recorded", *(np.interp(steps_s, rows[0], row) for row in rows[1:]))

@@ -93,6 +93,7 @@ class Background:
 
 
 def readable_tile(tiles: Tiles, zoom: int, column: int, row: int) -> bytes | None:
+    """Return a tile, None for one that the file has not or that is damaged."""
     try:
         return tiles.tile(zoom, column, row)
     except Exception:  # whatever two readers make of a damaged part

@@ -78,11 +78,11 @@ class ShownAircraft:
         """Pass on no further wish: the flight has ended. Its last state stays."""
         self._request = None
 
-    def film(self, picture: Callable[[], bytes]) -> None:
+    def show_picture(self, picture: Callable[[], bytes]) -> None:
         self._page.isolated("the camera's picture", partial(self._page.put_picture, self), picture)
 
-    def engage(self, start_s: float, duration_s: float | None) -> None:
-        self._inner.engage(start_s, duration_s)
+    def watching_began(self, start_s: float, duration_s: float | None) -> None:
+        self._inner.watching_began(start_s, duration_s)
         self.start_s = start_s
         self._page.comes_to("flying")
 

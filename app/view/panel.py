@@ -205,6 +205,7 @@ class Panel:
             self.console.print(text, soft_wrap=self._live is None)
 
     def typed(self, ask: Callable[[Wish], None]) -> Prompt | None:
+        """Read what is typed at the terminal into a prompt; None where no person can type."""
         if self._live is None or self._descriptor is None:
             return None
         prompt = Prompt(ask)
@@ -238,10 +239,10 @@ class AircraftDisplay:
 
         self._prompt = None if self.name else self._terminal.typed(wish)
 
-    def film(self, picture: Callable[[], bytes]) -> None:
+    def show_picture(self, picture: Callable[[], bytes]) -> None:
         """Show no picture: a terminal has none."""
 
-    def engage(self, start_s: float, duration_s: float | None) -> None:
+    def watching_began(self, start_s: float, duration_s: float | None) -> None:
         self._start_s, self._duration_s = start_s, duration_s
 
     def note(self, text: str) -> None:

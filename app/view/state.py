@@ -124,7 +124,7 @@ class WatchShares:
         self._controlled = in_control
 
     def note(self, now: Present) -> None:
-        """Take the present state; it counts until the next one, as unknown for what is beyond ``GAP_MAX_S``."""
+        """Process a state; it counts until the next one, as unknown for what is beyond ``GAP_MAX_S``."""
         if now.phase.in_control and not self._controlled:
             self._begin(in_control=True)
         if self._last is None and not now.in_band:

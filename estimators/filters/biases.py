@@ -68,7 +68,7 @@ class Biases:
 
     @property
     def calibration(self) -> Calibration:
-        """The same for people: each bias with one standard deviation, rad and m."""
+        """Each error with its standard deviation, rad and m."""
         return Calibration(*self.mean.tolist(), *np.sqrt(self.covariance.diagonal()).tolist())
 
 

@@ -40,7 +40,7 @@ class Ground:
 
     @property
     def grid(self) -> Grid:
-        """The same as the compiled loops take it."""
+        """The ground as the compiled functions take it."""
         return self.heights_m, self.west_m, self.south_m, self.step_east_m, self.step_north_m
 
     def height_m(self, east_m: float, north_m: float) -> float:

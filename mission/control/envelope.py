@@ -168,7 +168,7 @@ class Envelope:
         return self.aircraft is self._configured or fits_band(self.aircraft, self._requirement)
 
     def configure(self, aircraft: Aircraft, requirement: Requirement) -> None:
-        """Take other limits, or another requirement, from an operator."""
+        """Use other limits, or another requirement, of an operator."""
         self._configured, self._requirement = aircraft, requirement
         self._learn()
 

@@ -315,7 +315,7 @@ class HealthChanged(Timed):
 
     @property
     def announcement(self) -> Announce:
-        """The same for a display."""
+        """The change as an announcement to the operator."""
         return Announce(self.time_s, "link" if self.input is Input.LINK else "health", self.text)
 
 

@@ -145,7 +145,7 @@ class PanLimitPlanner(Planner, Protocol):
 
     @property
     def plans_pan_limits(self) -> bool:
-        """Whether it does so for the present requirement."""
+        """Whether it keeps the target within the pan limits of the present requirement."""
 
 
 class PlanCheck(Protocol):

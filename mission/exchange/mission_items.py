@@ -365,7 +365,7 @@ class MissionItemBackend:
         self._closed = True
 
     def expire(self) -> None:
-        """Do what is due."""
+        """Continue what is due: the reading, writing and activation of a mission, and its audit."""
         self._waits = False
         self._ownership.expire()
         index, layout = self.flown_index, self.layout

@@ -133,7 +133,7 @@ class OrbitCommandBackend:
             self._waits = True
 
     def expire(self) -> None:
-        """Do what is due."""
+        """Continue what is due: repeat or give up a command, and send the next circle of a transition."""
         self._waits = False
         if self._suspicion.active:
             return  # another operator may be in command: send nothing until that is known

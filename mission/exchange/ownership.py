@@ -239,7 +239,7 @@ class MissionOwnership:
             self._judge_read(self._read)
 
     def expire(self) -> None:
-        """Do what is due."""
+        """Continue to read the mission on board, which shows who wrote it."""
         if self._read is not None:
             self._read.expire()
             self._judge_read(self._read)

@@ -56,7 +56,7 @@ class CommandExchange:
 
     @property
     def accepted(self) -> bool:
-        """Whether it was answered, and accepted."""
+        """Whether the command was acknowledged as accepted."""
         return self.done and self.result == ACCEPTED
 
     def receive(self, report: CommandAcknowledged) -> None:

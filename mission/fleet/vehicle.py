@@ -149,7 +149,7 @@ class FleetVehicle:
 
     @property
     def takes_part(self) -> bool:
-        """Whether it watches, or could."""
+        """Whether the aircraft watches, or could."""
         return self.report is not None and self.report.watching and not self.lost and not self.leaving
 
     def range_m(self, target: TargetEstimate) -> float:

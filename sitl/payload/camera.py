@@ -46,7 +46,7 @@ class GimbalCamera:
         self._next_s = 0.0
 
     def on_command(self, command: Command) -> int:
-        """Take the angles of MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW; rates are denied."""
+        """Process the angles of MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW; rates are denied."""
         pitch_rad, yaw_rad = math.radians(command.param(1)), math.radians(command.param(2))
         if not math.isfinite(pitch_rad + yaw_rad):
             return DENIED

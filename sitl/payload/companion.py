@@ -101,6 +101,7 @@ class Companion(Wired):
         return self._latest_s
 
     def handle(self, message: Any) -> list[Any]:
+        """Process a message of the vehicle; return the payload's messages, which follow each position."""
         kind = message.get_type()
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return []

@@ -50,7 +50,7 @@ class Device(ABC):
         self._received = bytearray()
 
     def receive(self, data: bytes, now_s: float, seen: DeviceView) -> list[bytes]:
-        """Take bytes and return the answers, as they arrive."""
+        """Process bytes and return the answers, as they arrive."""
         self._received += data
         seen = self._steered(now_s, seen)
         answers = (self._answer(request, now_s, seen) for request in self._requests())
@@ -521,12 +521,13 @@ class Wired(ABC):
         """The device's clock."""
 
     def receive_device(self, data: bytes) -> list[bytes]:
-        """Take bytes at the device's port and return its answers."""
+        """Process bytes at the device's port and return its answers."""
         if self.device is None or self._seen is None or self.unplugged:
             return []
         return self.device.receive(data, self.time_s, self._seen)
 
     def take_device(self) -> list[bytes]:
+        """Return what the device has sent unasked since the last call."""
         streamed, self._streamed = self._streamed, []
         return [] if self.unplugged else streamed
 

@@ -68,7 +68,7 @@ class Signing:
         return self._key is not None
 
     def set_up(self, key: bytes) -> None:
-        """Take another key, on all links; one of zeros ends signing."""
+        """Use another key, on all links; one of zeros ends signing."""
         self._key = key if any(key) else None
         self._streams.clear()
         for parser in self._parsers.values():

@@ -43,11 +43,11 @@ class Store:
         return self.clear() if count == 0 else ACCEPTED_ITEMS
 
     def put(self, index: int, item: Item, current: bool) -> None:
-        """Take an item. Raises ItemRefused."""
+        """Store an item. Raises ItemRefused."""
         self._arriving.append(item)
 
     def finish(self) -> int:
-        """Take over the upload: all items have come."""
+        """Replace the stored items by the upload, which is complete."""
         self._items, self._arriving = self._arriving, []
         return ACCEPTED_ITEMS
 

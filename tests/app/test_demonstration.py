@@ -81,7 +81,7 @@ def test_a_console_without_a_panel_prints_each_decision_but_the_state_only_now_a
     written = io.StringIO()
     with Panel(Console(file=written, width=200)) as terminal:
         panel = terminal.of()
-        panel.engage(snapshot.time_s, 1200.0)
+        panel.watching_began(snapshot.time_s, 1200.0)
         for second in range(600):
             if second % 100 == 50:
                 panel.say(Announce(snapshot.time_s + second, "decision", f"moving {second}"))

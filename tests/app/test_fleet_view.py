@@ -62,7 +62,7 @@ def test_what_is_reported_names_the_aircraft(snapshot):
         plane, _ = (panel.of(name) for name in NAMES)
         panel.note("starting")
         plane.note("connecting")
-        plane.engage(snapshot.time_s - 61.0, None)
+        plane.watching_began(snapshot.time_s - 61.0, None)
         plane.say(Announce(snapshot.time_s, "decision", "moving"))
         plane.show(snapshot)
     announced = out.getvalue().splitlines()
@@ -135,7 +135,7 @@ def page(browser, view, snapshot):
     shown.requests = Requests()
     with shown:
         for name, one in zip(NAMES, (snapshot, alongside(snapshot)), strict=True):
-            shown.of(name).engage(one.time_s, None)
+            shown.of(name).watching_began(one.time_s, None)
             shown.of(name).show(one)
         opened = browser.new_page()
         opened.goto(shown.url)
@@ -211,9 +211,9 @@ def test_the_routes_are_sent_again_only_when_one_changes(view, snapshot):
 
 def test_all_messages_are_logged_by_the_clock_of_the_first_aircraft(view, snapshot):
     shown, _ = view
-    shown.of("plane").engage(snapshot.time_s - 30.0, None)
+    shown.of("plane").watching_began(snapshot.time_s - 30.0, None)
     shown.of("plane").show(snapshot)
-    shown.of("wing").engage(500.0, None)
+    shown.of("wing").watching_began(500.0, None)
     shown.of("wing").say(Announce(530.0, "decision", "moving"))
     assert shown._announced[-1] == [snapshot.time_s, "decision", "wing: moving"]
 

@@ -40,7 +40,7 @@ def display_at(address: PageAddress) -> ViewDisplay:
 @pytest.fixture(scope="module")
 def shown(flight):
     with display_at(PageAddress("127.0.0.1", 0)) as display:
-        display.engage(100.0, None)
+        display.watching_began(100.0, None)
         for _, _, controller in flight(20.0):
             display.show(controller.snapshot())
         yield display

@@ -41,7 +41,7 @@ TRIES = 6
 def display(flight):
     with ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0)) as display:
         display.begin(LocalPlane(47.4, 8.5), lambda _request: None)
-        display.engage(100.0, None)
+        display.watching_began(100.0, None)
         for _, _, controller in flight(110.0):
             snapshot = controller.snapshot()
         display.show(snapshot)

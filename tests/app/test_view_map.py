@@ -123,7 +123,7 @@ def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
         {"": Panel(Console(), quiet=True).of()}, {"": Config()}, PageAddress(port=0, map=under)
     ) as display:
         display.begin(PLANE, lambda _wish: None)
-        display.engage(100.0, None)
+        display.watching_began(100.0, None)
         for _, _, controller in flight(5.0):
             display.show(controller.snapshot())
         display.pump()

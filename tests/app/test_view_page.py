@@ -71,7 +71,7 @@ def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
     with ViewDisplay({"": Panel(Console(), quiet=True).of()}, {"": config}, PageAddress(port=0)) as display:
         display.begin(PLANE, lambda _request: None)
-        display.engage(START_S, None)
+        display.watching_began(START_S, None)
         for tick, (snapshot, announced) in enumerate(snapshots):
             for announcement in announced:
                 display.say(announcement)
@@ -238,7 +238,7 @@ def test_a_click_in_the_camera_s_picture_comes_back_as_a_request(page, display):
     jpeg = cv2.imencode(".jpg", np.full((180, 320, 3), 90, np.uint8))[1].tobytes()
     marks = {"time_s": 1.0, "state": "object", "confidence": 0.9, "box": [0.4, 0.4, 0.6, 0.6]}
     marks |= {"estimate": [0.5, 0.5], "ellipse": [[0.3, 0.5], [0.5, 0.6], [0.7, 0.5], [0.3, 0.5]]}
-    display.film(lambda: json.dumps(marks).encode() + b"\n" + jpeg)
+    display.show_picture(lambda: json.dumps(marks).encode() + b"\n" + jpeg)
     got = []
     display.begin(PLANE, got.append)
     words = page.locator("#camera output", has_text="tracked, confidence 90 %")
@@ -360,7 +360,7 @@ def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, wi
     with view:
         for name in names:
             view.of(name).begin(PLANE, lambda _request: None)
-            view.of(name).engage(START_S, None)
+            view.of(name).watching_began(START_S, None)
         last = replace(snapshots[-1][0], vehicle=VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
         view.of(names[0]).show(last)
         view.of(names[1]).show(replace(last, aircraft=replace(last.aircraft, east_m=last.aircraft.east_m + 600.0)))

@@ -26,7 +26,7 @@ def drawn(*shown, terminal: bool, width: int = 100, quiet: bool = False) -> str:
     console = Console(file=io.StringIO(), force_terminal=terminal, width=width, color_system=None)
     with Panel(console, quiet) as panel:
         display = panel.of()
-        display.engage(100.0, 1200.0)
+        display.watching_began(100.0, 1200.0)
         display.note("connected")
         display.say(Announce(142.0, "decision", "moving 318 m east: in 42 s the target would be 533 m away"))
         for snapshot in shown:

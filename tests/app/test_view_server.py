@@ -37,7 +37,7 @@ def display_at(host: str) -> ViewDisplay:
 def shown(flight):
     """Return a display that has shown a flight of 60 s."""
     with display_at("127.0.0.1") as display:
-        display.engage(100.0, None)
+        display.watching_began(100.0, None)
         for _, _, controller in flight(60.0):
             display.show(controller.snapshot())
         yield display
@@ -166,8 +166,8 @@ def test_buttons_come_back_as_requests_at_the_vehicle_s_time(shown):
 
 def test_the_picture_is_served_and_what_is_clicked_in_it_comes_back(shown):
     assert status(f"{shown.url}picture") == 404
-    shown.film(lambda: b"{}\njpeg")
-    shown.film(lambda: pytest.fail("a second picture within the same 0.2 s is encoded"))
+    shown.show_picture(lambda: b"{}\njpeg")
+    shown.show_picture(lambda: pytest.fail("a second picture within the same 0.2 s is encoded"))
     shown.pump()
     while not json.loads(urlopen(f"{shown.url}state").read())["setting"]["camera"]:
         shown.pump()

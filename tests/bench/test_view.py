@@ -160,7 +160,7 @@ def test_behind_a_slow_line_with_stalls_nothing_old_is_green():
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         present = _present()
         display.begin(LocalPlane(47.4, 8.5), lambda _request: None)
-        display.engage(time.monotonic(), None)
+        display.watching_began(time.monotonic(), None)
         line = SlowLine(int(display.url.rstrip("/").rpartition(":")[2]))
 
         def fly(page, until_s):
@@ -253,8 +253,8 @@ class Alternating:
     def begin(self, plane, request, config=None):
         self._view.begin(plane, request)
 
-    def engage(self, start_s, duration_s):
-        self._view.engage(start_s, duration_s)
+    def watching_began(self, start_s, duration_s):
+        self._view.watching_began(start_s, duration_s)
 
     def note(self, text):
         self._view.note(text)
