@@ -215,10 +215,10 @@ class SummaryCollector:
                 (*place_m, snapshot.height_m), (estimate.east_m, estimate.north_m, target_m + _EYE_M)
             )
             self._over_ground.append((estimate.time_s, seen, snapshot.height_m - self.ground.height_m(*place_m)))
-        if snapshot.pan_limit_rad < math.pi and snapshot.attitude is not None:
+        if snapshot.airframe.has_pan_limit and snapshot.attitude is not None:
             places = np.array([place_m]), np.array([[estimate.east_m, estimate.north_m]])
             heading_rad = np.array([snapshot.attitude.yaw_rad])
-            (within,) = within_pan_limits(*places, heading_rad, snapshot.pan_limit_rad)
+            (within,) = within_pan_limits(*places, heading_rad, snapshot.airframe.pan_limit_rad)
             self._within_pan.append((estimate.time_s, bool(within)))
 
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:

@@ -108,7 +108,7 @@ class PanLimitInput:
     def show(self, snapshot: Present) -> None:
         """Plan for the pan limit that the gimbal reports, once, unless the configuration has one."""
         if snapshot.phase is Phase.YIELDED:
-            self._is_settled = snapshot.pan_limit_rad < math.pi  # a change on its way is refused
+            self._is_settled = snapshot.airframe.has_pan_limit  # a change on its way is refused
         if self._is_settled or snapshot.phase is not Phase.WATCHING or self._changes.is_busy:
             return
         reported_rad = self._reported()

@@ -196,7 +196,7 @@ class StateEncoder:
     def _asked(self, snapshot: Present) -> Json:
         requirement = snapshot.requirement
         return {
-            "radius_m": snapshot.radius_m,
+            "radius_m": snapshot.airframe.radius_m,
             "height_m": self._height_m if snapshot.height_asked_m is None else snapshot.height_asked_m,
             "range_min_m": requirement.range_min_m,
             "range_max_m": requirement.range_max_m,

@@ -13,7 +13,7 @@ from sidelong.estimators.sensing.readings import AttitudeReading
 from sidelong.mission.core.fleet import Neighbour
 from sidelong.mission.core.inputs import UNFULFILLED, Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
-from sidelong.mission.core.requirement import Requirement, Side, Wind
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.route.route import RouteProgress
 
 _STANDING_M_S = 0.3  # a slower target's course is noise
@@ -97,8 +97,7 @@ class Present:
     mode: str
     height_m: float  # the aircraft's, above home; NaN: unknown
     attitude: AttitudeReading | None  # the latest one of the aircraft; None before the first
-    radius_m: float
-    pan_limit_rad: float
+    airframe: Aircraft  # its limits, as plans keep them now
     height_asked_m: float | None  # as an operator has changed it; None: as configured
     range_s: float  # time of the latest reading of the laser in use, -inf before the first
     gimbal_s: float  # the same of the gimbal

@@ -83,7 +83,7 @@ def test_limits_are_adopted_once_the_target_is_watched(snapshot, configured_deg,
     for _ in range(2):
         adopting.show(watching)
     assert (changes.taken, notes) == (2 * taken, 2 * noted)
-    limited = replace(watching, pan_limit_rad=2.0944)
+    limited = replace(watching, airframe=replace(watching.airframe, pan_limit_rad=2.0944))
     for phase in (Phase.YIELDED, Phase.WATCHING):
         adopting.show(replace(limited, phase=phase))
     assert (changes.taken, notes) == (2 * taken, 2 * noted)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from sidelong.app.analysis.summary import SummaryCollector
 from sidelong.estimators.terrain.ground import Ground
-from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 
@@ -27,7 +26,7 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
         unknown="",
         breach="",
         requirement=REQUIREMENT,
-        pan_limit_rad=math.pi,
+        airframe=Aircraft(15.0, 50.0),
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
         height_m=aircraft_m[2],
         estimate=SimpleNamespace(
