@@ -176,12 +176,6 @@ def prepared(
     return Prepared(config, make_planner)
 
 
-def controller_of(
-    config: Config, plane: LocalPlane | None = None, home_deg: HomeDeg = None, kind: PlannerKind | None = None
-) -> StandoffController:
-    return prepared(config, kind=kind).controller(plane, home_deg)
-
-
 def _compile(config: Config, kind: PlannerKind, announce: Callable[[str], None]) -> None:
     """Compile in two processes at a time, which leave the machine code in the cache and take their memory with them.
 

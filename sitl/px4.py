@@ -227,9 +227,6 @@ class Px4Mission(Store):
         self._on_swap()
         return ACCEPTED_ITEMS
 
-    def navigation_from(self, index: int) -> int | None:
-        return next((i for i in range(index, len(self._items)) if self._items[i].command in NAVIGATION), None)
-
 
 def as_stored(item: Item) -> Item:
     """Return the item as PX4 gives it back. Raises ItemRefused."""
@@ -744,7 +741,7 @@ class SimulatedPx4(SimulatedAutopilot):
 
     def _start_item(self, index: int, *, from_here: bool) -> None:
         items = self.mission.items()
-        flown = self.mission.navigation_from(index)
+        flown = next((i for i in range(index, len(items)) if items[i].command in NAVIGATION), None)
         for item in items[index:flown]:
             if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
                 self._order_airspeed(item.params[1])

@@ -154,7 +154,7 @@ class OrbitCommandBackend:
         ours = [order for _, order in self._ordered]
         if self._reported is not None:
             ours.append(self._reported)  # flown on, however long what was ordered since takes to arrive
-        if any(_same_place(circle, order) for order in ours):
+        if any(max(abs(circle.x - order.x), abs(circle.y - order.y)) <= _SAME_E7 for order in ours):
             self._reported = circle
             if self._suspicion.active:
                 self._suspicion.active = False
@@ -210,7 +210,3 @@ class OrbitCommandBackend:
 
     def _announce(self, number: int, stage: str, detail: str = "") -> None:
         self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]
-
-
-def _same_place(a: CircleOrder, b: CircleOrder) -> bool:
-    return abs(a.x - b.x) <= _SAME_E7 and abs(a.y - b.y) <= _SAME_E7

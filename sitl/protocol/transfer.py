@@ -7,7 +7,6 @@ stored on arrival or the whole list is replaced at the end.
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -123,12 +122,8 @@ class Item:
 def checksum(items: list[Item]) -> int:
     if not items:
         return 0
-    rows = [(i.command, i.frame, _nan_as_text(i.params), i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]
+    rows = [(i.command, i.frame, i.params, i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]
     return zlib.crc32(repr(rows).encode())
-
-
-def _nan_as_text(values: tuple[float, ...]) -> tuple[float | str, ...]:
-    return tuple("nan" if math.isnan(value) else value for value in values)
 
 
 @dataclass(frozen=True, slots=True)

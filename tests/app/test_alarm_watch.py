@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.flight import AlarmWatch
 from sidelong.mission.control.present import Phase, Present, VehicleStatus
@@ -141,7 +141,7 @@ def test_a_low_battery_is_reported_at_once_and_again(rig, last):
 @pytest.mark.parametrize(("action", "ends"), [("return", True), ("warn", False)])
 def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
     config = Config.model_validate({"planner": {"name": "paper", "at_low_battery": action}})
-    controller = controller_of(config)
+    controller = prepared(config).controller()
     controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
     announced = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(11)]
     assert announced[:10] == [()] * 10  # reports of less than ten seconds are not enough
@@ -151,7 +151,7 @@ def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
 
 
 def test_a_battery_with_enough_left_ends_nothing(snapshot):
-    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller = prepared(Config.model_validate({"planner": {"name": "paper"}})).controller()
     controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
     for k in range(50):
         left_s = 70.0 if k % 9 else 73.0  # 120 % of the flight home, now and then
@@ -159,7 +159,7 @@ def test_a_battery_with_enough_left_ends_nothing(snapshot):
 
 
 def test_a_rejected_charge_ends_nothing(snapshot):
-    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller = prepared(Config.model_validate({"planner": {"name": "paper"}})).controller()
     controller.step(ControlAcquired(100.0, snapshot.plan.circle, "AUTO"))
     for k in range(50):
         assert controller.step(BatteryReported(101.0 + k, 3.0, 0.0, 60.0, rejected=True)) == ()
@@ -167,7 +167,7 @@ def test_a_rejected_charge_ends_nothing(snapshot):
 
 @pytest.mark.parametrize("lasts_s", [3, 20])
 def test_a_battery_that_dips_is_an_alarm_and_ends_no_watch(rig, last, lasts_s):
-    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller = prepared(Config.model_validate({"planner": {"name": "paper"}})).controller()
     controller.step(ControlAcquired(last.time_s, last.plan.circle, "AUTO"))
     for second in range(600):
         dips = 400 <= second < 400 + lasts_s
@@ -196,7 +196,7 @@ def test_the_end_of_a_battery_states_all_that_is_known(rig, last):
 
 
 def test_an_alarm_of_the_journal_is_announced_in_the_replay(snapshot):
-    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller = prepared(Config.model_validate({"planner": {"name": "paper"}})).controller()
     (announced,) = controller.step(AlarmReported(1.0, "laser", "raised", "no range from the laser for 5 s: check it"))
     assert (announced.kind, announced.text) == ("alarm", "alarm: no range from the laser for 5 s: check it")
     (announced,) = controller.step(AlarmReported(2.0, "laser", "cleared", "no range from the laser for 6 s"))

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sidelong.app.analysis.score import Samples, judge
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
@@ -111,7 +111,7 @@ class FaultedFlight(FaultyLoop[Message]):
         self._noise = noise_rng
         ground = {"terrain": {"folder": terrain}} if terrain else {}
         config = Config.model_validate({"fences": {"keep_in": [_square_deg()]}, **ground, **configured})
-        self.controller: StandoffController = controller_of(config, _PLANE, HOME_DEG, kind)
+        self.controller: StandoffController = prepared(config, kind=kind).controller(_PLANE, HOME_DEG)
         self._required = config.requirement.requirement()  # a fleet lets an aircraft hold the other side
         self._target = RandomTarget(target_rng, scenario.duration_s + 1.0, 3.0, (15.0, 60.0))
         limits = config.aircraft.aircraft()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.estimators.filters.biases import Calibration
 from sidelong.estimators.sensing.sighting import Fix, SightingOutcome
@@ -60,7 +60,7 @@ def test_agreement_of_a_minute_and_a_jump_back():
 
 
 def test_an_operator_confirms_the_object():
-    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller = prepared(Config.model_validate({"planner": {"name": "paper"}})).controller()
     controller.step(ControlAcquired(100.0, Circle(0.0, 0.0, 60.0, True), "AUTO"))
     controller._object.suspect(101.0, "the payload may follow another object")
     assert controller.snapshot().unknown == "the payload may follow another object"

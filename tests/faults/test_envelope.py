@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.kinematic import LIVE_RATES, Body, KinematicVehicle, Start
@@ -61,7 +61,7 @@ class Flight(ClosedLoop):
         noise = Payload(PayloadErrors(), noise_rng)
         body = body or Body(own.airspeed_m_s, own.aircraft().bank_max_rad)
         super().__init__(KinematicVehicle(autopilot, body, wind, start, noise, self.target, LIVE_RATES))
-        self.controller = controller_of(config, PLANE, (HOME.latitude_deg, HOME.longitude_deg))
+        self.controller = prepared(config).controller(PLANE, (HOME.latitude_deg, HOME.longitude_deg))
         self.telemetry.plane = PLANE
         self.alarms, self.raised, self.outputs, self.range_m, self.claims = Alarms(), [], [], [], []
         self.listeners.append(self._note)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
 from sidelong.app.fleet.coordination import Coordination, Participant, VehicleClockReader, coordinator_of
@@ -99,7 +99,8 @@ class Craft(ClosedLoop[bytes]):
         """Make the core."""
         config, plane = self._config, self.telemetry.plane
         home_deg = self._home.latitude_deg, self._home.longitude_deg
-        controller = controller_of(config, plane, home_deg, planner_in_fleet(config) if in_fleet else None)
+        kind = planner_in_fleet(config) if in_fleet else None
+        controller = prepared(config, kind=kind).controller(plane, home_deg)
         self.core = mission_controller_of(config, controller, self._dialect, plane, self._home)
 
     def turn_payload(self) -> None:

@@ -22,7 +22,7 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.cli import app
 from sidelong.app.commands import serve
 from sidelong.app.config import Config, ControlSection, config_from, load_config
@@ -544,28 +544,26 @@ def test_a_watch_that_is_released_before_it_begins_does_not_begin(serving):
     assert resident.begun == resident.status.watches == 0
 
 
+async def _asks_to_watch(resident):
+    resident.request("watch", "a command")
+
+
+async def _has_begun(resident):
+    while not resident.begun:
+        await asyncio.sleep(0.01)
+
+
 def test_a_service_that_is_stopped_in_a_watch_ends_with_it(serving):
-    async def stands_by(resident):
-        resident.request("watch", "a command")
-
-    async def until(resident):
-        while not resident.begun:
-            await asyncio.sleep(0.01)
-
-    assert serving(stands_by, until).begun == 1
+    assert serving(_asks_to_watch, _has_begun).begun == 1
 
 
 def test_a_watch_that_is_released_is_shown_as_ending_at_once(serving):
-    async def stands_by(resident):
-        resident.request("watch", "a command")
-
     async def until(resident):
-        while not resident.begun:
-            await asyncio.sleep(0.01)
+        await _has_begun(resident)
         assert resident.request("release", "a command")[0]
         assert str(resident.status) == "watching: ending: released"
 
-    serving(stands_by, until)
+    serving(_asks_to_watch, until)
 
 
 def test_a_fault_is_shown_until_a_check_fails(tmp_path):
@@ -616,7 +614,7 @@ def test_the_status_of_a_watch_names_records_that_are_lost_meanwhile(tmp_path, m
 
 
 def test_the_status_of_a_watch_names_what_is_wrong(tmp_path):
-    snapshot = controller_of(Config()).snapshot()
+    snapshot = prepared(Config()).controller().snapshot()
     resident = Watched(tmp_path, None)
     resident._become(State.WATCHING, "")
     display = resident._display = ServiceDisplay(print, lambda: None, print)
