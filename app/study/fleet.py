@@ -94,8 +94,7 @@ class FleetResult:
 class _Member:
     """One aircraft of the run. waiting: what is to be put into its core."""
 
-    name: str
-    height_m: float
+    member: FleetMember
     craft: StudiedAircraft
     reporter: FleetReporter
     waiting: deque[Event] = field(default_factory=deque)
@@ -137,16 +136,15 @@ class FleetRun:
         self._target = OnTicks(self._scene.target, self._scene.duration_s)
         self._errors, self._handovers = _Errors(), 0
         self._members = [self._member(*of) for of in _starts(settings, self._scene)]
-        self._by_name = {one.name: one for one in self._members}
-        aircraft, (_, assumed) = settings.aircraft(), payload_of(settings)
+        self._by_name = {one.member.name: one for one in self._members}
         self._coordinator = FleetCoordinator(
-            [FleetMember(one.name, aircraft, assumed, one.height_m) for one in self._members],
+            [one.member for one in self._members],
             [FleetTarget(_TARGET, settings.requirement())],
             lambda _name, flown, wanted: TeamPlanner(PredictivePlanner(flown, wanted, table, IN_TEAM)),
         )
         for one in self._members:
             ahead_s = one.craft.simulated.time_s - one.craft.telemetry.now_s
-            self._step(ClockReported(one.name, 0.0, ahead_s, _CLOCK_SIGMA_S))
+            self._step(ClockReported(one.member.name, 0.0, ahead_s, _CLOCK_SIGMA_S))
         if self._scene.route is not None:
             self._step(TargetRouteGiven(_TARGET, event_of(self._scene.route, 0.0)))
 
@@ -162,7 +160,8 @@ class FleetRun:
         own = settings.config.aircraft.model_copy(update={"height_m": height_m})
         config = settings.config.model_copy(update={"aircraft": own})
         craft = StudiedAircraft(settings, self._scene, self._target, circle, noise_rng, make_planner, config=config)
-        member = _Member(name, height_m, craft, FleetReporter(name))
+        listed = FleetMember(name, settings.aircraft(), payload_of(settings)[1], height_m)
+        member = _Member(listed, craft, FleetReporter(name))
 
         def stepped(event: InboundEvent, outputs: tuple[Output, ...]) -> None:
             for news in member.reporter.after(craft.controller, event, outputs, craft.simulated.time_s):
@@ -179,7 +178,7 @@ class FleetRun:
                 member = self._members[loss.aircraft]
                 if time_s >= loss.time_s and not member.lost:
                     member.lost = True
-                    self._step(VehicleLost(member.name, time_s, "lost in this study", yielded=True))
+                    self._step(VehicleLost(member.member.name, time_s, "lost in this study", yielded=True))
             for member in self._members:
                 member.fly_on()
             if vehicle.time_s >= ticked_s + _TICK_S - 1e-6:
@@ -187,7 +186,7 @@ class FleetRun:
                 ticked_s = vehicle.time_s
         logs = np.stack([member.craft.log(self._scene) for member in self._members])
         changes = [member.craft.departed_s for member in self._members]
-        heights_m = [member.height_m for member in self._members]
+        heights_m = [one.member.height_m for one in self._members]
         taken_s = [taken for member in self._members for taken in member.craft.watch.taken_s]
         return _result(self._settings, logs, heights_m, changes, taken_s, self._errors, self._handovers)
 
