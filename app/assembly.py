@@ -424,7 +424,7 @@ def warm_up_planner(planner: Planner, beyond_m: float, with_route: bool) -> None
 
 
 def warm_up_foresight(planner: PredictivePlanner) -> None:
-    """Run what decisions know beforehand of a target near a route. The planner must not be flown afterwards."""
+    """Run what predicts a target near a route, to compile it. The planner must not be flown afterwards."""
     planner.follow(MADE_UP_ROUTE, fresh_progress(MADE_UP_ROUTE.east_m.size))
     question = planner.questions[0]
     foreseen(scene_at(_HERE, _TARGET, Plan(_CIRCLE), Wind(), 0.5, question), question)

@@ -223,6 +223,7 @@ class Coordination:
         self._moved_s = math.inf
 
     def add(self, participant: Participant) -> None:
+        """Let an aircraft of the fleet take part from now on."""
         self._participants[participant.name] = participant
 
     # -- mission time --------------------------------------------------------------------------------------

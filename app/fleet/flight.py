@@ -74,6 +74,7 @@ class FleetFlight:
 
     @contextlib.asynccontextmanager
     async def coordinated(self, aircraft: list[FlyingAircraft]) -> AsyncIterator[None]:
+        """Coordinate these aircraft inside the context; the coordinator's journal is open for that long."""
         self._aircraft = aircraft
         own_ids = {craft.session.vehicle.system_id for craft in aircraft}
         for route in self._fleet.routes.values():

@@ -108,6 +108,7 @@ class PayloadRunner:
                 await asyncio.to_thread(self._transport.close)
 
     def aircraft(self, pose: AircraftPose) -> None:
+        """Send the aircraft's attitude and position to the payload."""
         self._send(self._session.aircraft(pose, self._driver_s(time.monotonic())))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> None:

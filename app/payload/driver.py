@@ -127,6 +127,7 @@ class Period:
         return True
 
     def restart(self) -> None:
+        """Be due at once."""
         self._next_s = float("-inf")
 
 
@@ -147,9 +148,11 @@ class RoundTrips:
         return min(self._latest_s, default=None)
 
     def sent(self, kind: Hashable, now_s: float) -> None:
+        """Note that a request of a kind has been sent."""
         self._sent_s[kind] = now_s
 
     def awaits(self, kind: Hashable, now_s: float) -> bool:
+        """Return whether a request of a kind waits for its reply."""
         shortest_s = self.shortest_s
         given_up_s = _GIVEN_UP_FIRST_S if shortest_s is None else max(_GIVEN_UP_S, 3.0 * shortest_s)
         return now_s - self._sent_s.get(kind, float("-inf")) < given_up_s
