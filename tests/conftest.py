@@ -36,9 +36,7 @@ _ports = itertools.count(101 * os.getpid())  # processes begun one after the oth
 
 
 # The planner and the filter, which every flight loads from disk once they are compiled.
-_COMPILE = (
-    "from sidelong.app.assembly import controller_of; from sidelong.app.config import Config; controller_of(Config())"
-)
+_COMPILE = "from sidelong.app.assembly import prepared; from sidelong.app.config import Config; prepared(Config())"
 # The computing worker begins with these, in this order: first those that need no compiled planner or filter, while
 # another worker compiles them, then those that compile the studies' loop, which the others load later.
 _PLAIN = ("tests/sitl/", "tests/payload/", "tests/records/")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.recording import Recording
 from sidelong.app.planners.planner_kind import PlannerKind
@@ -118,7 +118,7 @@ def config() -> Config:
 @pytest.fixture(scope="session")
 def flight(config) -> Callable[[float], Iterator[tuple[Event, tuple[StepOutput, ...], StandoffController]]]:
     def fly(duration_s: float):
-        controller = controller_of(config)
+        controller = prepared(config).controller()
         for event, commands in steps(controller, config, duration_s):
             yield event, commands, controller
 
@@ -197,7 +197,7 @@ def recorded(
     kind: PlannerKind | None = None,
 ) -> list[StepOutput]:
     """Fly and record; ``more`` are events by the time at which they come. Return the commands."""
-    controller, recording = controller_of(config, kind=kind), Recording(folder, config, pytest.fail)
+    controller, recording = prepared(config, kind=kind).controller(), Recording(folder, config, pytest.fail)
     recording.begin(PLANE, (47.4, 8.5))
     announced: list[StepOutput] = []
 

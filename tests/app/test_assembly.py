@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sidelong.app import assembly
-from sidelong.app.assembly import controller_of, winds_m_s, with_vehicle_fences
+from sidelong.app.assembly import prepared, winds_m_s, with_vehicle_fences
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import planner_in_fleet
@@ -44,7 +44,7 @@ def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
     monkeypatch.setattr(
         planner, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
     )
-    controller = controller_of(load_config(None, {"planner": {"winds_m_s": [5.0]}}))
+    controller = prepared(load_config(None, {"planner": {"winds_m_s": [5.0]}})).controller()
     monkeypatch.setattr(value_cache, "value_table", lambda *_: pytest.fail("a table was asked for within a step"))
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     (announced,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
@@ -106,7 +106,7 @@ def test_a_real_vehicle_is_made_ready_for_a_likely_wind(changes, winds):
 def test_what_flies_decides_as_what_is_studied(fleet_size):
     config = load_config(None, {"requirement": {"fleet_size": fleet_size}})
     controller, own = (
-        controller_of(config, kind=planner_in_fleet(config)),
+        prepared(config, kind=planner_in_fleet(config)).controller(),
         planner.USUAL if fleet_size == 1 else IN_TEAM,
     )
     aircraft, requirement = controller.settings.aircraft, controller.settings.requirement
@@ -128,7 +128,7 @@ def test_what_flies_decides_as_what_is_studied(fleet_size):
 
 def test_a_side_is_refused_where_bearings_are_watched_from():
     settings = load_config(None, {"planner": {"name": "paper"}, "requirement": {"side": "120-200"}})
-    controller = controller_of(settings)
+    controller = prepared(settings).controller()
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     before = controller.snapshot().side
     (announced,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 import pytest
 
 from sidelong.app.analysis.replay import JournalReplay
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.recording import JOURNAL_TYPES
@@ -28,7 +28,7 @@ PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
 def changes_of(config):
     """Return the changes of a flight that has begun, what they pass on, and what they say."""
-    controller = controller_of(config, PLANE, HOME_DEG)
+    controller = prepared(config).controller(PLANE, HOME_DEG)
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     put: list[MissionChange] = []
     announced: list[str] = []
@@ -99,7 +99,7 @@ def test_a_changed_flight_is_replayed_to_the_last_bit_and_judged_by_what_was_ask
     assert uploads[-1].heights.to_m == 120.0
 
     journal = JournalReader(folder.journal, JOURNAL_TYPES)
-    replay = JournalReplay(controller_of(config))
+    replay = JournalReplay(prepared(config).controller())
     snapshots = [step.snapshot() for step in replay.run(journal)]
     assert replay.difference is None
     assert replay.compared > 10

@@ -6,7 +6,7 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
 from sidelong.app.analysis.replay import JournalReplay
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
@@ -31,10 +31,10 @@ def test_a_flight_on_the_ekf_of_filterpy_is_replayed_to_the_last_bit(tmp_path, m
     recorded(folder, config, 60.0, {})
     assert min(counted.values()) > 200
 
-    replay = JournalReplay(controller_of(config))
+    replay = JournalReplay(prepared(config).controller())
     assert list(replay.run(JournalReader(folder.journal, JOURNAL_TYPES)))
     assert replay.difference is None
     assert replay.compared > 10
-    other = JournalReplay(controller_of(Config()))
+    other = JournalReplay(prepared(Config()).controller())
     assert list(other.run(JournalReader(folder.journal, JOURNAL_TYPES)))
     assert other.difference is not None

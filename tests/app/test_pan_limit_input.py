@@ -10,7 +10,7 @@ import pytest
 
 from sidelong.app.analysis.replay import JournalReplay
 from sidelong.app.analysis.summary import SummaryCollector
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.changes import PanLimitInput
 from sidelong.app.flight.recording import JOURNAL_TYPES
@@ -98,7 +98,7 @@ def test_a_flight_that_has_adopted_them_is_replayed_to_the_last_bit(tmp_path):
     texts = [one.text for one in announced if isinstance(one, Announce)]
     assert "gimbal: pan limits of +-120 degrees, from the next plan on" in texts
 
-    replay = JournalReplay(controller_of(config))
+    replay = JournalReplay(prepared(config).controller())
     collector = SummaryCollector(config.requirement.requirement())
     for step in replay.run(JournalReader(folder.journal, JOURNAL_TYPES)):
         collector.observe(step.snapshot())
@@ -106,7 +106,7 @@ def test_a_flight_that_has_adopted_them_is_replayed_to_the_last_bit(tmp_path):
     assert replay.compared > 10
     assert collector.time_within_pan_limits(0.0) == collector.time_within_pan_limits(150.0) < 1.0
     # The event is what turned the plan to figures of eight.
-    deaf = JournalReplay(controller_of(config))
+    deaf = JournalReplay(prepared(config).controller())
     records = [one for one in JournalReader(folder.journal, JOURNAL_TYPES) if not isinstance(one, MissionChange)]
     for _ in deaf.run(records):
         pass

@@ -26,7 +26,7 @@ from typing import Any
 
 import pytest
 
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.loop import ClosedLoop
@@ -135,7 +135,9 @@ def traced(flavour: Flavour) -> Tracer:
     autopilot = next(one for one in AUTOPILOTS if one.name.lower() == flavour)
     home_deg = where.latitude_deg, where.longitude_deg
     loop.start(
-        lambda plane: mission_controller_of(config, controller_of(config, plane, home_deg), autopilot, plane, where)
+        lambda plane: mission_controller_of(
+            config, prepared(config).controller(plane, home_deg), autopilot, plane, where
+        )
     )
     assert loop.run(240.0, lambda: any(isinstance(one, ControlAcquired) for one in outputs))
     outputs.clear()

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 import pytest
 
 from sidelong.app.analysis.replay import Proposals, Replayed
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.view.frames import Frames, Player
 from sidelong.app.view.server import replay_button_of
@@ -105,7 +105,7 @@ def test_at_the_end_it_stops_and_play_begins_again(frames, clock):
 
 def test_what_would_have_been_decided_otherwise_is_reported_next_to_it(frames, steps, clock, config):
     other = Config.model_validate({"planner": {"name": "paper"}, "requirement": {"side": "right"}})
-    controller = controller_of(other, PLANE, (47.4, 8.5))
+    controller = prepared(other).controller(PLANE, (47.4, 8.5))
     what_if = Frames(plane=PLANE)
     events = (step.event for step in steps)
     assert list(what_if.noted(Proposals(controller).follow(events), StateEncoder(15.0, 100.0), proposals=True))

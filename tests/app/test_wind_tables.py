@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 import pytest
 
 from sidelong.app.analysis.replay import JournalReplay
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.changes import WindTables
 from sidelong.app.flight.recording import JOURNAL_TYPES
@@ -42,7 +42,7 @@ class Windy:
     """A flight at 15 m/s that is shown winds; what it passes on is in ``put``."""
 
     def __init__(self, ready_m_s=()):
-        self.controller = controller_of(Config())
+        self.controller = prepared(Config()).controller()
         self.controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
         self.put: list[WindPrepared] = []
         self.noted: list[str] = []
@@ -112,14 +112,14 @@ def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):
     extra = {100.0: WindReported(100.0, 3.0, 2.0), 150.0: WindPrepared(150.0, 3.75)}
     announced = recorded(folder, config, 200.0, extra)
 
-    replay = JournalReplay(controller_of(config))
+    replay = JournalReplay(prepared(config).controller())
     for _ in replay.run(JournalReader(folder.journal, JOURNAL_TYPES)):
         pass
     assert replay.difference is None
     assert replay.compared > 10
 
     # Without the event, what it decides afterwards is otherwise: the table is in use.
-    deaf = JournalReplay(controller_of(config))
+    deaf = JournalReplay(prepared(config).controller())
     records = [one for one in JournalReader(folder.journal, JOURNAL_TYPES) if not isinstance(one, WindPrepared)]
     for _ in deaf.run(records):
         pass

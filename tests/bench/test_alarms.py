@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.flight.flight import AlarmWatch
@@ -80,7 +80,7 @@ def flown(seed: int) -> Flown:
     start = Start(PLANE, HOME, CIRCLE, 100.0, state)
     payload = _Recorded(ERRORS, noise_rng)
     vehicle = KinematicVehicle(autopilot, Body(15.0), Wind(), start, payload, target, LIVE_RATES)
-    controller, loop, result = controller_of(config), ClosedLoop(vehicle), Flown()
+    controller, loop, result = prepared(config).controller(), ClosedLoop(vehicle), Flown()
     loop.telemetry.plane = PLANE
     loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
     events: list[object] = []

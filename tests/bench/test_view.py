@@ -30,7 +30,7 @@ import pytest
 from playwright.sync_api import sync_playwright
 from rich.console import Console
 
-from sidelong.app.assembly import controller_of, prepared
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.recording import Recording
@@ -209,7 +209,7 @@ SHOWN = """() => {
 
 def _present():
     """Return the state of a flight that watches in band and on side."""
-    core, now = controller_of(CONFIG), None
+    core, now = prepared(CONFIG).controller(), None
     for event, _ in steps(core, CONFIG, 60.0):
         if isinstance(event, PositionReading):
             now = core.snapshot()

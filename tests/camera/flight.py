@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sidelong.app.analysis.score import Moment, Score, judge_moments, score
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.camera.camera import TargetCamera
 from sidelong.app.camera.component import status_of
@@ -90,7 +90,7 @@ class PixelFlight(ClosedLoop[bytes]):
         vehicle = self.simulation.vehicle
         home = Home(vehicle.home.latitude_deg, vehicle.home.longitude_deg, vehicle.home.altitude_m)
         home_deg = home.latitude_deg, home.longitude_deg
-        controller = controller_of(config, self.telemetry.plane, home_deg)
+        controller = prepared(config).controller(self.telemetry.plane, home_deg)
         self.controller = controller
         dialect = autopilot_by_mav_autopilot(vehicle.autopilot_id)
         self.core = mission_controller_of(config, controller, dialect, self.telemetry.plane, home)

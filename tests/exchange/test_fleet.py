@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.assembly import mission_controller_of, prepared
 from sidelong.app.fleet.coordination import (
     FLEET_JOURNAL_TYPES,
     Coordination,
@@ -40,7 +40,7 @@ class Craft:
         self.home = Home(home.latitude_deg, home.longitude_deg, home.altitude_m)
 
     def make_core(self, plane):
-        controller = controller_of(self.config, kind=planner_in_fleet(self.config))
+        controller = prepared(self.config, kind=planner_in_fleet(self.config)).controller()
         return mission_controller_of(self.config, controller, self.flight.dialect, plane, self.home)
 
 

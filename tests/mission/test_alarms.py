@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.control.alarms import ALARM_KEYS, Alarms
@@ -17,7 +17,7 @@ from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.core.plan import AircraftState
 
 STATUS = VehicleStatus(80, 12.0, "3D, 12 satellites", True, endurance_s=3000.0, home_s=60.0)
-EMPTY = controller_of(Config.model_validate({"planner": {"name": "paper"}})).snapshot()
+EMPTY = prepared(Config.model_validate({"planner": {"name": "paper"}})).controller().snapshot()
 OK = tuple(InputReport(one, InputState.OK, 0.0, 10.0, "") for one in Input)
 
 

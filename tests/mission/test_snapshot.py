@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import Config
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.mission.control.controller import StandoffController
@@ -15,7 +15,7 @@ NORTH_AND_DOWN = (math.cos(-0.2), 0.0, math.sin(-0.2), 0.0)  # pitched down by 0
 
 
 def controller() -> StandoffController:
-    return controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    return prepared(Config.model_validate({"planner": {"name": "paper"}})).controller()
 
 
 def second(time_s: float, slant_range_m: float) -> tuple[object, ...]:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import _ground_check
@@ -185,7 +185,7 @@ def test_the_controller_asks_ground_and_fences(hills_folder, plane: LocalPlane, 
     config = load_config(
         None, {"planner": {"name": "paper"}, "terrain": terrain, "aircraft": {"height_above": "ground"}}
     )
-    controller = controller_of(config, plane, HOME_DEG)
+    controller = prepared(config).controller(plane, HOME_DEG)
     circle = Circle(4000.0, 1000.0, 50.0, True)
     cleared = controller.surroundings.levelled(Plan(circle))
     assert not isinstance(cleared, str)
@@ -193,7 +193,7 @@ def test_the_controller_asks_ground_and_fences(hills_folder, plane: LocalPlane, 
     beyond = Plan(Circle(0.0, 24_000.0, 50.0, True))
     assert controller.surroundings.levelled(beyond) == "the new circle lies over ground of unknown height"
     fenced = load_config(None, {"planner": {"name": "paper"}, "terrain": terrain, "fences": {"floor_m": 300.0}})
-    controller = controller_of(fenced, plane, HOME_DEG)
+    controller = prepared(fenced).controller(plane, HOME_DEG)
     assert "below the floor of 300 m" in str(controller.surroundings.levelled(Plan(Circle(0.0, 0.0, 20.0, True))))
 
 
