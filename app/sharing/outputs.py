@@ -370,13 +370,7 @@ def route_event(route: Route, plane: LocalPlane, now: datetime, uid: str, callsi
 
 
 def _event(
-    uid: str,
-    kind: str,
-    how: str,
-    now: datetime,
-    place: _LatLon,
-    lasts: timedelta = _STALE_AFTER,
-    **known_m: str,
+    uid: str, kind: str, how: str, now: datetime, place: _LatLon, lasts: timedelta = _STALE_AFTER, **known_m: str
 ) -> ElementTree.Element:
     """Return an event at a latitude and longitude; known_m: its height above the ellipsoid (hae) and error (ce)."""
     at, stale = _utc(now), _utc(now + lasts)

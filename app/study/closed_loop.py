@@ -27,12 +27,7 @@ from sidelong.app.study.recorded import STEP_S, RecordedTarget
 from sidelong.app.study.scene import StopWatch, StudyScene, first_circle, payload_of, scene, start_on
 from sidelong.app.study.settings import LAG_S, StudySettings, StudyTerrain
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.readings import (
-    GimbalReading,
-    RangeReading,
-    Reading,
-    TargetFixReading,
-)
+from sidelong.estimators.sensing.readings import GimbalReading, RangeReading, Reading, TargetFixReading
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings

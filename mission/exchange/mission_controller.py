@@ -66,12 +66,7 @@ UNSEEN = frozenset((*_SENSED, NavigationReported, *get_args(ExchangeEvent)))
 class MissionController:
     """One vehicle's whole core."""
 
-    def __init__(
-        self,
-        controller: StandoffController,
-        dialect: AutopilotDialect,
-        settings: ExchangeSettings,
-    ) -> None:
+    def __init__(self, controller: StandoffController, dialect: AutopilotDialect, settings: ExchangeSettings) -> None:
         self.controller = controller
         self._dialect = dialect
         self._outbox = Outbox()

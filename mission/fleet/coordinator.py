@@ -82,13 +82,7 @@ from sidelong.mission.fleet.events import (
     VehicleReported,
 )
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
-from sidelong.mission.fleet.vehicle import (
-    FleetMember,
-    FleetVehicle,
-    shifted_estimate,
-    shifted_plan,
-    shifted_state,
-)
+from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle, shifted_estimate, shifted_plan, shifted_state
 from sidelong.mission.geometry.separation import MIN_SEPARATION_M, circles_apart_m
 from sidelong.mission.route.route import RouteFollower, follower_of
 from sidelong.mission.viewpoint.watch_course import CourseHold, SidePolicy

@@ -149,12 +149,7 @@ class Separation:
         return None
 
     def _least_m(
-        self,
-        own: FloatArray,
-        flown: Flown,
-        other: Neighbour,
-        neighbour: NeighbourPlanned | None,
-        vertical_m: float,
+        self, own: FloatArray, flown: Flown, other: Neighbour, neighbour: NeighbourPlanned | None, vertical_m: float
     ) -> float:
         assert flown.aircraft is not None
         state = other.state
