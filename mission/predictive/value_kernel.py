@@ -167,7 +167,7 @@ def _padded(wide: Float32, plane: Float32, pad: int) -> None:
 
 @compiled
 def improve(values: Float32, after: Float32, transitions: Transitions, pad: int, policy: Int32) -> None:
-    """Take the best move everywhere: update ``values`` in place; fill in its index, in the shape of ``values``.
+    """Take the best move everywhere: update ``values`` in place and fill in the moves' indices, as ``values``.
 
     A move displaces all places alike, so its backup is a shifted copy of the table.
     """
