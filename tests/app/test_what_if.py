@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.assembly import controller_of
+from sidelong.app.assembly import prepared
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.cli import run
 from sidelong.app.study.closed_loop import FlownOn
@@ -50,7 +50,7 @@ def test_another_value_is_flown_from_a_moment_on(flown, tmp_path):
 def test_an_aircraft_that_still_climbs_is_flown_on_to_the_height_of_its_circle(config, flight):
     *_, (_, _, controller) = flight(60.0)
     begin, still = replace(controller.snapshot(), height_m=75.0), np.zeros(120)
-    core, (autopilot, *_) = controller_of(config), AUTOPILOTS
+    core, (autopilot, *_) = prepared(config).controller(), AUTOPILOTS
     flown_on = FlownOn(config, core, autopilot, PLANE, 0.0, begin, Wind(), RecordedTarget("still", still, still), 0.0)
     changes = [one for step in flown_on.steps() for one in step.commands if isinstance(one, HealthChanged)]
     assert [one for one in changes if one.input is Input.HEIGHT] == []
