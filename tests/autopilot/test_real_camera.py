@@ -47,6 +47,7 @@ TARGET = [one for one in TARGETS if one.stem == os.environ.get("TARGET", one.ste
 DURATION_S, VIEW_DEG = float(os.environ.get("CAMERA_S", "1200")), 12.0
 _ABOVE_M, _WITHIN_M, _BY_HAND_S, _AGAIN_S = 60.0, 400.0, 5.0, 20.0
 _OFF_AXIS_DEG = 4.0  # between axis and target: another object is followed
+_DOWN_DEG = VIEW_DEG * 9.0 / 16.0
 _CAMERA = mavlink.MAV_COMP_ID_CAMERA
 _STOPPED, _FOLLOWED = 0, 1  # tracking status
 
@@ -162,10 +163,20 @@ class Operator(threading.Thread):
         mav.command_int_send(1, 1, mavlink.MAV_FRAME_GLOBAL, roi, 0, 0, 0, 0, 0, 0, *place)
         if now_s > self._by_hand_s + _BY_HAND_S:
             self.clicks, self._by_hand_s, self._on_target_s = self.clicks + 1, math.inf, now_s
+            x, y = (
+                0.5 + off_deg / view_deg
+                for off_deg, view_deg in zip(self._aim_deg(), (VIEW_DEG, _DOWN_DEG), strict=True)
+            )
             if self.clicks % 2:
-                self._command(_CAMERA, mavlink.MAV_CMD_CAMERA_TRACK_POINT, 0.5, 0.5)
+                self._command(_CAMERA, mavlink.MAV_CMD_CAMERA_TRACK_POINT, x, y)
             else:
-                self._command(_CAMERA, mavlink.MAV_CMD_CAMERA_TRACK_RECTANGLE, 0.48, 0.47, 0.52, 0.53)
+                edges = x - 0.02, y - 0.03, x + 0.02, y + 0.03
+                self._command(_CAMERA, mavlink.MAV_CMD_CAMERA_TRACK_RECTANGLE, *edges)
+
+    def _aim_deg(self) -> tuple[float, float]:
+        """Return where the target is seen, to the right and below the middle: the gimbal is led behind it."""
+        _, right_deg, up_deg = self.off_deg[-1]
+        return right_deg, -up_deg
 
     def _command(self, component: int, command: int, *params: float) -> None:
         self._link.mav.command_long_send(1, component, command, 0, *params, *(0.0,) * (7 - len(params)))
@@ -209,7 +220,7 @@ def test_a_flight_by_a_camera_alone_is_as_the_study_of_a_laser_predicts(flavour,
     log, changed_s = seen(read_truth(truth), JournalReader(run / "journal.jsonl", JOURNAL_TYPES), DURATION_S)
     watched = judged_as_studied(log, changed_s, piece_of(log, target, tmp_path))
     study = studied(flavour, tmp_path, known=False)
-    off = np.abs([one[1:] for one in operator.off_deg if one[0] >= log[0, 0]]) / (VIEW_DEG * np.array([1.0, 9 / 16]))
+    off = np.abs([one[1:] for one in operator.off_deg if one[0] >= log[0, 0]]) / (np.array([VIEW_DEG, _DOWN_DEG]))
     picture, middle = (100.0 * np.mean(off.max(axis=1) < share) for share in (0.5, 0.25))
     print(
         f"\n{flavour} {target.stem}\n  flown   {watched}\n  studied {study}\n  in the picture {picture:.1f} %", end=""
