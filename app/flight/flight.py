@@ -643,7 +643,7 @@ class AlarmWatch:
             self._put(wish)
 
     async def run(self) -> None:
-        """Check also while the vehicle's clock does not advance, until cancelled."""
+        """Judge the alarms also while the vehicle's clock does not advance, until cancelled."""
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             if self._snapshot is not None and self._clock_s() >= self._looked_at_s + _LOOK_EVERY_S:

@@ -165,7 +165,7 @@ class PayloadInput:
         self._encoder = mavlink.MAVLink(None, vehicle.system_id, COMPONENT)
 
     def on_message(self, message: Message) -> AircraftPose | None:
-        """Update the vehicle's time from a message; return the vehicle's position if it is known."""
+        """Update the vehicle's time; return the aircraft's pose, if known, after its position or attitude."""
         if not self._timeline.on_report(message):
             return None
         attitude, position = (self._vehicle.latest.get(name) for name in ("ATTITUDE", "GLOBAL_POSITION_INT"))
