@@ -1148,14 +1148,10 @@ class PayloadFit:
         is_yaw = yaw_gain > again * _YAW_EVIDENCE and abs(yaw_rad) > eased * _DRIFTED_RAD and yaw_grows
         opposite = looks_long and pitch_rad * range_m < 0.0 and abs(pitch_rad) > _OPPOSITE_RAD
         is_pitch = abs(pitch_rad) > limit_rad and abs(pitched_rad) > _OPPOSITE_RAD and not is_range
+        is_range &= range_gain > yaw_gain or not is_yaw
         for what, is_it, numbers, drift in (
             ("pitch", is_pitch or opposite, (math.degrees(pitch_rad),), None),
-            (
-                "range",
-                is_range and (range_gain > yaw_gain or not is_yaw),
-                (60.0 * by_range.shared[5], range_m),
-                by_range,
-            ),
+            ("range", is_range, (60.0 * by_range.shared[5], range_m), by_range),
             ("yaw", is_yaw, (60.0 * math.degrees(by_yaw.shared[4]), math.degrees(yaw_rad)), by_yaw),
         ):
             if is_it:
@@ -1176,9 +1172,7 @@ class PayloadFit:
         for one, inside in _uneven_bearings(readings, sound.off_m, self._over_ground_m(readings)):
             self._uneven = True
             wrong = fit(5, _marked(readings, inside), _WRONG_SIGMA)
-            if (
-                sound.cost - wrong.cost > gain and wrong.scale_m < sound.scale_m
-            ):  # it may have ended in a lesser minimum
+            if sound.cost - wrong.cost > gain and wrong.scale_m < sound.scale_m:  # maybe only a lesser minimum
                 sound = min(sound, fit(0, readings, scale_m=wrong.scale_m), key=_cost)
             share, by_height = float(wrong.shared[5]), one.share
             agree = math.isnan(by_height) or abs(share - by_height) < 0.5 * abs(by_height)
@@ -1383,7 +1377,7 @@ def _uneven_bearings(
     """
     time_s, slant_m, _ = readings.ranges.T
     bearing_rad, down_rad = _looks(readings)
-    too_long = -over_m / (slant_m * np.sin(down_rad))
+    too_long = -over_m / (slant_m * np.maximum(np.sin(down_rad), _DOWN_MIN))
     of = (True, False) if len(readings.attitudes) else (False,)
     for from_nose, lately_s, of_height in itertools.product(of, (_DRIFT_S, _GROWS_S), (False, True)):
         share = too_long if of_height else -off_m / slant_m
