@@ -53,6 +53,7 @@ _WAITING_MAX = 32  # so that what has waited is never long to take in
 _BEGINNING_S = 3.0
 _SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
 _UNKNOWN_M, _REACH_M = 2e3, 5_000.0
+_GRAZES = 1.25  # a line of sight that its usual error makes longer than this says little of where it ends
 _time_s = attrgetter("time_s")
 
 
@@ -182,8 +183,12 @@ class Pairing:
                 if self.wrong_bearings.hold(sight.bearing_rad, attitude):
                     has_range, range_sigma_m = False, _UNKNOWN_M
         elif self.ground is not None:
-            level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
-            if level_m is None:
+            error_rad = math.hypot(settings.pitch_sigma_rad, settings.pitch_bias_sigma_rad)
+            level_m, behind_m = (
+                self.ground.cut_m(*aircraft_m, sight.bearing_rad, depression_rad, _REACH_M)
+                for depression_rad in (sight.depression_rad, sight.depression_rad - error_rad)
+            )
+            if level_m is None or behind_m is None or behind_m > _GRAZES * level_m:
                 return None
             range_m, range_sigma_m = level_m / math.cos(sight.depression_rad), _UNKNOWN_M
         else:
