@@ -65,9 +65,12 @@ def clicked(camera: TargetCamera, view: View, picture: Any, target_m: tuple[floa
     if at is None:
         return False
     (x_px, y_px), (width, height) = at, view.size_px
-    half = max(round(0.6 * side_px), 2)
-    seen = picture[max(round(y_px) - half, 0) : round(y_px), max(round(x_px) - half, 0) : round(x_px) + half]
+    half, x, y = max(round(0.6 * side_px), 2), round(x_px), round(y_px)
+    seen = picture[max(y - half, 0) : y, max(x - half, 0) : x + half]
+    around = picture[max(y - 4 * half, 0) : y + 2 * half, max(x - 4 * half, 0) : x + 4 * half]
     if not seen.size or np.mean(seen[..., 2] > 1.8 * seen[..., 1]) < 0.7:
+        return False
+    if np.mean(around[..., 1] > 1.5 * around[..., 2]) > 0.02:  # a tree stands before a part of it, or next to it
         return False
     camera.follow(x_px / width, y_px / height)
     return True
