@@ -35,7 +35,7 @@ _LEARN_EVERY_S = 0.25
 _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
 _CANDIDATES_MAX = 10
 _REMEMBERED_S, _SAME_SIZES = 60.0, 0.9
-_SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
+_SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S, _TRIED_M = 0.5, 4, 1.5, 2.0, 4.0
 _FRESH_S = 2.0
 _STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
@@ -450,10 +450,11 @@ class ObjectTracker:
     def _judge(self, trial: _Trial, time_s: float) -> None:
         """End a trial: what stands, unlike the object before, is another one."""
         trial.found.seen.append((time_s, *self._at_m))
-        speed_m_s = trial.found.speed_m_s(_TRIED_S)
+        moves_m_s = math.hypot(*self._velocity_m_s)
+        speed_m_s = trial.found.speed_m_s(min(max(_TRIED_M / max(moves_m_s, 1e-3), _SEEN_FOR_S), _TRIED_S))
         if speed_m_s is None:
             return
-        if speed_m_s < _STANDING_SHARE * math.hypot(*self._velocity_m_s):
+        if speed_m_s < _STANDING_SHARE * moves_m_s:
             self._alike.append(trial.found)
             self._lose()
         self._trial = None
