@@ -27,15 +27,14 @@ TrackingState = Literal["idle", "object", "lost"]
 _SIDE_PX = 36  # of the object in the window
 _WINDOW_PX, _SEARCH_MAX_PX = 180, 480
 _HIDDEN_BELOW, _LEARNT_FROM, _ALIKE_FROM = 0.45, 0.75, 0.65  # shares of how much it looks like itself
-# An object that has looked less alike lately, as it turned, is found by one share of it and hidden below the other.
-_USUAL_RATE, _USUAL_SHARE, _HIDDEN_SHARE = 0.05, 0.85, 0.6
+_USUAL_RATE, _USUAL_SHARE = 0.05, 0.85  # an object that has looked less alike lately is found by this share of it
 _TURNS_PER_S, _END_ON = 0.04, 0.38  # hidden, it may turn: end on it fills less of its box
 _HIDDEN_PICTURES = 3
 _LEARN_EVERY_S = 0.25
 _SEARCH_EVERY_S, _SURVEY_EVERY_S, _SURVEY_M = 0.13, 0.7, 30.0
 _CANDIDATES_MAX = 10
 _REMEMBERED_S, _SAME_SIZES = 60.0, 0.9
-_SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S, _TRIED_M = 0.5, 4, 1.5, 2.0, 4.0
+_SEEN_FOR_S, _SEEN_TIMES, _STANDS_FOR_S, _TRIED_S = 0.5, 4, 1.5, 2.0
 _FRESH_S = 2.0
 _STOPPED_S, _STOOD_FOR_S = 9.0, 4.0  # hidden for this time, the target may have stopped
 _MOVES_M_S, _STANDING_SHARE = 0.8, 0.35
@@ -81,7 +80,6 @@ _TEMPLATES, _TEMPLATE_EVERY_S, _PROVED_AFTER_S = 4, 1.5, 1.5
 _TURNED_DEG = (0.0, -20.0, 20.0)
 _CORRELATION = 0.8  # of an object with itself some seconds before
 _CENTRED_PX, _DRIFT_PX = 1.0, 4.0  # by a picture; what the tracker is off when it begins again
-_NEXT_PX = 12.0  # how far the object may be from where it is expected in the next picture
 _MEAN_SHIFT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.5)
 
 
@@ -391,16 +389,14 @@ class ObjectTracker:
             self._lose()
             return None
         ok, (x, y, w, h) = self._tracker.update(window.picture)
-        middle = self._centred(window, x + 0.5 * w, y + 0.5 * h) if ok else self._at_expected(window)
-        likeness = self._likeness(window, *middle)
+        middle = self._centred(window, x + 0.5 * w, y + 0.5 * h) if ok else (0.0, 0.0)
+        likeness = self._likeness(window, *middle) if ok else 0.0
         self._confidence += 0.3 * (max(likeness, 0.0) - self._confidence)
-        if likeness < max(min(_HIDDEN_BELOW, _HIDDEN_SHARE * self._usual), _END_ON):
+        if likeness < _HIDDEN_BELOW:
             self._doubts += 1
             if self._doubts >= _HIDDEN_PICTURES or not ok:
                 self._lose()
             return None
-        if not ok:  # it turned quicker than the tracker learns
-            self._begin_at(window, *middle)
         self._doubts = 0
         self._usual += _USUAL_RATE * (min(likeness, 1.0) - self._usual)
         pixel = window.pixel(*middle)
@@ -430,13 +426,6 @@ class ObjectTracker:
             self._begin_at(window, x_px + right_px, y_px + down_px)
         return x_px + right_px, y_px + down_px
 
-    def _at_expected(self, window: _Window) -> tuple[float, float]:
-        """Return the middle of the object's colours next to where it is expected, in the middle of the window."""
-        expected = 0.5 * _WINDOW_PX
-        off_px = np.subtract(self._look.middle(window.picture, expected, expected, _size_px(self._size_m)), expected)
-        right_px, down_px = np.clip(off_px, -_NEXT_PX, _NEXT_PX).tolist()
-        return expected + right_px, expected + down_px
-
     def _learn(self, window: _Window, x_px: float, y_px: float, time_s: float) -> None:
         self._learnt_s = time_s
         self._look.learn(window.picture, x_px, y_px, _size_px(self._size_m), time_s)
@@ -450,11 +439,10 @@ class ObjectTracker:
     def _judge(self, trial: _Trial, time_s: float) -> None:
         """End a trial: what stands, unlike the object before, is another one."""
         trial.found.seen.append((time_s, *self._at_m))
-        moves_m_s = math.hypot(*self._velocity_m_s)
-        speed_m_s = trial.found.speed_m_s(min(max(_TRIED_M / max(moves_m_s, 1e-3), _SEEN_FOR_S), _TRIED_S))
+        speed_m_s = trial.found.speed_m_s(_TRIED_S)
         if speed_m_s is None:
             return
-        if speed_m_s < _STANDING_SHARE * moves_m_s:
+        if speed_m_s < _STANDING_SHARE * math.hypot(*self._velocity_m_s):
             self._alike.append(trial.found)
             self._lose()
         self._trial = None

@@ -69,15 +69,6 @@ def test_finds_the_middle_of_a_target_that_was_clicked_at_its_edge_and_stays_the
     assert max(off_m for *_, off_m in rows[15:]) < 0.6
 
 
-@pytest.mark.parametrize("turn_deg", [90.0, 120.0, 150.0])
-def test_a_target_that_turns_sharply_is_not_lost(turn_deg):
-    course_rad = np.radians(90.0 + turn_deg * (np.arange(40) // 5))
-    path_m = 6.0 * np.cumsum(np.stack([np.sin(course_rad), np.cos(course_rad)], axis=1), axis=0)
-    rows = run(Scenery(path_m, lambda _e, _n: 0.0, 3, trees=0.0, lookalikes=0.0), 3.0, 18.0, ObjectTracker())
-    assert sum(state == "lost" for _, state, _ in rows) <= 8
-    assert max(off_m for *_, off_m in rows if not math.isnan(off_m)) < 4.0
-
-
 @pytest.mark.parametrize(("begin_s", "end_s"), [(10.0, 14.0), (22.5, 29.3)])  # the second time it turns end on
 def test_finds_the_target_again_after_an_occlusion(begin_s, end_s):
     world = scenery()
