@@ -17,7 +17,7 @@ import numpy as np
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
+from sidelong.estimators.sensing.sighting import AnySighting, Sighting, SightingOutcome
 from sidelong.estimators.tracking.payload_fit import WrongBearings
 from sidelong.estimators.tracking.track import RESTARTED
 from sidelong.estimators.tracking.tracker import Tracker
@@ -133,9 +133,13 @@ class _Seen:
     @cached_property
     def place_m(self) -> tuple[float, float]:
         """Where it puts the target, east and north."""
-        errors = self.calibration()
-        seen = self.sighting.without(errors.yaw_bias_rad, errors.pitch_bias_rad, errors.range_bias_m)
-        return seen.east_m, seen.north_m
+        seen, errors = self.sighting, self.calibration()
+        if not isinstance(seen, Sighting):
+            return seen.east_m, seen.north_m
+        bearing_rad = seen.bearing_rad - errors.yaw_bias_rad
+        level_m = (seen.slant_range_m - errors.range_bias_m) * math.cos(seen.depression_rad + errors.pitch_bias_rad)
+        east_m, north_m = level_m * math.sin(bearing_rad), level_m * math.cos(bearing_rad)
+        return seen.aircraft_east_m + east_m, seen.aircraft_north_m + north_m
 
     @cached_property
     def sigma_m(self) -> float:

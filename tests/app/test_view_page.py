@@ -834,7 +834,7 @@ def test_a_change_typed_in_feet_is_sent_in_metres(page, display, snapshots):
     page.keyboard.press("u")
     page.keyboard.press("c")
     radius = page.get_by_label("Radius of the circle, ft")
-    assert float(radius.input_value()) == pytest.approx(snapshots[-1][0].radius_m / 0.3048, abs=0.1)
+    assert float(radius.input_value()) == pytest.approx(snapshots[-1][0].airframe.radius_m / 0.3048, abs=0.1)
     radius.fill("300")
     page.get_by_role("button", name="Change", exact=True).click()
     page.locator("#question", has_text="radius 300 ft instead of").wait_for()
