@@ -5,6 +5,7 @@ Source: docs/how-to/read-the-terminal.md; docs/health.md#the-target-is-not-seen.
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 from collections import deque
@@ -156,6 +157,12 @@ def _median(group: Sequence[_Seen], speed_m_s: float, sigma_m: float) -> tuple[t
     return (east_m, north_m), int(near.sum()) >= _GROUP - 1
 
 
+def _when_s(group: Sequence[_Seen], end: int) -> float:
+    """Return the time of a group's median place; of one with a gap in it, which mixes two times, that of an end."""
+    has_gap = any(one.time_s - before.time_s > _GAP_S for before, one in itertools.pairwise(group))
+    return group[end if has_gap else _GROUP // 2].time_s
+
+
 class AnotherObject:
     """Whether the payload may follow another object than the target, by where it sees it.
 
@@ -250,7 +257,7 @@ class AnotherObject:
             return
         sigma_m = math.hypot(before[-1].sigma_m, after[0].sigma_m)
         (left_m, is_left_one), (now_m, is_now_one) = (_median(group, speed_m_s, sigma_m) for group in (before, after))
-        step_m, since_s = math.dist(left_m, now_m), after[_GROUP // 2].time_s - before[_GROUP // 2].time_s
+        step_m, since_s = math.dist(left_m, now_m), _when_s(after, -1) - _when_s(before, 0)
         if not (is_left_one and is_now_one) or step_m - speed_m_s * since_s < max(_STEP_M, _NOISES * sigma_m):
             return
         self._step = before[-1].time_s, after[0].time_s, left_m, now_m, sigma_m
