@@ -323,7 +323,7 @@ class MissionTrack:
     rows: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def add(self, time_s: float, east_m: float, north_m: float, height_m: float) -> None:
-        """Add a position; one that is not later than the last is ignored."""
+        """Add a position; an older one than the last is ignored."""
         if math.isfinite(height_m) and (not self.rows or time_s > self.rows[-1][0]):
             self.rows.append((time_s, east_m, north_m, height_m))
 

@@ -35,7 +35,7 @@ _CLICK_ABOVE_M = 40.0
 _MEGABYTE = 1e6
 _ELLIPSE_CORNERS = 32
 _CLAIMS = 10  # of the gimbal, with the first commands of a tracking: an operator who claims it later keeps it
-_UNCHANGED, _RELEASED = (-1, -1), (-3, -3, -1, -1)  # who controls a gimbal, and who is second
+_UNCHANGED, _RELEASED = (-1, -1), (-3, -3, -1, -1)  # system and component in first and second control of a gimbal
 
 Point = Callable[[float, float], object]
 """Points the gimbal of a payload with a driver: pitch, and yaw relative to the aircraft's heading, rad."""
