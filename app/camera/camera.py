@@ -15,14 +15,13 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.rotations import Quaternion, multiply, normalized
 from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory, gimbal_at
 from sidelong.estimators.sensing.readings import (
-    IMAGE_TRACKER,
     AttitudeReading,
     GimbalReading,
     PositionReading,
 )
 from sidelong.estimators.sensing.sighting import parent_of_gimbal
 from sidelong.estimators.terrain.ground import Ground
-from sidelong.estimators.tracking.sources import SourceSelector, sight_rank
+from sidelong.estimators.tracking.sources import SourceSelector, axis_rank
 
 _GIMBAL_SPAN_S = 6.0
 _GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, which stands for a picture that is newer
@@ -99,7 +98,7 @@ class TargetCamera:
         self._tracker = ObjectTracker(kind)
         self._poses = PoseHistory()
         self._gimbals: ReadingHistory[GimbalReading] = ReadingHistory(_GIMBAL_SPAN_S)
-        self._gimbal_source = SourceSelector(sight_rank)
+        self._axis_source = SourceSelector(axis_rank)
         self._wish: tuple[float, float, float, float] | None = None
 
     # -- what happens --------------------------------------------------------------------------------------
@@ -110,11 +109,7 @@ class TargetCamera:
             self._poses.positions.add(event)
         elif isinstance(event, AttitudeReading):
             self._poses.attitudes.add(event)
-        elif (
-            isinstance(event, GimbalReading)
-            and event.source.message != IMAGE_TRACKER
-            and self._gimbal_source.accepts(event.source, event.time_s)  # an autopilot may repeat it late and wrong
-        ):
+        elif isinstance(event, GimbalReading) and self._axis_source.accepts(event.source, event.time_s):
             self._gimbals.add(event)
 
     def follow(self, x: float, y: float, width: float = 0.0, height: float = 0.0) -> None:

@@ -21,7 +21,7 @@ from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing import readings
 from sidelong.estimators.sensing.clock import VehicleClock
 from sidelong.estimators.sensing.pose import ReadingHistory, gimbal_at
-from sidelong.estimators.tracking.sources import SourceSelector, sight_rank
+from sidelong.estimators.tracking.sources import SourceSelector, axis_rank
 from sidelong.mission.core.events import Event, HomeReported, ModeReported, NavigationReported, WindReported
 
 AUTOPILOT_INVALID = int(dialect.MAV_AUTOPILOT_INVALID)
@@ -92,7 +92,7 @@ class Telemetry:
         self._wrapped_s = 0.0
         self._yaw_rad: float | None = None
         self._sight: readings.GimbalReading | None = None
-        self._sight_source = SourceSelector(sight_rank)
+        self._axis_source = SourceSelector(axis_rank)
         self._sights: ReadingHistory[readings.GimbalReading] = ReadingHistory(_SIGHT_AGE_MAX_S)
         self._half_view: dict[int, tuple[float, float]] = {}  # tangents of half the angles, by camera component
         self._near_origin = 0  # consecutive fixes, up to the number that settles the plane
@@ -286,7 +286,7 @@ class Telemetry:
             # The gimbal's own heading, of the moment of the measurement: the aircraft's need not be interpolated.
             quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
         sight = readings.GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
-        if self._sight_source.accepts(source, self.now_s):  # an autopilot may repeat it late and wrong
+        if self._axis_source.accepts(source, self.now_s):
             self._sight = sight
             if self._half_view:  # only a camera looks back
                 self._sights.add(sight)

@@ -27,9 +27,9 @@ from sidelong.estimators.rotations import (
     rotate,
     sight_direction,
 )
-from sidelong.estimators.sensing.readings import IMAGE_TRACKER, AttitudeReading, GimbalReading, PositionReading
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading
 from sidelong.estimators.sensing.sighting import Sighting, parent_of_gimbal
-from sidelong.estimators.tracking.sources import SourceSelector, sight_rank
+from sidelong.estimators.tracking.sources import SourceSelector, axis_rank
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Event, StepOutput
 
@@ -185,7 +185,7 @@ class KlvLog:
         self._file = path.open("wb")
         self._seen: Sighting | None = None
         self._gimbal: GimbalReading | None = None
-        self._source = SourceSelector(sight_rank)
+        self._axis_source = SourceSelector(axis_rank)
         self._next_s = -math.inf
 
     def event(self, event: Event) -> None:
@@ -193,11 +193,7 @@ class KlvLog:
         for outcome in outcomes:
             if outcome.accepted and isinstance(outcome.sighting, Sighting):
                 self._seen = outcome.sighting
-        if (
-            isinstance(admitted, GimbalReading)
-            and admitted.source.message != IMAGE_TRACKER
-            and self._source.accepts(admitted.source, admitted.time_s)
-        ):
+        if isinstance(admitted, GimbalReading) and self._axis_source.accepts(admitted.source, admitted.time_s):
             self._gimbal = admitted
         if isinstance(admitted, PositionReading) and admitted.time_s >= self._next_s:
             self._next_s = admitted.time_s + _EVERY_S

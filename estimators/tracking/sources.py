@@ -50,6 +50,11 @@ def sight_rank(source: Source) -> int | None:
     return 2 * (source.message == "DISTANCE_SENSOR") + (source.component_id == _AUTOPILOT_COMPONENT)
 
 
+def axis_rank(source: Source) -> int | None:
+    """Return the rank of a source of the gimbal's own axis: an autopilot may repeat it late, with wrong flags."""
+    return None if source.message == IMAGE_TRACKER else sight_rank(source)
+
+
 @dataclass(slots=True)
 class SourceSelector:
     """Picks one source of a kind as they come in."""
