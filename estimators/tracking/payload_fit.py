@@ -959,7 +959,7 @@ class PayloadFit:
         elif not self._on_ground:
             other = _FACTOR_STARTS[self._fits % len(_FACTOR_STARTS)]
             tried.append((other, fit(other, sound.shared)))
-            pitch_rad, _, pitch_of_range_rad_m = self._pitch_drift(readings)
+            pitch_rad, _, pitch_of_range_rad_m = _pitch_drift(readings, self._over_ground_m(readings))
             by_heights_m = pitch_rad / pitch_of_range_rad_m  # the error of the ranges, if the pitch has none
             if abs(by_heights_m) > _RANGE_MIN_M:
                 tried.append((1.0, fit(1.0, np.array([0.0, 0.0, 0.0, by_heights_m, 0.0, 0.0]))))
@@ -1101,7 +1101,8 @@ class PayloadFit:
             return _NOTHING
         readings = right
         sound, by_yaw, by_range, fit = self._drift_fits(readings)
-        if self._judge_bearings(readings, sound, fit, sound.cost - min(by_yaw.cost, by_range.cost)):
+        gain, over_m = sound.cost - min(by_yaw.cost, by_range.cost), self._over_ground_m(readings)
+        if self._judge_bearings(readings, over_m, sound, fit, gain):
             return _NOTHING
         if known is not None:
             self._clear_bearings(everywhere, fit)
@@ -1123,7 +1124,7 @@ class PayloadFit:
         )
         if self.jumped_s > readings.ranges[0, 0]:  # another target is no drift
             return _NOTHING
-        pitch_rad, pitched_rad, pitch_of_range_rad_m = self._pitch_drift(readings)
+        pitch_rad, pitched_rad, pitch_of_range_rad_m = _pitch_drift(readings, over_m)
         limit_rad = eased * (_PITCHED_RAD if self.ground is None else 0.5 * _PITCHED_RAD)
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
@@ -1159,17 +1160,20 @@ class PayloadFit:
                 return what, _DRIFTS[what].format(*numbers), drift
         return _NOTHING
 
-    def _judge_bearings(self, readings: Readings, sound: Fit, fit: Callable[..., Fit], gain: float) -> bool:
+    def _judge_bearings(
+        self, readings: Readings, over_m: FloatArray, sound: Fit, fit: Callable[..., Fit], gain: float
+    ) -> bool:
         """Find bearings at which ranges are wrong; return whether there are new ones.
 
         Args:
             readings: with the ranges that are not left out.
+            over_m: how far above its ground each range puts the target (n,).
             sound: the best fit of these with constant errors.
             fit: makes another one, see :meth:`_drift_fits`.
             gain: the evidence of a drift, which has to be less.
         """
         known, found, gain, self._uneven = self.wrong_bearings, None, max(_WRONG_EVIDENCE, gain), False
-        for one, inside in _uneven_bearings(readings, sound.off_m, self._over_ground_m(readings)):
+        for one, inside in _uneven_bearings(readings, sound.off_m, over_m):
             self._uneven = True
             wrong = fit(5, _marked(readings, inside), _WRONG_SIGMA)
             if sound.cost - wrong.cost > gain and wrong.scale_m < sound.scale_m:  # maybe only a lesser minimum
@@ -1232,24 +1236,6 @@ class PayloadFit:
             )
             over_m -= list(map(self.ground, east_m.tolist(), north_m.tolist()))
         return over_m
-
-    def _pitch_drift(self, readings: Readings) -> tuple[float, ...]:
-        """Return the pitch error at the end, its change, and what a metre of range error looks like, by heights.
-
-        All are NaN where less than half of the ground is known.
-        """
-        time_s, slant_m, _ = readings.ranges.T
-        _, down_rad = _looks(readings)
-        length = len(time_s) // _BLOCKS
-        blocks = np.arange(len(time_s) - _BLOCKS * length, len(time_s)).reshape(_BLOCKS, length)
-        off = np.median(self._over_ground_m(readings)[blocks], axis=1)
-        level = np.median((slant_m * np.cos(down_rad))[blocks], axis=1)
-        known = ~np.isnan(off)
-        if 2 * known.sum() < _BLOCKS:
-            return math.nan, math.nan, math.nan
-        rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS)[known], (-off / level)[known], 1).tolist()
-        newest = blocks[-1]
-        return end, rate, float(np.median(np.tan(down_rad[newest]) / slant_m[newest]))
 
     @property
     def _is_stuck(self) -> bool:
@@ -1315,6 +1301,25 @@ def _looks(readings: Readings) -> tuple[FloatArray, FloatArray]:
     return bearing_rad, down_rad
 
 
+def _pitch_drift(readings: Readings, over_m: FloatArray) -> tuple[float, ...]:
+    """Return the pitch error at the end, its change, and what a metre of range error looks like, by heights.
+
+    All are NaN where less than half of the ground is known. over_m: how far above it each range puts the target (n,).
+    """
+    time_s, slant_m, _ = readings.ranges.T
+    _, down_rad = _looks(readings)
+    length = len(time_s) // _BLOCKS
+    blocks = np.arange(len(time_s) - _BLOCKS * length, len(time_s)).reshape(_BLOCKS, length)
+    off = np.median(over_m[blocks], axis=1)
+    level = np.median((slant_m * np.cos(down_rad))[blocks], axis=1)
+    known = ~np.isnan(off)
+    if 2 * known.sum() < _BLOCKS:
+        return math.nan, math.nan, math.nan
+    rate, end = np.polyfit(np.linspace(-1.0, 0.0, _BLOCKS)[known], (-off / level)[known], 1).tolist()
+    newest = blocks[-1]
+    return end, rate, float(np.median(np.tan(down_rad[newest]) / slant_m[newest]))
+
+
 def _growing(readings: Readings, span_s: float) -> Readings:
     """Return readings whose errors grow over the last seconds of a span, and not before."""
     end_s = max(readings.sights[-1, 0], readings.ranges[-1, 0])
@@ -1378,14 +1383,19 @@ def _uneven_bearings(
     time_s, slant_m, _ = readings.ranges.T
     bearing_rad, down_rad = _looks(readings)
     too_long = -over_m / (slant_m * np.maximum(np.sin(down_rad), _DOWN_MIN))
-    of = (True, False) if len(readings.attitudes) else (False,)
-    for from_nose, lately_s, of_height in itertools.product(of, (_DRIFT_S, _GROWS_S), (False, True)):
+    angles_rad = [(True, bearing_rad - _noses_rad(readings))] if len(readings.attitudes) else []
+    angles_rad.append((False, bearing_rad))
+    by = itertools.product(angles_rad, (_DRIFT_S, _GROWS_S), (False, True))
+    for (from_nose, angle_rad), lately_s, of_height in by:
         share = too_long if of_height else -off_m / slant_m
-        angle_rad = bearing_rad - _noses_rad(readings) if from_nose else bearing_rad
         bins, lately = np.floor(np.mod(angle_rad, math.tau) / _BIN_RAD).astype(int), time_s > time_s[-1] - lately_s
-        often = np.flatnonzero(np.bincount(bins[lately]) >= _BIN_COUNT).tolist()
-        medians = {k: float(np.median(share[lately & (bins == k)])) for k in often}
-        if not medians or not max(medians.values()) - min(medians.values()) >= _WRONG_SHARE:
+        count = np.bincount(bins[lately])
+        often = np.flatnonzero(count >= _BIN_COUNT)
+        mean = np.bincount(bins[lately], share[lately])[often] / count[often]
+        if not len(often) or not np.ptp(mean) >= 0.5 * _WRONG_SHARE:  # medians cost ten times as much
+            continue
+        medians = {k: float(np.median(share[lately & (bins == k)])) for k in often.tolist()}
+        if not max(medians.values()) - min(medians.values()) >= _WRONG_SHARE:
             continue
         middle = 0.5 * (max(medians.values()) + min(medians.values()))
         sides = [[k for k, one in medians.items() if (one > middle) is is_long] for is_long in (True, False)]
