@@ -273,7 +273,7 @@ class AnotherObject:
         if math.dist(there_m, left_m) < math.dist(there_m, now_m):
             return
         step_m, known = math.dist(left_m, now_m), self.left(now_s)
-        is_back = known is not None and math.dist((known.east_m, known.north_m), now_m) < known.radius_m + _STEP_M
+        is_back = known is not None and known.holds(*now_m, _STEP_M)
         if known is None or is_back:  # else it is still where it was seen before the first doubt
             self._left = left_s, Reach(*left_m, 2.0 * sigma_m, speed_m_s)
         verb = "jumped back" if is_back else "jumped"
