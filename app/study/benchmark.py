@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,21 @@ PAIR, PAIR_WITH_ROUTE, PHASED_PAIR = "pair, joint", "pair, route", "pair, phased
 _DRAWS, _SEED = 3, 1
 
 
-# The classes of aircraft: airspeed, radius of the circle, and greatest speed of the target.
-CLASSES = tuple(
-    {"airspeed_m_s": airspeed_m_s, "radius_m": radius_m, "target_speed_max_m_s": target_m_s}
-    for airspeed_m_s, radius_m, target_m_s in ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))
-)
+@dataclass(frozen=True, slots=True)
+class AircraftClass:
+    airspeed_m_s: float
+    radius_m: float
+    target_speed_max_m_s: float
+
+
+CLASSES = (AircraftClass(12.0, 40.0, 5.0), AircraftClass(20.0, 70.0, 9.0), AircraftClass(30.0, 105.0, 14.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
     """Results of one planner with one aircraft: arrays (runs,) by the name of the measure."""
 
-    aircraft: dict[str, float]
+    aircraft: AircraftClass
     planner: str
     measures: dict[str, np.ndarray]
     decision_p99_ms: float
@@ -63,7 +66,7 @@ class Benchmark:
             runs: Targets of each class, the first ones; None: all.
         """
         self.targets = [
-            recorded_targets(places or [TRACKS], one["target_speed_max_m_s"], route_next_to) for one in CLASSES
+            recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_next_to) for one in CLASSES
         ]
         own = *OWN_PLANNERS, *((CONTROLLER,) if controller else ())
         self._all = planners is None
@@ -71,13 +74,13 @@ class Benchmark:
         self._settings = [self._of(CLASSES[k], read.flown[:runs], controller) for k, read in enumerate(self.targets)]
         self.wall_s = 0.0
 
-    def _of(self, one: dict[str, float], tracks: tuple[RecordedTarget, ...], controller: str) -> StudySettings:
+    def _of(self, one: AircraftClass, tracks: tuple[RecordedTarget, ...], controller: str) -> StudySettings:
         return StudySettings(
             planners=self._planners,
             runs=len(tracks),
             seed=_SEED,
             noise_draws=_DRAWS,
-            config=studied(**one),
+            config=studied(**asdict(one)),
             duration_s=float("inf"),
             tracks=tuple(replace(track, route=None) for track in tracks),
             controller=controller,
@@ -113,7 +116,7 @@ class Benchmark:
             (settings, {FleetPlannerName.JOINT: PAIR, FleetPlannerName.FIELD: PHASED_PAIR}),
             (routed, {FleetPlannerName.JOINT: PAIR_WITH_ROUTE}),
         ):
-            pairs = replace(of, config=studied(**one, fleet_size=2))
+            pairs = replace(of, config=studied(**asdict(one), fleet_size=2))
             flown = fly_fleets(pairs, table_of(pairs), on_processes(jobs), advance, tuple(names))
             for steered, runs in flown.items():
                 yield _pair_row(one, names[steered], runs)
@@ -131,7 +134,7 @@ class Benchmark:
             "tracks": {f"{t.key:016x}": t.name for of in self.targets for t in of.flown},
             "rows": [
                 {
-                    **row.aircraft,
+                    **asdict(row.aircraft),
                     "planner": row.planner,
                     "runs": len(row.measures["time_in_band"]),
                     **{of.name: of.spread(row.measures[of.name]) for of in _MEASURES},
@@ -150,7 +153,7 @@ def benchmark_table(rows: Sequence[Row]) -> Table:
     before = None
     for row in rows:
         cells = (of.cell(row.measures[of.name]) for of in _MEASURES)
-        first = f"{row.aircraft['airspeed_m_s']:g} m/s" if row.aircraft is not before else ""
+        first = f"{row.aircraft.airspeed_m_s:g} m/s" if row.aircraft is not before else ""
         table.add_row(first, row.planner, *cells, f"{row.decision_p99_ms:.2f}")
         before = row.aircraft
     return table
@@ -163,7 +166,7 @@ def _with_route(track: RecordedTarget) -> RecordedTarget:
     return replace(track, route=own_route(track, np.random.default_rng((_SEED, track.key))))
 
 
-def _pair_row(aircraft: dict[str, float], name: str, runs: Sequence[FleetResult]) -> Row:
+def _pair_row(aircraft: AircraftClass, name: str, runs: Sequence[FleetResult]) -> Row:
     """Return the results of two aircraft: a share of time counts if one of them achieves it, moves count of both."""
     measures = {
         BAND.name: values_of(runs, "time_in_band_any"),

@@ -14,13 +14,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import shapely
 
-from sidelong.app.study.benchmark import CLASSES
+from sidelong.app.study.benchmark import CLASSES, AircraftClass
 from sidelong.app.study.closed_loop import BOOT_S, fly, run
 from sidelong.app.study.fleet import run_fleet
 from sidelong.app.study.recorded import RecordedTarget, own_route, recorded_targets, route_next_to
@@ -50,7 +50,7 @@ BEFORE_S, AFTER_S, OFF_M, DUE_S = 240.0, 180.0, 20.0, 15.0
 
 
 def settings_of(
-    one: dict[str, float],
+    one: AircraftClass,
     tracks: tuple[RecordedTarget, ...],
     draws: int = 1,
     horizon_s: float = HORIZON_S,
@@ -59,14 +59,14 @@ def settings_of(
     return StudySettings(
         (PREDICTIVE,),
         len(tracks),
-        config=studied(**one, course_horizon_s=horizon_s, fleet_size=fleet_size),
+        config=studied(**asdict(one), course_horizon_s=horizon_s, fleet_size=fleet_size),
         tracks=tracks,
         noise_draws=draws,
     )
 
 
-def targets_in(folder: Path, one: dict[str, float], every: int = 1) -> tuple[RecordedTarget, ...]:
-    return recorded_targets([folder], one["target_speed_max_m_s"], route_next_to).flown[::every]
+def targets_in(folder: Path, one: AircraftClass, every: int = 1) -> tuple[RecordedTarget, ...]:
+    return recorded_targets([folder], one.target_speed_max_m_s, route_next_to).flown[::every]
 
 
 def _shifted(route: Route, by_m: float, towards_rad: float) -> Route:
@@ -114,7 +114,7 @@ def _flown(study: StudySettings, number: int, table: ValueTable) -> tuple[tuple[
 
 def compared(
     folder: Path,
-    one: dict[str, float],
+    one: AircraftClass,
     mode: str,
     draws: int,
     every: int = 1,
@@ -292,7 +292,7 @@ def main() -> None:
         left(given.folder, given.runs, given.every)
         return
     for one in CLASSES:
-        if given.airspeed in (None, one["airspeed_m_s"]):
+        if given.airspeed in (None, one.airspeed_m_s):
             compared(given.folder, one, given.mode, given.draws, given.every, given.horizon, 1 + given.pairs)
 
 
