@@ -94,7 +94,7 @@ def test_benchmark_flies_the_example_controller_and_writes_its_json(command, tmp
     rows = {(row["airspeed_m_s"], row["planner"]): row for row in result["rows"]}
     assert len(rows) == 2 * len(CLASSES)
     for aircraft in CLASSES:
-        law, own = (rows[aircraft["airspeed_m_s"], name] for name in ("lvfg", "controller"))
+        law, own = (rows[aircraft.airspeed_m_s, name] for name in ("lvfg", "controller"))
         assert (law["runs"], own["runs"]) == (3, 3)
         assert law["time_in_band"]["worst"] > 0.999
         # It circles next to the target, and a law circles around it.
