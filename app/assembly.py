@@ -72,6 +72,7 @@ _PARTS = "decisions", "tables, filter and routes"  # of the first compilation, e
 
 
 def tracker_of(config: Config) -> Tracker:
+    """Return a tracker as configured; with a gimbal that follows the estimate it does not estimate delays."""
     settings = tracker_settings(config.sensors, config.planner.lost_after_s)
     # A gimbal that follows the estimate shows where that is, whenever it was made.
     return Tracker(replace(settings, latency_sigma_s=0.0) if config.payload.point_gimbal else settings)
@@ -93,6 +94,7 @@ def _track_of(config: Config) -> Track:
 
 
 def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSettings:
+    """Return the sensors' section in the tracker's units, radians and metres; ``latency_s`` serves both devices."""
     mount = sensors.mount_deg
 
     def chosen(component_id: int | None) -> SourceChoice | None:
@@ -233,6 +235,7 @@ def winds_m_s(config: Config) -> list[float]:
 
 
 def planner_needs(config: Config, progress: Callable[[float], None]) -> PlannerNeeds:
+    """Return what a planner kind makes planners from; ``progress`` is called with the share of tables done."""
     aircraft, wanted = config.aircraft.aircraft(), config.requirement.requirement()
     return PlannerNeeds(aircraft, wanted, winds_m_s(config), config.planner.lost_after_s, progress)
 
@@ -255,6 +258,7 @@ def mission_controller_of(
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:
+    """Return the corners of the (inclusion, exclusion) fences in the plane, m."""
 
     def outlines(polygons: Sequence[Polygon]) -> list[Outline]:
         return [[plane.east_north_m(*corner) for corner in polygon] for polygon in polygons]
@@ -431,6 +435,7 @@ def warm_up_foresight(planner: PredictivePlanner) -> None:
 
 
 def warm_up_exchange() -> None:
+    """Compile what the exchange and the judgement call, on made-up values."""
     TargetCourse().update(_TARGET, 1.0)
     courses_made_good_rad(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
     ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))

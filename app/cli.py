@@ -127,6 +127,7 @@ class _Command(TyperCommand):
 
 
 def load_command(name: str) -> Any:
+    """Import a command of COMMANDS by its name and return it as a click command."""
     gc.disable()
     module = import_module(COMMANDS[name][0])
     gc.freeze()  # to look through all this for garbage, again and again while more came, took a tenth of a start

@@ -428,6 +428,7 @@ class RouteSection(Section):
 
     @property
     def is_known(self) -> bool:
+        """Whether a file or a system id names the target's route."""
         return self.file is not None or self.system_id is not None
 
 
@@ -556,6 +557,7 @@ class Config(Section):
 
     @property
     def radius_words(self) -> float | str:
+        """The radius m, or 'auto' where it follows from airspeed and bank."""
         return "auto" if self._radius_fits else self.aircraft.radius_m
 
     def wind_problem(self, airspeed_m_s: float) -> str:
@@ -683,11 +685,13 @@ def unflyable(config: Config) -> str:
 
 
 def check_flyable(config: Config) -> None:
+    """Raise InputError if the configured planner cannot keep the requirement; it names what to change."""
     if reasons := unflyable(config):
         raise InputError(f"infeasible: {reasons}.")
 
 
 def check_alone(config: Config) -> None:
+    """Raise InputError if the configuration is one of a fleet."""
     if (size := config.requirement.fleet_size) > 1:
         raise InputError(f"requirement.fleet_size = {size} with one aircraft; leave it out, or give a fleet file.")
 
@@ -702,6 +706,7 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None =
 
 
 def with_values(config: Config, overrides: dict[str, dict[str, Any]], name: str) -> Config:
+    """Return a validated copy with other values, by section and key. InputError names ``name`` as their origin."""
     return _validated(config.model_dump(), overrides, name)
 
 

@@ -300,6 +300,7 @@ class ArduPlaneMission(Store):
         return int(mavlink.MISSION_STATE_NO_MISSION if len(self._items) <= 1 else self.state)
 
     def stop(self) -> None:
+        """Leave a running mission where it is."""
         if self.state == MissionState.RUNNING:
             self.state = MissionState.STOPPED
 
@@ -310,6 +311,7 @@ class ArduPlaneMission(Store):
         self._start_from(index)
 
     def set_current(self, index: int) -> bool:
+        """Make an item current, and fly it if the mission runs; False: there is none."""
         if not 0 <= index < len(self._items) or len(self._items) <= 1:
             return False
         index = max(1, index)
@@ -323,6 +325,7 @@ class ArduPlaneMission(Store):
         self._start_from(self.index + 1)
 
     def following(self) -> Item | None:
+        """Return the next item that flies somewhere; None: none follows."""
         return next((item for item in self._items[self.index + 1 :] if item.command in NAVIGATION), None)
 
     def _start_from(self, index: int) -> None:
@@ -404,6 +407,7 @@ class TerrainDatabase:
         return mavlink.MAVLink_terrain_request_message(*corner, _SPACING_M, mask) if mask else None
 
     def take(self, data: Any) -> None:
+        """Store the heights of a TERRAIN_DATA that belongs to a known block."""
         for (row, column), heights in self._blocks.items():
             if (data.lat, data.lon) == self._corner_e7(row, column) and data.grid_spacing == _SPACING_M:
                 _square(heights, data.gridbit)[:] = np.reshape(data.data, (_SQUARE, _SQUARE))

@@ -64,6 +64,7 @@ class AutopilotTelemetry:
 
     @property
     def battery_percent(self) -> int:
+        """Charge that falls evenly over the configured endurance, not below 5."""
         return max(5, 100 - int(100.0 * self._vehicle.now_s / self._vehicle.settings.endurance_s))
 
     def heartbeat(self) -> Any:
@@ -91,6 +92,7 @@ class AutopilotTelemetry:
         return mavlink.MAVLink_attitude_quaternion_message(self._vehicle.boot_ms, *turned, *craft.body_rates_rad_s)
 
     def place_e7(self, east_m: float, north_m: float) -> tuple[int, int]:
+        """Return (latitude, longitude) in units of 1e-7 degrees."""
         latitude_deg, longitude_deg = self._vehicle.plane.latitude_longitude_deg(east_m, north_m)
         return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
 
@@ -276,11 +278,13 @@ class SimulatedAutopilot(ABC):
 
     @property
     def base_mode(self) -> int:
+        """base_mode of HEARTBEAT: mode flags, and whether it is armed."""
         flags = self.mode_flags[self.mode in self.self_flying]
         return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
 
     @property
     def ready(self) -> bool:
+        """Whether arming is allowed: the start of the sensors is over."""
         return self.now_s >= self.ready_s
 
     @property
@@ -296,6 +300,7 @@ class SimulatedAutopilot(ABC):
         return int(self.now_s * 1e6 + 0.5)
 
     def step(self, now_s: float, dt_s: float) -> None:
+        """Run timers, navigation and airframe for ``dt_s`` up to ``now_s``, s since boot."""
         self.now_s = now_s
         for transfer in self.transfers.values():
             if transfer.upload is not None or transfer.downloads:
@@ -340,6 +345,7 @@ class SimulatedAutopilot(ABC):
 
     @property
     def true_airspeed_ratio(self) -> float:
+        """True over indicated airspeed at this altitude."""
         return true_over_equivalent_airspeed(self.home.altitude_m + self.craft.height_m)
 
     @property
@@ -353,6 +359,7 @@ class SimulatedAutopilot(ABC):
 
     @property
     def landed_state(self) -> int:
+        """MAV_LANDED_STATE: on ground, take-off (rolling) or in air."""
         if self.craft.flying:
             return int(mavlink.MAV_LANDED_STATE_IN_AIR)
         rolling = self.armed and self.lifting_off
@@ -387,9 +394,11 @@ class SimulatedAutopilot(ABC):
         return built if isinstance(built, list) else [] if built is None else [built]
 
     def stream(self) -> None:
+        """Send the messages that are due to each station."""
         self.radio.stream(self.now_s, self.messages)
 
     def handle(self, station: Station, message: Any) -> None:
+        """Take a station's message; forward what others are addressed by, act on what this system is."""
         kind = message.get_type()
         source = (message.get_srcSystem(), message.get_srcComponent())
         if kind == "BAD_DATA" or source == (self.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
@@ -430,9 +439,11 @@ class SimulatedAutopilot(ABC):
         return self.settings.boot_unix_s + self.now_s / self.settings.link_rate
 
     def is_ground_station(self, heartbeat: Any) -> bool:
+        """Whether this heartbeat keeps the failsafe for a lost link from acting."""
         return bool(heartbeat.type == mavlink.MAV_TYPE_GCS)
 
     def broadcast_now(self, message_id: int) -> None:
+        """Send a message to all stations, beyond its rate."""
         for message in self.messages(message_id):
             self.radio.broadcast(message)
 
@@ -451,6 +462,7 @@ class SimulatedAutopilot(ABC):
             self.radio.send(station, mavlink.MAVLink_mission_ack_message(*sender, unsupported, message.mission_type))
 
     def on_command(self, station: Station, command: Command) -> None:
+        """Carry out a command and acknowledge it."""
         match command.id:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 result = self._on_message_interval(station, command)
@@ -493,6 +505,7 @@ class SimulatedAutopilot(ABC):
         return ACCEPTED
 
     def arm(self) -> int:
+        """Arm the motors if ready; return the MAV_RESULT."""
         if not self.armed and not self.ready:
             result, text = self.arming_refusal
             self.say(mavlink.MAV_SEVERITY_CRITICAL, text)
@@ -531,4 +544,5 @@ class SimulatedAutopilot(ABC):
         return UNSUPPORTED if mode is None else self.change_mode(mode)
 
     def change_mode(self, mode: int) -> int:
+        """Change to a custom mode; return the MAV_RESULT."""
         return ACCEPTED if self.set_mode(mode) else FAILED

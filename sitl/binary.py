@@ -136,10 +136,12 @@ class Binary:
 
     @property
     def last_words(self) -> str:
+        """Exit code and the end of what the autopilot printed; it has to have ended."""
         text = (self.folder / _OUTPUT).read_text(errors="replace").strip()
         return f"it ended with code {self.process.returncode}: {text[-_LAST_WORDS:]}"
 
     def stop(self) -> None:
+        """End the process group: SIGTERM, then SIGKILL."""
         for number in (signal.SIGTERM, signal.SIGKILL):  # what a script has started may outlive it
             with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter of a group that has ended
                 os.killpg(self.process.pid, number)

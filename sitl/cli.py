@@ -390,5 +390,6 @@ def _refusing() -> Iterator[None]:
 
 
 def refuse(option: str, reason: str) -> NoReturn:
+    """End the program with exit code 2 and the reason."""
     print(f"sidelong: {option} {reason}", file=sys.stderr)
     raise typer.Exit(2)

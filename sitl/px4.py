@@ -112,6 +112,7 @@ class Px4Navigator:
         self.circle = LoiterGoal(centre, abs(signed_radius_m), signed_radius_m > 0.0)
 
     def at_height(self) -> bool:
+        """Whether the goal's height is reached, by NAV_FW_ALT_RAD."""
         return abs(self._craft.height_m - self.goal.height_m) < self._parameters["NAV_FW_ALT_RAD"]
 
     def fly_leg(self) -> tuple[bool, float]:
@@ -307,6 +308,7 @@ def _compass_deg(angle_deg: float) -> float:
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
+    """Return PX4's custom mode of a main and a sub mode."""
     return main << 16 | sub << 24
 
 
@@ -333,6 +335,7 @@ class LinkLost(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink has 
         self._time_boot_ms = time_boot_ms
 
     def pack(self, packer: Any) -> bytes:
+        """Return the EVENT message, which pymavlink's dialect lacks, as a frame."""
         body = struct.pack("<IIHBBB40s", 0x1D11DF6, self._time_boot_ms, 1, 0, 0, 0x42, self._arguments)
         return bytes(self._pack(packer, self.crc_extra, body))
 
@@ -699,6 +702,7 @@ class SimulatedPx4(SimulatedAutopilot):
 
     @property
     def mission_state(self) -> int:
+        """MISSION_STATE, as PX4 1.17 reports it."""
         state: int = mavlink.MISSION_STATE_PAUSED if self._interrupted else mavlink.MISSION_STATE_NOT_STARTED
         if not self.mission.items():
             state = mavlink.MISSION_STATE_NO_MISSION

@@ -44,6 +44,7 @@ class FaultyLink(Generic[T]):
         self._free_s = -float("inf")  # when the line has carried all that it was given
 
     def put(self, datagram: T, now_s: float, size_bytes: int = 0) -> None:
+        """Send a datagram, which the link may lose, delay or double."""
         lost, doubled = self._rng.random(2)
         bytes_per_s = self.faults.baud / _BITS_PER_BYTE
         waiting_s = max(0.0, self._free_s - now_s)
@@ -62,6 +63,7 @@ class FaultyLink(Generic[T]):
             heapq.heappush(self._waiting, (due_s, self._count, datagram))
 
     def take(self, now_s: float) -> list[T]:
+        """Return the datagrams that have arrived by now."""
         taken = []
         while self._waiting and self._waiting[0][0] <= now_s:
             taken.append(heapq.heappop(self._waiting)[2])

@@ -76,6 +76,7 @@ class Simulation(Wired):
         return self._steps * STEP_S
 
     def connect(self, address: Hashable) -> None:
+        """Send to an address before it has sent anything."""
         self.vehicle.radio.connect(address, self.vehicle.now_s).expected = True
 
     def receive(self, address: Hashable, data: bytes) -> None:
@@ -90,6 +91,7 @@ class Simulation(Wired):
                 self.vehicle.handle(station, message)
 
     def take(self) -> list[Datagram]:
+        """Return the datagrams to send since the last call."""
         radio = self.vehicle.radio
         taken, radio.outbox = radio.outbox, []
         return taken
@@ -112,6 +114,7 @@ class Simulation(Wired):
         self.muted |= set(kinds or PAYLOAD_MESSAGES)
 
     def pilot_takes_over(self) -> None:
+        """Change to another mode, as a pilot by remote control does."""
         self.vehicle.set_mode(self.vehicle.taken_over_mode)
 
     def _step(self) -> None:

@@ -140,6 +140,7 @@ def require_sightings(tracker: Tracker, telemetry: Telemetry, log: RecordedLog) 
 
 
 def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
+    """Yield what a display prints of the outputs: announcements except of plans, changes of health, and the end."""
     for command in commands:
         match command:
             case Announce() if command.kind != "plan":

@@ -159,6 +159,7 @@ class Score:
 
 
 def judge(samples: Samples, asked: Asked) -> Judgement:
+    """Judge each sample by the requirement that was in force at its time."""
     time_s, velocity_m_s = samples.time_s, samples.target_velocity_m_s
     east_m, north_m = (samples.aircraft_m - samples.target_m).T
     range_m, sight_rad = np.hypot(east_m, north_m), np.arctan2(east_m, north_m)

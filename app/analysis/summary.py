@@ -55,6 +55,7 @@ class InputTimes:
         self._changes: dict[Input, list[tuple[float, InputState]]] = defaultdict(list)
 
     def note(self, reports: tuple[InputReport, ...]) -> None:
+        """Note changes of state since the last reports."""
         if reports is self._latest:  # displays ask at every event
             return
         self._latest = reports
@@ -124,6 +125,7 @@ class Summary:
         return table
 
     def rows(self) -> Iterator[tuple[str, str]]:
+        """Yield (name, value with unit) in the order of display; values that do not apply are left out."""
         if self.attention:
             yield "attention", self.attention
         yield "outcome", self.outcome
@@ -164,6 +166,7 @@ class Summary:
 
 
 def describe_link(link: dict[str, Any]) -> str:
+    """Return one link of a summary in words: signing, loss, round trip, rates, signal and refused frames."""
     loss, round_trip_s = link["loss"], link["round_trip_s"]
     words = [
         "signed" if link["signed"] else "unsigned",
@@ -275,6 +278,7 @@ def summarise(
     tracker: Tracker,
     outcome: str,
 ) -> Summary:
+    """Return the summary of a flight, judged by the truth where it is known, otherwise by the estimate."""
     result = gatherer.scored(truth, plane, start_s)
     rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
     delays = snapshot.delays
@@ -297,6 +301,7 @@ def summarise(
 
 
 def percent(fraction: float | None) -> str:
+    """Return a share from 0 to 1 as percent with one decimal; '-': not known."""
     return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
 
 
@@ -403,6 +408,7 @@ class FleetSummary:
         return table
 
     def rows(self) -> Iterator[tuple[str, ...]]:
+        """Yield (name, value of the fleet, a value of each aircraft), '' where there is none."""
         each = [one.summary for one in self.aircraft]
         if any(one.attention for one in each):
             yield ("attention", "", *(one.attention for one in each))

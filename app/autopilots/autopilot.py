@@ -77,6 +77,7 @@ class Parameter:
 
     @property
     def known_as(self) -> str:
+        """The name that the values are looked up by, the same in all releases."""
         return self.key or self.name
 
     def is_in(self, release: Release | None) -> bool:
@@ -143,6 +144,7 @@ class ParameterTable:
         )
 
     def notes(self) -> tuple[ParameterNote, ...]:
+        """Return the parameters worth a note, with their values (None: not read) and what these mean."""
         return tuple(
             ParameterNote(parameter.name, value, "" if value is None else parameter.notes.get(value, ""))
             for parameter in self._listed

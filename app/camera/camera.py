@@ -104,7 +104,7 @@ class TargetCamera:
     # -- what happens --------------------------------------------------------------------------------------
 
     def event(self, event: object) -> None:
-        """Process an event of the flight."""
+        """Keep poses and lines of sight of the flight's events; other events change nothing."""
         if isinstance(event, PositionReading):
             self._poses.positions.add(event)
         elif isinstance(event, AttitudeReading):

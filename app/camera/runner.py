@@ -130,7 +130,7 @@ class CameraRunner:
         self._fault: Exception | None = None
 
     def stepped(self, event: object, _outputs: object) -> None:
-        """Process an event of the flight."""
+        """Pass an event of the flight to the camera; an error in it ends the camera, not the flight."""
         self._isolated(self.camera.event, event)
 
     def _isolated(self, work: Callable[[Any], object], argument: Any) -> None:
@@ -141,7 +141,7 @@ class CameraRunner:
             self._fault = self._fault or error
 
     async def run(self) -> None:
-        """Run until cancelled."""
+        """Track and report until cancelled."""
         loop = asyncio.get_running_loop()
 
         def report(text: str) -> None:

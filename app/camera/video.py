@@ -75,7 +75,7 @@ class VideoSource:
             return latest
 
     def close(self) -> None:
-        """End it."""
+        """End the thread that reads the video."""
         self._closing.set()
         self._thread.join(_READ_S + 1.0)
 

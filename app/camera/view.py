@@ -31,7 +31,7 @@ class View:
     terrain: Ground | None
 
     def ground_m(self, east_m: float, north_m: float) -> float:
-        """Return the height of the ground above home."""
+        """Return the height of the ground above home; 0 where it is not known."""
         height_m = math.nan if self.terrain is None else self.terrain.height_m(east_m, north_m)
         return height_m if math.isfinite(height_m) else 0.0
 

@@ -100,6 +100,7 @@ def shielded_output() -> Iterator[None]:
 
 
 def warn(text: str) -> None:
+    """Print to standard error; a closed one is ignored."""
     with contextlib.suppress(OSError):
         print(f"sidelong: {text}", file=sys.stderr)
 
@@ -108,6 +109,7 @@ JsonOption = Annotated[Path | None, OUTPUT("--json", help="Write the summary the
 
 
 def write_json(path: Path | None, values: dict[str, Any]) -> None:
+    """Write values to a file, '-': standard output, None: nowhere. Raises InputError where it cannot be written."""
     if path is None:
         return
     text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"

@@ -47,6 +47,7 @@ def payload_values(status: PayloadStatus) -> dict[str, Any]:
 
 
 def payload_lines(name: str, status: PayloadStatus) -> list[str]:
+    """Return what a payload measures and lacks, a line each, for the terminal."""
     values = payload_values(status)
     model = values["model"] or "model unknown"
     firmware = f", firmware {values['firmware']}" if values["firmware"] else ""

@@ -79,6 +79,7 @@ def serve(
 
 
 def say_plain(text: str) -> None:
+    """Print a text without its control characters."""
     say(plain(text))
 
 
@@ -98,6 +99,7 @@ class ServicePage:
         self._view = ViewDisplay({"": between}, {"": settings}, address, is_service=True)
 
     async def open(self, resident: Resident | None = None) -> None:
+        """Serve the page, unless it is served already; the service goes on where it cannot be."""
         from sidelong.app.view.display import served  # noqa: PLC0415  # as above
 
         if resident is not None:
@@ -111,6 +113,7 @@ class ServicePage:
         self.draw()
 
     def log(self, text: str) -> None:
+        """Print a text, also on the page."""
         say_plain(text)
         self._view.received(self._view, None, "note", text)
 
@@ -127,6 +130,7 @@ class ServicePage:
 
     @contextlib.asynccontextmanager
     async def decorate(self, display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
+        """Show one watch on the page as well, until its end."""
         await self.open()
         self._view.adopt(display)
         self._view.show_stage("taking over", "the watch begins")

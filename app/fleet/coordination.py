@@ -120,6 +120,7 @@ class VehicleClockReader:
         self._utc_rejected = self._restarted = True
 
     def report(self, message: Message) -> events.ClockReported | None:
+        """Return the message as a report of the vehicle's clock; None: it has no time, or one that is rejected."""
         reported = self._report(message)
         if reported is not None:
             self._reported_offset_s = reported.mission_time_s - reported.time_s
@@ -333,9 +334,11 @@ class Coordination:
     # -- what a person asks --------------------------------------------------------------------------------
 
     def watch_from(self, side: Side, who: str) -> None:
+        """Ask for another side from now on; ``who``: the person who asks, as the page knows them."""
         self.put(events.SideRequested(self.now_s, side, who))
 
     def relieve(self, name: str, who: str) -> None:
+        """Ask that another aircraft takes this one's place; ``who``: the person who asks, as the page knows them."""
         self.put(events.ReliefRequested(name, self.now_s, who))
 
     # -- output of the coordinator -------------------------------------------------------------------------

@@ -40,6 +40,7 @@ class MissionChanges:
 
     @property
     def is_busy(self) -> bool:
+        """Whether tables for a change are being computed."""
         return self._making_ready.is_running
 
     def take(self, change: MissionChange) -> None:

@@ -209,6 +209,7 @@ class Flight:
 
     @property
     def home(self) -> Home:
+        """Home as the autopilot reports it, known once ``prepare`` has passed."""
         assert self._ready is not None
         return self._ready.home
 
@@ -562,9 +563,11 @@ class Flight:
             stopped.update(self._telemetry.now_s, time.monotonic())
 
     def moments(self, truth: Truth | None) -> Sequence[Moment]:
+        """Return the moments since control was acquired, with the target by the truth; None: as estimated."""
         return self._collector.moments(truth, self._telemetry.plane, self._start_s)[0]
 
     def summary(self, outcome: str, truth: Truth | None) -> Summary:
+        """Return the summary up to now; the outcome is in words."""
         begin, end = self._battery_percent, self._status().battery_percent
         judged = summarise(
             self._collector,
@@ -639,6 +642,7 @@ class AlarmWatch:
         self._known_at_s = self._looked_s = self._reported_s = self._sent_s = -math.inf
 
     def acknowledge(self, wish: events.AlarmReported) -> None:
+        """Acknowledge an active alarm, and journal this; another key changes nothing."""
         if self._alarms.acknowledge(wish.key):
             self._put(wish)
 
@@ -661,6 +665,7 @@ class AlarmWatch:
 
     @property
     def status(self) -> VehicleStatus:
+        """The vehicle's state for displays: reports, endurance, way home and active alarms, as of now."""
         return replace(
             self._known,
             endurance_s=self.left_s,

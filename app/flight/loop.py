@@ -85,6 +85,7 @@ class ControlLoop:
 
     @property
     def is_sending(self) -> bool:
+        """Whether messages wait to be sent or are being sent."""
         return self._sending or not self._commands.empty()
 
     def put(self, event: InboundEvent) -> None:
@@ -95,6 +96,7 @@ class ControlLoop:
         self.put(reports.ShutdownRequested(self._telemetry.now_s, self.link_s))
 
     def received(self, message: Message) -> None:
+        """Queue the event that a message amounts to, if any."""
         self._received_s = time.monotonic()
         event = self._telemetry.event(message)
         report = self._reports.report(message, self._telemetry.now_s, self.link_s) if event is None else event
@@ -104,6 +106,7 @@ class ControlLoop:
             self._queue.put_nowait(report)
 
     async def run(self) -> None:
+        """Make the steps, with their outputs sent, journaled and shown, until the flight ends."""
         self._vehicle.listeners.append(self.received)
         helpers = [asyncio.create_task(self._watch_link()), asyncio.create_task(self._send_commands())]
         try:

@@ -97,6 +97,7 @@ class PayloadRunner:
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
 
     async def run(self) -> None:
+        """Open the payload and read it until cancelled. Raises InputError where its port cannot be opened."""
         try:
             self._transport = await self._opened()
             self._transport.start(self._arrived)

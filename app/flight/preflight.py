@@ -55,6 +55,7 @@ class SourceRates:
         self.begin()
 
     def begin(self) -> None:
+        """Count from here on."""
         self._telemetry = telemetry.Telemetry(self._vehicle.system_id)
         self._counts: Counter[tuple[str, readings.Source]] = Counter()
         self._begun_s = math.inf  # of this computer's clock
@@ -176,6 +177,7 @@ class Check:
 
     @property
     def words(self) -> str:
+        """What was found, with the remedy if it is not ready."""
         return self.found + (f"; {self.remedy}" if self.remedy and not self.ready else "")
 
     def __str__(self) -> str:

@@ -165,6 +165,7 @@ class ClockRate:
 
     @property
     def mean(self) -> float:
+        """Seconds of the vehicle in one of this computer, over the flight; 1 before two positions."""
         return self._elapsed_s[0] / self._elapsed_s[1] if self._elapsed_s[1] else 1.0
 
 

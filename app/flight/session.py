@@ -194,6 +194,7 @@ class SenderCheck:
         self._kinds: list[tuple[int, int]] = []
 
     def frame(self, data: bytes) -> None:
+        """Note a frame's sequence number, if an autopilot sent it."""
         if len(data) < FRAME_MIN_BYTES:
             return
         frame = Frame(data)
@@ -204,6 +205,7 @@ class SenderCheck:
         self._last[frame.system_id] = frame.sequence
 
     def judge(self, inputs: VehicleInputs) -> None:
+        """Judge these inputs from here on."""
         self._inputs = inputs
         if self._message not in inputs.listeners:
             inputs.listeners.append(self._message)
@@ -266,6 +268,7 @@ class InputHealth:
             self._health.changes(now_s, tracker.ranges, tracker.gimbals, door.input_faults)
 
     def checks(self) -> tuple[Check, ...]:
+        """Return the checks that failed; one that passed if there are none."""
         wrong = [(report.input, report.text) for report in self._health.reports if report.state in _BAD]
         if self._tracker.turns:
             yaw_error_rad = self._tracker.calibration.yaw_bias_rad

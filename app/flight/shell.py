@@ -195,6 +195,7 @@ class SimulatedVehicles:
         self._on_end(f"{self._what} has ended: {why.rstrip('.')}; nothing flies any more.")
 
     async def ended(self) -> str:
+        """Wait until the simulator ends; return its last words."""
         await self._process.wait()
         assert self._process.stderr is not None
         text = (await self._process.stderr.read()).decode(errors="replace").strip()
@@ -368,6 +369,7 @@ class FlyingAircraft:
 
     @property
     def is_received(self) -> bool:
+        """Whether messages of the vehicle arrive."""
         return self.controller.snapshot().connected
 
     @property
@@ -376,6 +378,7 @@ class FlyingAircraft:
         return self.controller.phase.in_control or bool(self.outcome) or not self.wanted.is_set()
 
     def failed(self, error: Exception) -> None:
+        """Note the error that ended its flight, and the outcome in words."""
         known = isinstance(error, FlightError | InputError)
         self.error, self.outcome = error, f"failed: {error if known else f'a fault of the program, {error!r}'}"
 
@@ -389,6 +392,7 @@ class FlightEnded:
 
     @property
     def is_internal(self) -> bool:
+        """Whether a fault of the program ended it."""
         return self.reason is not None and not isinstance(self.reason, FlightError | InputError | Interrupted)
 
 

@@ -32,6 +32,7 @@ class OneTask:
         return self._task is not None and not self._task.done()
 
     def begin(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Start the work, unless work is running."""
         if not self.is_running:
             self._task = asyncio.create_task(work())
 

@@ -22,6 +22,7 @@ FRAME_MIN_BYTES = 8  # MAVLink 1, without a payload
 
 
 def message_ids(names: str) -> frozenset[int]:
+    """Return the numbers of messages, named without prefix and separated by spaces."""
     return frozenset(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in names.split())
 
 

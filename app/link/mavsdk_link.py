@@ -202,6 +202,7 @@ class MavsdkLink:
                 await asyncio.sleep(0)
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
+        """Send a message; raises LinkError when MAVSDK does not take it."""
         # MAVSDK reads null as NaN; JSON itself has none.
         missing = dict.fromkeys(
             key for key, value in fields.items() if isinstance(value, float) and not isfinite(value)
@@ -220,6 +221,7 @@ class MavsdkLink:
 
     @contextlib.contextmanager
     def serving(self, system_id: int, component_id: int) -> Iterator[Callable[[bytes], None]]:
+        """Receive what is addressed to this component while inside; yield a function that sends frames of it."""
         served = system_id, component_id
         self._links.served.add(served)
         try:
@@ -230,11 +232,13 @@ class MavsdkLink:
     # -- parameters ----------------------------------------------------------------------------------------
 
     async def parameter(self, name: str) -> float | None:
+        """Read a parameter of either type; None: the vehicle has none of that name."""
         param = self._param
         done, value = await self._typed(lambda: param.get_param_float(name), lambda: param.get_param_int(name))
         return float(value) if done else None
 
     async def set_parameter(self, name: str, value: float) -> bool:
+        """Write a parameter of either type; return whether the vehicle accepted it."""
         write_float, write_int = self._param.set_param_float, self._param.set_param_int
         return (await self._typed(lambda: write_float(name, float(value)), lambda: write_int(name, round(value))))[0]
 

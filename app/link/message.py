@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 
 def plain(text: str) -> str:
+    """Return the text without control characters and surrounding space."""
     return _printable(text).strip()
 
 

@@ -78,6 +78,7 @@ class LinkQuality:
         self._rssi: tuple[int, int] | tuple[None, None] = (None, None)
 
     def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
+        """Note a received frame of ``size`` bytes; a gap in its source's sequence numbers counts as lost."""
         self.received_s = now_s
         if self.received_since_s is None:
             self.received_since_s = now_s
@@ -100,10 +101,12 @@ class LinkQuality:
             self._answered_s = now_s
 
     def answered(self, round_trip_s: float, now_s: float) -> None:
+        """Note how long a request waited for its reply."""
         self._round_trips_s.append(round_trip_s)
         self._answered_s = now_s
 
     def radio(self, rssi: int, remote_rssi: int) -> None:
+        """Note signal strengths of RADIO_STATUS, here and at the far end, in the radio's units."""
         self._rssi = (rssi, remote_rssi)
 
     def measured(self, now_s: float) -> Measured:

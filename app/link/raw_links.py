@@ -291,6 +291,7 @@ class RawLinks:
         self._heartbeat = dialect.MAVLink_heartbeat_message(mav_type, none, 0, 0, active, 3)
 
     def close(self) -> None:
+        """End the threads and close the transports; safe to call more than once."""
         if self._closing.is_set():
             return
         self._closing.set()

@@ -41,6 +41,7 @@ Stream = tuple[int, int, int]
 
 
 def signing_time(unix_s: float) -> int:
+    """Return a time of day in signing's units of 10 us since 2015, not below 0."""
     return max(0, int((unix_s - EPOCH_UNIX_S) * UNITS_PER_S))
 
 
@@ -95,6 +96,7 @@ class SigningTimes:
 
     @property
     def sent(self) -> int:
+        """The time of the last signed frame sent here, in units of 10 us."""
         return self._sent[0]
 
     @sent.setter

@@ -264,6 +264,7 @@ class ParameterWatch:
         self._values = {**self._table.read, **self._own}
 
     def take(self, message: Message) -> None:
+        """Note a PARAM_VALUE of the autopilot; a known one that differs is announced, and the table made again."""
         if message.name != "PARAM_VALUE" or message.component_id != AUTOPILOT_COMPONENT:
             return
         name, value = message.fields["param_id"], _value(message.fields, self._bytewise)

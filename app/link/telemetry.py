@@ -118,6 +118,7 @@ class Telemetry:
 
     @property
     def now_s(self) -> float:
+        """The vehicle's time, s since its boot; -inf before the first report of it."""
         return self._clock.now_s
 
     @property

@@ -45,6 +45,7 @@ class TrafficReader:
 
     @property
     def aircraft(self) -> tuple[Neighbour, ...]:
+        """The aircraft that were reported lately."""
         now_s = self._now_s()
         self._known = {name: one for name, one in self._known.items() if now_s - one.state.time_s < _FORGOTTEN_S}
         return tuple(self._known.values())

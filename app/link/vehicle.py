@@ -73,6 +73,7 @@ class StatusTexts:
         return self._complete(self._arriving.pop(number))
 
     def matching(self, pattern: re.Pattern[str], since_s: float) -> tuple[str, ...]:
+        """Return the texts in which the pattern is found, since a time of this computer's clock, each once."""
         texts = (said.text for said in self._texts if said.received_s >= since_s and pattern.search(said.text))
         return tuple(dict.fromkeys(texts))
 
@@ -177,6 +178,7 @@ class VehicleMessages:
 
     @property
     def is_companion(self) -> bool:
+        """Whether sidelong is a component of the vehicle's own system."""
         return self.own_id[0] == self.system_id
 
     def is_for_us(self, message: Message) -> bool:
@@ -381,6 +383,7 @@ def failsafe_of(vehicle: VehicleMessages) -> str:
 
 
 def mode_of(vehicle: Vehicle) -> str:
+    """Return the name of the mode in the newer of HEARTBEAT and CURRENT_MODE."""
     heartbeat, current = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
     newer = current if current is not None and current.received_s > heartbeat.received_s else heartbeat
     fields = heartbeat.fields
@@ -404,6 +407,7 @@ async def home_of(vehicle: Vehicle) -> Home | None:
 
 
 async def release_of(vehicle: Vehicle) -> Release | None:
+    """Ask the autopilot for the release of its firmware; None: no reply, or one without it."""
     message = await _requested(vehicle, "AUTOPILOT_VERSION", _AUTOPILOT_VERSION_ID)
     return None if message is None else release_in(message.fields)
 

@@ -60,6 +60,7 @@ class Consistency:
         self._ratios: deque[float] = deque(maxlen=_RATIOS_KEPT)
 
     def add(self, measured: RangeMeasured, angles: AnglesMeasured | None, pose: AircraftPose | None) -> None:
+        """Compare a range with the height above home, where angles of the same moment and the pose allow it."""
         if angles is None or pose is None or pose.height_m < _HEIGHT_MIN_M:
             return
         if abs(measured.time_s - angles.time_s) > _APART_MAX_S:
@@ -153,10 +154,12 @@ class PayloadSession:
         return measured
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> list[bytes]:
+        """Take the aircraft's pose; return what is to be sent to the payload."""
         self._pose = pose
         return list(self._driver.aircraft(pose, now_s))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> list[bytes]:
+        """Return the commands that point the gimbal; yaw is relative to the aircraft's heading, pitch positive up."""
         return list(self._driver.point(pitch_rad, yaw_rad))
 
     @property
@@ -165,6 +168,7 @@ class PayloadSession:
         return self._driver.identity.pan_limits_rad
 
     def status(self, now_s: float) -> PayloadStatus:
+        """Return rates and faults of the last seconds; ``now_s`` is of the driver's clock."""
         range_hz, angles_hz = (
             sum(time_s > now_s - _RATE_OVER_S for time_s in times_s) / _RATE_OVER_S
             for times_s in (self._ranges_s, self._angles_s)

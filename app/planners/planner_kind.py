@@ -123,6 +123,7 @@ class Predictive(PlannerKind):
         return PredictivePlanner(aircraft, requirement, table, self.settings())
 
     def settings(self) -> PredictiveSettings:
+        """Return the planner's settings; ``lost_after_s`` comes from the flight."""
         from sidelong.mission.predictive.planner import USUAL  # noqa: PLC0415  # see PlannerKind
 
         return USUAL

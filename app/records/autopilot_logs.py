@@ -217,6 +217,7 @@ def read_dataflash(path: Path, wanted: Collection[str], progress: Progress = uns
 
 
 def dataflash_contents(path: Path) -> Counter[str]:
+    """Return how many entries of each name a DataFlash log has. Raises OSError."""
     with mapped(path) as data:
         kinds = _kinds(data)
         return Counter(kinds[one].name if one in kinds else "FMT" for _, one in _whole_entries(data, kinds))
@@ -467,6 +468,7 @@ def _about(data: mmap | bytes) -> Iterator[tuple[str, int | str]]:
 
 
 def ulog_contents(path: Path) -> Counter[str]:
+    """Return how many entries of each topic a ULog has. Raises OSError."""
     with mapped(path) as data:
         return Counter(topic.name for _, topic in _topic_entries(data, _topics(data, None)))
 

@@ -91,6 +91,7 @@ class FlownTrack:
         return by_name
 
     def tracks(self) -> Iterator[PositionTrack]:
+        """Yield the track of the aircraft and of each target, with geodetic positions."""
         base_m = self.home_altitude_m or 0.0
         flown = [
             TrackPoint(at.time_s, *self.degrees(at.east_m, at.north_m), (round(base_m + at.height_m, 3),))
@@ -102,6 +103,7 @@ class FlownTrack:
             yield PositionTrack("target", self.named(name), places)
 
     def at(self, time_s: float) -> datetime | None:
+        """Return the time of day of a mission time; None: it is not known."""
         return None if self.booted is None else self.booted + timedelta(seconds=time_s)
 
     def utc(self, time_s: float) -> str | None:

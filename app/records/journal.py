@@ -115,10 +115,12 @@ _ENCODE = json.JSONEncoder(separators=(",", ":")).encode
 
 
 def to_builtins(event: Any) -> Any:
+    """Return an event as dicts, lists, numbers and strings for JSON."""
     return msgspec.to_builtins(event, enc_hook=_plain)
 
 
 def encode(event: Any) -> bytes:
+    """Return an event as a line of the journal, with checksum, without line feed."""
     fields = _ENCODE(to_builtins(event))
     body = f'{{"event":"{type(event).__name__}","fields":{fields}'.encode()
     return body + _CHECKSUM % zlib.crc32(body)

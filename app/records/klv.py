@@ -189,6 +189,7 @@ class KlvLog:
         self._next_s = -math.inf
 
     def event(self, event: Event) -> None:
+        """Feed an event; each second of positions writes a packet."""
         admitted, outcomes = self._sensing.take(event)
         for outcome in outcomes:
             if outcome.accepted and isinstance(outcome.sighting, Sighting):

@@ -88,6 +88,7 @@ class LogContext:
         return ""
 
     def take(self, message: Message) -> None:
+        """Note what a message reports of the vehicle; other systems and components are left out."""
         fields, system_id = message.fields, message.system_id
         if message.component_id != _AUTOPILOT_COMPONENT:
             return
@@ -180,6 +181,7 @@ class RecordedLog:
         return self._context
 
     def contents(self) -> Counter[str]:
+        """Return how many messages of each name the log has. Raises InputError if it cannot be read."""
         try:
             return self._contents(self.path)
         except OSError as error:

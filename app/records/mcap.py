@@ -76,6 +76,7 @@ class McapWriter:
 
 
 def stamp(time_ns: int) -> dict[str, int]:
+    """Return a time, ns, as Foxglove's seconds and nanoseconds."""
     return dict(zip(("sec", "nsec"), divmod(time_ns, 10**9), strict=True))
 
 
@@ -148,6 +149,7 @@ class McapLog:
         self._follower: RouteFollower | None = None
 
     def event(self, event: Event) -> None:
+        """Feed an event; positions, estimates, circles and sightings are written."""
         admitted, outcomes = self._sensing.take(event)
         self._sightings(outcomes)
         match admitted:
@@ -167,6 +169,7 @@ class McapLog:
                 self._circle(admitted.time_s, self._plans[admitted.number].circle)
 
     def command(self, command: StepOutput) -> None:
+        """Feed an output of the step just fed; plans, announcements and health are written."""
         match command:
             case UploadPlan():
                 self._plans[command.number] = command.plan

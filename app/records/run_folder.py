@@ -121,6 +121,7 @@ class RunFolder(_Folder):
 
     @staticmethod
     def open(path: Path) -> RunFolder:
+        """Return an existing run's folder; InputError: it is a fleet's, or has no journal."""
         run = RunFolder(path)
         if FleetFolder(path).journal.is_file():
             raise InputError(f"{path} is the run of a fleet; give the folder of one aircraft in it.")
@@ -133,6 +134,7 @@ class FleetFolder(_Folder):
     journal = _File("fleet.jsonl")
 
     def make(self, name: str) -> RunFolder:
+        """Make the folder of one aircraft. Raises InputError if it cannot."""
         folder = RunFolder(self.path / name)
         with _making(self.path):
             folder.path.mkdir(parents=True)

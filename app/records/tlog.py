@@ -164,12 +164,15 @@ def read_tlog(path: Path, wanted: Collection[str] | None = None, progress: Progr
 
 
 def tlog_contents(path: Path) -> Counter[str]:
+    """Return how many messages of each name a tlog has. Raises OSError."""
     return Counter(_KINDS[frame.message_id].msgname for _, frame in _frames(path, _KINDS))
 
 
 def is_mavlink_1(path: Path) -> bool:
+    """Return whether no frame of the file is MAVLink 2."""
     return not any(frame.is_v2 for _, frame in _frames(path, _KINDS))
 
 
 def is_tlog(path: Path) -> bool:
+    """Return whether a MAVLink frame is found in the file."""
     return next(_frames(path, _KINDS), None) is not None

@@ -63,6 +63,7 @@ _MOVES = "moving"  # how the reason of a decision to move begins
 
 
 def clock(time_s: float) -> str:
+    """Return a time as minutes:seconds; a negative one as 0:00."""
     whole_s = round(max(time_s, 0.0))
     return f"{whole_s // 60}:{whole_s % 60:02d}"
 
@@ -174,6 +175,7 @@ class HistoryBuilder:
         self._wind: WindReported | None = None
 
     def event(self, event: Event) -> None:
+        """Feed an event of the flight, in order."""
         admitted, outcomes = self._sensing.take(event)
         self.sightings += outcomes
         match admitted:

@@ -73,6 +73,7 @@ def _plain(values: np.ndarray) -> list[Any]:
 
 
 def document(title: str, body: str) -> str:
+    """Return a page that needs no other file; ``body`` is HTML, the title plain text."""
     style = (files("sidelong.app.report") / "report.css").read_text(encoding="utf-8")
     charts = (files("sidelong.app.view") / "page" / "charts.js").read_text(encoding="utf-8")
     return f"""<!doctype html>
@@ -99,6 +100,7 @@ for (const figure of document.querySelectorAll("figure"))
 
 
 def tiles(results: Iterable[tuple[str, str]]) -> str:
+    """Return (name, value) pairs of plain text as a list in HTML."""
     tiles = "".join(
         f"<div{_LONG if len(value) > _TILE_CHARACTERS else ''}><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
         for name, value in results
@@ -116,6 +118,7 @@ def table(headings: Iterable[str], rows: Iterable[Iterable[str]], about: str) ->
 
 
 def folded(summary: str, content: str, *, is_open: bool = False) -> str:
+    """Return HTML content that a click on the summary, plain text, unfolds."""
     return f"<details{' open' if is_open else ''}><summary>{escape(summary)}</summary>{content}</details>"
 
 

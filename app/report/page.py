@@ -342,6 +342,7 @@ _TILES = "attention", "outcome", "watched", "time in band", "time on side", "ran
 
 
 def report_page(flown: FlightRecord) -> str:
+    """Return the report of one flight in HTML."""
     figures = {drawing.name: html.figure(drawing) for drawing in drawings(flown.history)}
     client = "\n".join(figures.pop(name) for name in _FOR_CLIENTS if name in figures)
     damaged = f"; {flown.damaged_lines} damaged lines were passed over" if flown.damaged_lines else ""

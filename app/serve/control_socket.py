@@ -33,6 +33,7 @@ Answer = Callable[[str], dict[str, Any]]
 
 
 def own_path() -> Path:
+    """Return where this user's service has its socket: SIDELONG_SOCKET, systemd's runtime folder, or the user's."""
     given, runtime = os.environ.get("SIDELONG_SOCKET"), os.environ.get("RUNTIME_DIRECTORY")
     if given:
         return Path(given)

@@ -162,6 +162,7 @@ class Resident:
 
     @property
     def status(self) -> Status:
+        """What `sidelong status` shows."""
         trouble = "" if self._display is None or self._state is not State.WATCHING else self._display.trouble
         reason, disk_mb = "; ".join(filter(None, (self._reason, trouble))), round(self._disk_bytes / 1e6, 1)
         return Status(self._state, reason, self._vehicle, self._run, self._watches, disk_mb, self._records)

@@ -194,6 +194,7 @@ class BeaconInput(asyncio.DatagramProtocol):
             self._transport.close()
 
     def datagram_received(self, data: bytes, addr: object) -> None:
+        """Decode a datagram; drop what is too large or too frequent, announce once what cannot be read."""
         sender = str(addr[0]) if isinstance(addr, tuple) else ""
         cost, clock_s = len(data) + _DATAGRAM_COST_BYTES, self._clock_s()
         allowed = self._of_sender.used(sender, clock_s, cost) and self._of_all.used("", clock_s, cost)
@@ -285,6 +286,7 @@ class ContactBeacon:
         self._measured_s = -math.inf
 
     def on_message(self, name: str, fields: Mapping[str, Any]) -> None:
+        """Take the position of the chosen AIS or ADS-B contact; another, old, repeated or invalid one is ignored."""
         if name != self._message or self._now_s() == -math.inf or int(fields[self._id_field]) != self._id:
             return
         if abs(fields["lat"]) > 900_000_000 or abs(fields["lon"]) > 1_800_000_000:

@@ -351,6 +351,7 @@ def aircraft_event(
 def sensor_point_event(
     place_m: tuple[float, float], plane: LocalPlane, now: datetime, uid: str, names: CotNames = CotNames()
 ) -> bytes:
+    """Return the CoT event of where the payload looks, (east, north) m in the plane."""
     place = plane.latitude_longitude_deg(*place_m)
     event = _event(f"{uid}.SPI", _SENSOR_POINT, _MACHINE_FUSED, now, place)
     detail = ElementTree.SubElement(event, "detail")
@@ -360,6 +361,7 @@ def sensor_point_event(
 
 
 def route_event(route: Route, plane: LocalPlane, now: datetime, uid: str, callsign: str) -> bytes:
+    """Return the CoT event that draws a route; the caller's ``uid`` replaces an older one."""
     places = [plane.latitude_longitude_deg(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()]
     event = _event(uid, _DRAWN_LINE, _MACHINE_FUSED, now, places[0], _ROUTE_STALE_AFTER)
     detail = ElementTree.SubElement(event, "detail")
@@ -412,6 +414,7 @@ class CotOutput:
         self._next_s = self._route_s = -math.inf
 
     def show(self, snapshot: Present) -> None:
+        """Send aircraft, target and sensor point each second, a route less often."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or snapshot.aircraft is None:
             return

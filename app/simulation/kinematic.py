@@ -64,6 +64,7 @@ class Body:
 
     @staticmethod
     def configured(own: AircraftSection, lag_s: float) -> Body:
+        """Return the body of a configured aircraft whose roll follows with ``lag_s``."""
         limits = own.aircraft()
         bank_rad, roll_rad_s = limits.bank_max_rad, limits.roll_rate_max_rad_s
         return Body(own.airspeed_m_s, bank_rad, roll_rad_s, lag_s, own.climb_m_s, own.descent_m_s)
@@ -187,6 +188,7 @@ class KinematicVehicle:
 
     @property
     def state(self) -> AircraftState:
+        """The true state, at the time flown up to."""
         craft = self.craft
         speed_m_s = craft.ground_speed_m_s
         curvature_per_m = craft.yaw_rate_rad_s / max(speed_m_s, 1.0)
@@ -197,6 +199,7 @@ class KinematicVehicle:
         self.simulated.set_mode(self.simulated.taken_over_mode)
 
     def advance(self, to_s: float) -> None:
+        """Fly up to a time of the simulation's clock, and send what falls due on the way."""
         simulated, boot_s = self.simulated, self._start.boot_s
         while self.time_s < to_s - 1e-6:
             self._send_due()
@@ -220,6 +223,7 @@ class KinematicVehicle:
         return (packet,)
 
     def receive(self, frame: bytes) -> None:
+        """Take frames that are sent to the vehicle; its replies follow at once."""
         for message in self._station.parser.parse_buffer(frame) or ():
             self.simulated.handle(self._station, message)
         self._take_answers()
@@ -233,18 +237,21 @@ class KinematicVehicle:
 
     @property
     def boot_ms(self) -> int:
+        """Time since the autopilot's boot, on the clock of its messages."""
         return round((self._start.boot_s + self.time_s) * 1000.0)
 
     def _say(self, name: str, **fields: object) -> None:
         self._sent.append(Message(name, self.system_id, _AUTOPILOT, fields, 0.0))
 
     def position(self, boot_ms: int) -> Message | Reading:
+        """Return the true position as a reading; a subclass may return a message."""
         craft = self.craft
         place_m = craft.east_m, craft.north_m, craft.height_m
         velocity_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s, craft.climb_m_s
         return PositionReading(1e-3 * boot_ms, *place_m, *velocity_m_s, self._start.home.altitude_m)
 
     def attitude(self, boot_ms: int) -> Message | Reading:
+        """Return the true attitude as a reading; a subclass may return a message."""
         craft, yaw_rad = self.craft, math.remainder(self.craft.yaw_rad, math.tau)
         return AttitudeReading(1e-3 * boot_ms, craft.roll_rad, craft.pitch_rad, yaw_rad)
 

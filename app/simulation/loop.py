@@ -120,6 +120,7 @@ class ClosedLoop(Generic[P]):
         return self.simulated.take()
 
     def on_message(self, message: Message | Reading) -> None:
+        """Feed what the vehicle sent, and make the step that it leads to."""
         event: InboundEvent | None
         if isinstance(message, Message):
             self.vehicle.take(message)
@@ -137,6 +138,7 @@ class ClosedLoop(Generic[P]):
             self.put(event)
 
     def expire(self) -> None:
+        """Make the steps of timers that are due."""
         core, link_s = self.core, self.link_s
         for _ in range(_TIMERS_MAX):
             if core is None or core.next_timer_s > link_s:
@@ -144,6 +146,7 @@ class ClosedLoop(Generic[P]):
             self.put(TimerExpired(self.telemetry.now_s, link_s))
 
     def put(self, event: InboundEvent) -> tuple[Output, ...]:
+        """Make one step, send its messages, call the listeners; return its outputs."""
         assert self.core is not None
         outputs = self.core.step(event)
         for output in outputs:
@@ -157,4 +160,5 @@ class ClosedLoop(Generic[P]):
         self.transmit(self._packer.frame(message.name, message.fields, self.simulated.system_id))
 
     def transmit(self, frame: bytes) -> None:
+        """Queue a frame for the vehicle; it takes it at its next tick."""
         self._sent.append(frame)

@@ -69,6 +69,7 @@ class RandomTarget:
         return np.stack([legs[:, 1] + legs[:, 3] * gone_s, legs[:, 2] + legs[:, 4] * gone_s, *legs[:, 3:].T], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
+        """Return the truth at a time from 0 to the end of the motion."""
         return TargetTruth(*self.sampled(np.array([time_s]))[0].tolist())
 
 
@@ -126,4 +127,5 @@ class Payload:
         return [gimbal, RangeReading(stamp_s, range_m, LASER, None, _QUALITY, RANGE_MIN_M, RANGE_MAX_M, level)]
 
     def gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Reading:
+        """Return a gimbal reading; yaw from north, pitch positive up."""
         return GimbalReading(boot_ms * 1e-3, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", GIMBAL)

@@ -122,6 +122,7 @@ class Benchmark:
                 yield _pair_row(one, names[steered], runs)
 
     def json(self, rows: Sequence[Row]) -> dict[str, Any]:
+        """Return rows and versions for ``--json``."""
         return {
             "benchmark": VERSION,
             "sidelong": code_version(),

@@ -63,6 +63,7 @@ class OnTicks:
         self._truths = [TargetTruth(*row) for row in target.sampled(ticks / RATES.tick_hz).tolist()]
 
     def at(self, time_s: float) -> TargetTruth:
+        """Return the truth at the tick next to a time."""
         return self._truths[round(time_s * RATES.tick_hz)]
 
 

@@ -171,6 +171,7 @@ class FleetRun:
         return member
 
     def fly(self, losses: Sequence[Loss] = ()) -> FleetResult:
+        """Fly to the end of the scene; the aircraft of ``losses`` leave at their times."""
         vehicle, ticked_s = self._members[0].craft.simulated, -math.inf
         while vehicle.time_s < self._scene.duration_s - 1e-6:
             time_s = vehicle.time_s
@@ -298,6 +299,7 @@ def fly_fleets(
     progress: Callable[[int], None],
     planners: Sequence[FleetPlannerName] = tuple(FleetPlannerName),
 ) -> Fleets:
+    """Fly all runs with each planner; ``progress`` is called with 1 after each run."""
     tasks = ((settings, number, table, planner) for number in settings.numbers for planner in planners)
     found: dict[tuple[FleetPlannerName, int], FleetResult] = {}
     with closing(parallel(workers, run_fleet, tasks)) as flying:
@@ -308,6 +310,7 @@ def fly_fleets(
 
 
 def fleet_table(fleets: Fleets) -> Table:
+    """Return mean and worst of each measure, a column for each planner."""
     table = Table("mean/worst", *fleets, box=box.SIMPLE_HEAD)
     for of in OF_FLEETS:
         table.add_row(of.label, *(of.cell(values_of(runs, of.name)) for runs in fleets.values()))
@@ -320,6 +323,7 @@ def values_of(runs: Sequence[object], name: str) -> np.ndarray:
 
 
 def fleet_json(settings: StudySettings, fleets: Fleets) -> dict[str, Any]:
+    """Return results of each planner and the choice of targets for ``--json``."""
     return {
         "planners": {planner.value: _figures(runs) for planner, runs in fleets.items()},
         "fleet": settings.config.requirement.fleet_size,

@@ -179,6 +179,7 @@ class SteeredAircraft:
         self.rows: list[tuple[float, float, float]] = []
 
     def state(self, time_s: float) -> AircraftState:
+        """Return the true state, its curvature from the bank."""
         craft = self._craft
         speed_m_s = craft.ground_speed_m_s
         curvature_per_m = GRAVITY_M_S2 * math.tan(craft.roll_rad) * self._across / max(speed_m_s, 1.0) ** 2
@@ -236,6 +237,7 @@ def fly_steered(
 
 
 def run_law(settings: StudySettings, planner: str, number: int, keep_track: bool = False) -> RunResult:
+    """Fly one run by a law that circles the target, or by the user's controller, with the same noise for each."""
     flown = scene(settings, number)
     circle = first_circle(settings, flown)
     craft = SteeredAircraft(settings, flown, circle, settings.config.aircraft.height_m, flown.sensor_rng)

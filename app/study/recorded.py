@@ -45,10 +45,12 @@ class RecordedTarget:
 
     @cached_property
     def key(self) -> int:
+        """A number of 64 bits by the motion alone: equal tracks have equal runs."""
         return int.from_bytes(sha256(self.east_m.tobytes() + self.north_m.tobytes()).digest()[:8])
 
     @cached_property
     def route_key(self) -> str:
+        """A digest of the known route, '' without one."""
         if self.route is None:
             return ""
         known = self.route
@@ -59,6 +61,7 @@ class RecordedTarget:
 
     @cached_property
     def speed_p95_m_s(self) -> float:
+        """Speed that is exceeded for 5 % of the time."""
         return float(np.percentile(np.hypot(*self._velocity_m_s), 95))
 
     @cached_property
@@ -85,6 +88,7 @@ class RecordedTarget:
         return np.stack([east, north, *(v[k] for v in self._velocity_m_s), self._course_rad[k]], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
+        """Return the truth at a time from 0 to the end of the track."""
         return TargetTruth(*map(float, self.sampled(np.array([time_s]))[0]))
 
 

@@ -36,6 +36,7 @@ _COLUMNS = ("planner", "run", "target", "draw", "seed", *MEASURES, "key")
 
 
 def study_title(result: StudyResult) -> str:
+    """Return runs, aircraft, targets, wind and sensors in a line of words."""
     s, aircraft = result.settings, result.settings.aircraft()
     sensors = "perfect sensors" if s.perfect_sensors else "noisy laser and gimbal"
     target = f"to {s.requirement().target_speed_max_m_s:g} m/s"
@@ -55,10 +56,12 @@ def study_title(result: StudyResult) -> str:
 
 
 def study_parts(settings: StudySettings) -> str:
+    """Return which parts of the program flew, for headings."""
     return f"closed loop, {settings.autopilot}: {PARTS}"
 
 
 def measures_of(settings: StudySettings) -> tuple[Measure, ...]:
+    """Return the measures that these studies can have, by hills and pan limits."""
     measures = ON_FLAT_GROUND if settings.hills is None else OVER_HILLS
     return (*measures, WITHIN_PAN_LIMITS) if settings.aircraft().has_pan_limit else measures
 
@@ -71,6 +74,7 @@ def right_aligned(table: Table, first: int) -> Table:
 
 
 def study_table(result: StudyResult) -> Table:
+    """Return mean, tail and worst run of each measure, a column for each planner."""
     table = right_aligned(Table("", "", *map(str, result.planners), box=box.SIMPLE_HEAD), 2)
     planners = list(result.planners.values())
 
@@ -89,6 +93,7 @@ def study_table(result: StudyResult) -> Table:
 
 
 def sweep_rows(results: Sequence[StudyResult]) -> list[tuple[str, ...]]:
+    """Return headings, then a row for each design and planner, as text."""
     first, measures = results[0].design, measures_of(results[0].settings)
     keys = (key.partition(".")[2] for key, _ in first.swept)
     rows = [
@@ -100,6 +105,7 @@ def sweep_rows(results: Sequence[StudyResult]) -> list[tuple[str, ...]]:
 
 
 def sweep_table(results: Sequence[StudyResult]) -> Table:
+    """Return the sweep's rows as a table for the terminal."""
     headings, *rows = sweep_rows(results)
     table = right_aligned(Table(*headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)), 0)
     for row in rows:
@@ -108,6 +114,7 @@ def sweep_table(results: Sequence[StudyResult]) -> Table:
 
 
 def targets_json(settings: StudySettings) -> dict[str, Any]:
+    """Return the choice of targets for ``--json``."""
     return {
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,

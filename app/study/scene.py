@@ -55,6 +55,7 @@ class StudyScene:
 
 
 def scene(settings: StudySettings, number: int) -> StudyScene:
+    """Return target and random numbers of a run; they depend on seed, target and draw of noise alone."""
     draw, k = divmod(number, settings.runs)
     if settings.tracks:
         target: RandomTarget | RecordedTarget = (track := settings.tracks[k])
@@ -85,6 +86,7 @@ def first_circle(
 
 
 def start_on(settings: StudySettings, flown: StudyScene, circle: Circle) -> AircraftState:
+    """Return a state on the circle at a random course."""
     course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
     return AircraftState(
         0.0,
@@ -96,6 +98,7 @@ def start_on(settings: StudySettings, flown: StudyScene, circle: Circle) -> Airc
 
 
 def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
+    """Return the errors of the payload and the tracker's settings; perfect sensors have none."""
     sensors, limit_rad = settings.config.sensors, settings.aircraft().pan_limit_rad
     errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg), pan_limit_rad=limit_rad)
     if settings.perfect_sensors:

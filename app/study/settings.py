@@ -122,6 +122,7 @@ class StudySettings:
 
     @property
     def wind(self) -> Wind:
+        """The mean wind, as a velocity."""
         speed_m_s, from_deg = self.config.simulation.wind_speed_m_s, self.config.simulation.wind_from_deg
         if from_deg == 270.0:
             return Wind(speed_m_s, 0.0)

@@ -54,6 +54,7 @@ _NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", 
 
 @cache
 def code_version() -> str:
+    """Return the version with a digest that changes with any code of the program."""
     try:
         package = version("sidelong")
     except PackageNotFoundError:
@@ -71,6 +72,7 @@ class RunId:
 
 
 def run_ids(settings: StudySettings, planner: str) -> Iterator[RunId]:
+    """Yield the runs of a study; the key covers all that shapes a result, the code too."""
     values = {
         field.name: getattr(settings, field.name)
         for field in fields(settings)
@@ -117,6 +119,7 @@ class ResultStore:
         self._db.close()
 
     def missing(self, runs: Iterable[RunId]) -> list[RunId]:
+        """Return the runs that are not stored."""
         return [run for run in runs if self._row(run) is None]
 
     def add(self, results: Iterable[tuple[RunId, RunResult]]) -> None:
@@ -136,6 +139,7 @@ class ResultStore:
             raise InputError(f"--store: {self.file} cannot be written ({error}); make room, then go on.") from error
 
     def results(self, runs: Iterable[RunId]) -> Iterator[tuple[RunId, RunResult]]:
+        """Yield the stored ones of these runs with their results, without tracks."""
         for run in runs:
             row = self._row(run)
             if row is not None:
@@ -304,6 +308,7 @@ class PlannerResult:
 
     @staticmethod
     def of(runs: Iterable[tuple[RunId, RunResult]]) -> PlannerResult:
+        """Collect results of one planner, at least one."""
         ids, results = zip(*runs, strict=True)
         measures = {name: np.array([getattr(one, name) for one in results]) for name in MEASURES}
         return PlannerResult(ids, measures, np.concatenate([one.decision_s for one in results]))
@@ -336,9 +341,11 @@ class Study:
         self.total = sum(len(d.settings.planners) * len(d.settings.numbers) for d in designs)
 
     def missing(self) -> int:
+        """Return how many runs have to be flown."""
         return sum(len(missing) for _, _, missing in self._missing())
 
     def fly(self, workers: Workers, tables: _TableOf, batch_size: int, progress: Progress) -> None:
+        """Fly and store what is missing; ``progress`` is called with the number of runs of each batch."""
         begun_s = time.perf_counter()
 
         def batches() -> Iterator[Task]:

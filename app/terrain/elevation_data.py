@@ -320,6 +320,7 @@ class ElevationData:
 
 @lru_cache(maxsize=1)
 def elevation_data(path: Path) -> ElevationData:
+    """Return the data of a folder or file, opened once. Raises InputError."""
     return ElevationData(path)
 
 

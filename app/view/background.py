@@ -41,6 +41,7 @@ class MbTiles:
         return None if found is None else bytes(found[0])
 
     def any_tile(self) -> bytes:
+        """Return some tile, b'' if there is none."""
         found = self._row("select tile_data from tiles limit 1", (), _OPEN_WITHIN_S)
         return b"" if found is None else bytes(found[0])
 
@@ -68,10 +69,12 @@ class PmTiles:
         self.zooms = (int(header["min_zoom"]), int(header["max_zoom"]))
 
     def tile(self, zoom: int, column: int, row: int) -> bytes | None:
+        """Return a tile; rows count from the north. None: there is none."""
         found: bytes | None = self._reader.get(zoom, column, row)
         return found
 
     def any_tile(self) -> bytes:
+        """Return some tile, b'' if there is none."""
         return next((bytes(data) for _, data in self._every()), b"")
 
 
@@ -144,8 +147,10 @@ def _picture(path: Path, bounds: tuple[float, float, float, float] | None) -> Ba
 
 
 def media_type(data: bytes) -> str | None:
+    """Return the media type of a picture or vector tile by its first bytes; None: another format."""
     return next((media for begin, media in _FORMATS if data.startswith(begin)), None)
 
 
 def is_tile(zoom: int, column: int, row: int) -> bool:
+    """Return whether the zoom has such a tile."""
     return 0 <= zoom <= _ZOOM_MAX and max(column, row) < 1 << zoom and min(column, row) >= 0

@@ -60,6 +60,7 @@ class ShownAircraft:
         self.adopt(inner)
 
     def adopt(self, inner: FlightDisplay) -> None:
+        """Begin again with another flight, which ``inner`` displays as well."""
         self._inner = inner
         aircraft = self._config.aircraft
         self.encoder = StateEncoder(aircraft.airspeed_m_s, aircraft.height_m)
@@ -79,6 +80,7 @@ class ShownAircraft:
         self._request = None
 
     def show_picture(self, picture: Callable[[], bytes]) -> None:
+        """Put a picture of the payload's camera on the page; an error of it is announced."""
         self._page.isolated("the camera's picture", partial(self._page.put_picture, self), picture)
 
     def watching_began(self, start_s: float, duration_s: float | None) -> None:
@@ -111,6 +113,7 @@ class ShownAircraft:
 
     @property
     def is_flown(self) -> bool:
+        """Whether requests to it are possible: it is controlled and its time is known."""
         return self._request is not None and self.snapshot is not None and math.isfinite(self.snapshot.time_s)
 
     def ask(self, wish: Wish) -> None:
@@ -119,6 +122,7 @@ class ShownAircraft:
             self._request(replace(wish, time_s=self.snapshot.time_s))
 
     def state(self, snapshot: Present) -> Json:
+        """Return a snapshot as the page takes it."""
         self.encoder.ground = self._page.ground
         return self.encoder.state(snapshot, time.monotonic() - self._received_at_s, self.name)
 
@@ -171,6 +175,7 @@ class ViewDisplay(ShownAircraft):
         self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
 
     def of(self, name: str) -> ShownAircraft:
+        """Return the display of one aircraft of a fleet, by its name."""
         return self._shown[name]
 
     @property
@@ -200,6 +205,7 @@ class ViewDisplay(ShownAircraft):
 
     @property
     def is_served(self) -> bool:
+        """Whether the page's process is alive."""
         return self._feed is not None and self._feed.alive
 
     @staticmethod
@@ -228,11 +234,12 @@ class ViewDisplay(ShownAircraft):
             self.pump()
 
     def comes_to(self, name: str) -> None:
-        """Come to taking over, or to flying; the first of several aircraft leads the others."""
+        """Show the stage ``name``, taking over or flying; nothing changes once an aircraft flies."""
         if self._stage["name"] != "flying":
             self.show_stage(name)
 
     def show_end(self, rows: Iterable[tuple[str, ...]], folder: Path) -> None:
+        """Put summary and next commands on the page."""
         commands = f"{program()} report {folder}", f"{program()} replay {folder} --view"
         self.show_stage(
             "ended", summary=[(name, " · ".join(filter(None, values))) for name, *values in rows], next=commands
@@ -277,6 +284,7 @@ class ViewDisplay(ShownAircraft):
     # -- to and from the page ------------------------------------------------------------------------------
 
     def pump_if_due(self) -> None:
+        """Send what has gathered, unless it was sent just before."""
         if time.monotonic() - self._sent_at_s >= _SEND_EVERY_S:
             self.pump()
 

@@ -78,6 +78,7 @@ class Frames:
         return max(bisect.bisect_right(self.times_s, time_s) - 1, 0)
 
     def state(self, index: int) -> Json:
+        """Return a recorded state as the page takes it."""
         state: Json = json.loads(self.states[index])
         return state
 
@@ -88,6 +89,7 @@ class Frames:
         return [[round(time_s, 1), *at_m] for time_s, at_m in places]
 
     def announced_between(self, after_s: float, until_s: float) -> list[list[object]]:
+        """Return the latest announcements after one time up to another."""
         begin, end = (
             bisect.bisect_right(self.announced, time_s, key=lambda one: one[0]) for time_s in (after_s, until_s)
         )
@@ -123,6 +125,7 @@ class Player:
         self._looked_s = clock()
 
     def pressed(self, press: Json) -> None:
+        """Act on a button of the page: play, pause, speed, seek or step."""
         self._advance()
         match press["action"]:
             case "play":
@@ -182,6 +185,7 @@ class Player:
 
     @property
     def setting(self) -> Json:
+        """Return begin, end and decisions for the slider, s."""
         decided_s = [round(time_s, 1) for time_s in self._frames.decided_s]
         return {"begin_s": round(self._begin_s, 1), "end_s": round(self._end_s, 1), "decided_s": decided_s}
 

@@ -36,6 +36,7 @@ class FrameHistory:
         self._lists: dict[str, deque[tuple[int, Any]]] = {name: deque(maxlen=most) for name, most in kept}
 
     def add(self, update: Json) -> None:
+        """Take an update; a new stage, state or setting replaces the last, lists grow."""
         if update.get("restart"):
             self._forget()
             for key in ("state", "fleet"):
@@ -90,6 +91,7 @@ def samples(update: Json) -> list[Json]:
 
 
 def sample(state: Json) -> Json:
+    """Return what the page's curves need of one aircraft's state."""
     target, aircraft = state["target"] or {}, state["aircraft"] or {}
     return {
         "name": state["name"],

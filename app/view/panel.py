@@ -73,6 +73,7 @@ class Prompt:
         self.text = HELP
 
     def key(self, key: str) -> None:
+        """Act on a pressed key: c begins a line, Enter asks, y sends it, Escape drops it."""
         if self._asked is not None:
             asked, self._asked = self._asked, None
             self._show(None)
@@ -114,6 +115,7 @@ class Keyboard:
         asyncio.get_running_loop().add_reader(descriptor, self._read)
 
     def stop(self) -> None:
+        """Read no more, and give the terminal its settings back."""
         asyncio.get_running_loop().remove_reader(self._descriptor)
         with suppress(termios.error):  # it is gone
             termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
@@ -274,6 +276,7 @@ class AircraftDisplay:
         return f"{self._time(shown):>7}  " + self._named("  ".join([*parts, *shown.impaired_inputs]))
 
     def cells(self) -> tuple[str, ...]:
+        """Return its row of the fleet's table; empty cells before its first state."""
         shown = self._snapshot
         if shown is None:
             return ("",) * 7
@@ -351,6 +354,7 @@ class AircraftDisplay:
 
 
 def clock(time_s: float) -> str:
+    """Return a time as minutes:seconds."""
     return f"{int(time_s // 60):d}:{int(time_s % 60):02d}"
 
 
@@ -380,6 +384,7 @@ def _vehicle(status: VehicleStatus) -> Text:
 
 
 def target_motion(shown: Present) -> str:
+    """Return the target's motion in words."""
     assert shown.estimate is not None
     if shown.estimate.speed_m_s < _STANDING_M_S:
         return "standing"  # its course is noise

@@ -65,6 +65,7 @@ class Feed:
         return self.alive and not self._unsent
 
     def flush(self) -> None:
+        """Write the waiting lines, as many as the pipe takes now."""
         if not self._unsent:
             return
         try:
@@ -145,4 +146,5 @@ def under_flight(address: PageAddress, shading: Shading | None, pictures: Pictur
 
 
 def page_line(values: Json) -> bytes:
+    """Return values as a line of the pipe to the page's process."""
     return json.dumps(values, separators=(",", ":"), allow_nan=False).encode()

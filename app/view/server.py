@@ -157,6 +157,7 @@ class Access:
         return None
 
     def sees(self, session: str) -> bool:
+        """Whether a session may see the page."""
         return self.local or session in self._sessions
 
     def refusal(self, session: str) -> str | None:
@@ -168,6 +169,7 @@ class Access:
         return "this page is for watching only"
 
     def who(self, client: str) -> str:
+        """Return how the page names a client to others."""
         return f"operator at {'this machine' if self.local else client}"
 
 
@@ -242,6 +244,7 @@ class Server:
         self.app = timed(self._guarded(Starlette(routes=routes)))
 
     def publish(self, update: Json) -> None:
+        """Keep an update for pages that come later, and wake those that wait."""
         if "shade" in update:
             self._shade = Path(update.pop("shade"))
         if "picture" in update:

@@ -103,7 +103,7 @@ class Pairing:
         return True
 
     def change_gimbals(self, changed: Callable[[GimbalReading], GimbalReading]) -> None:
-        """Change the stored lines of sight."""
+        """Replace each stored line of sight by what ``changed`` makes of it."""
         before, self._gimbals = self._gimbals, ReadingHistory(_SPAN_S)
         for gimbal in before.since(-math.inf):
             self._gimbals.add(changed(gimbal))
@@ -552,7 +552,7 @@ class Tracker:
 
     @property
     def calibration(self) -> Calibration:
-        """What has been learnt of the payload's errors."""
+        """The estimated errors of the payload, with their standard deviations."""
         known = self.remaining_errors
         if not self._yaw_errors_rad:
             return known

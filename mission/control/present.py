@@ -149,7 +149,7 @@ class Present:
 
     @property
     def range_m(self) -> float | None:
-        """Horizontal range."""
+        """Horizontal distance to the estimated target, m; None: no estimate, or no position of the aircraft."""
         return None if self.from_target_m is None else math.hypot(*self.from_target_m)
 
     @property

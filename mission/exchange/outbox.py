@@ -63,11 +63,11 @@ class Outbox:
         return link_s * (self.time_s - self._began[0]) / (self.link_s - self._began[1])
 
     def send(self, name: str, **fields: float) -> None:
-        """Send a message."""
+        """Queue a message with these fields for the autopilot."""
         self.sent.append(SendMessage(self.time_s, name, fields))
 
     def send_mission(self, name: str, **fields: float) -> None:
-        """Send a message of the mission protocol."""
+        """Queue a message of the mission protocol, for the flight plan rather than fence or rally points."""
         self.send(name, **fields, mission_type=MISSION)
 
     def end_reading(self) -> None:
@@ -76,7 +76,7 @@ class Outbox:
             self.send_mission("MISSION_ACK", type=ACCEPTED)
 
     def send_item(self, seq: int, item: MissionItem, current: bool) -> None:
-        """Send MISSION_ITEM_INT."""
+        """Queue MISSION_ITEM_INT; ``current`` is the field of that name."""
         fields = {"seq": seq, "current": int(current), **asdict(item), "mission_type": MISSION}
         self.sent.append(SendMessage(self.time_s, "MISSION_ITEM_INT", fields))
 

@@ -127,6 +127,7 @@ class VideoServer:
         threading.Thread(target=self._run, daemon=True).start()
 
     def put(self, time_s: float, picture: Image) -> None:
+        """Queue a picture; drop it if the encoder is behind."""
         with suppress(Full):  # the encoder is behind
             self._queue.put_nowait((time_s, picture))
 

@@ -89,6 +89,7 @@ class Companion(Wired):
 
     @property
     def wants_home(self) -> bool:
+        """Whether the local plane waits for the autopilot's HOME_POSITION."""
         return self._plane is None
 
     @property
@@ -98,6 +99,7 @@ class Companion(Wired):
 
     @property
     def time_s(self) -> float:
+        """Time of the autopilot's last message, s since its boot."""
         return self._latest_s
 
     def handle(self, message: Any) -> list[Any]:

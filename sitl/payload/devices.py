@@ -518,7 +518,7 @@ class Wired(ABC):
     @property
     @abstractmethod
     def time_s(self) -> float:
-        """The device's clock."""
+        """Time on the device's clock."""
 
     def receive_device(self, data: bytes) -> list[bytes]:
         """Process bytes at the device's port and return its answers."""
@@ -567,13 +567,15 @@ class DevicePort:
 
     @property
     def sockets(self) -> list[socket.socket]:
-        """Those that may become readable."""
+        """Return the sockets that ``receive`` reads, to wait for them."""
         return [self._socket] if self._client is None else [self._socket, self._client]
 
     def send(self) -> None:
+        """Send what the device has to send by now."""
         self._send(self._wired.take_device())
 
     def receive(self) -> None:
+        """Take what has arrived, and send the device's replies."""
         with contextlib.suppress(BlockingIOError):
             if self._over_tcp:
                 self._receive_tcp()

@@ -46,6 +46,7 @@ class TargetGeometry:
     def between(
         craft_m: tuple[float, float, float], target_m: tuple[float, float, float], clear: bool = True
     ) -> TargetGeometry:
+        """Return the geometry of (east, north, up) m; ``clear``: no hill stands between."""
         east_m, north_m, up_m = (target - craft for target, craft in zip(target_m, craft_m, strict=True))
         level_m = math.hypot(east_m, north_m)
         return TargetGeometry(

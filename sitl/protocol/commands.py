@@ -32,6 +32,7 @@ class Command:
 
     @staticmethod
     def from_message(message: Any) -> Command:
+        """Return a COMMAND_LONG or COMMAND_INT; an unset coordinate is nan, others are degrees."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         head = (message.param1, message.param2, message.param3, message.param4)
         if message.get_type() == "COMMAND_LONG":
@@ -41,6 +42,7 @@ class Command:
         return Command(message.command, (*head, x, y, message.z), message.frame, sender)
 
     def param(self, number: int) -> float:
+        """Return param1 to param7 by its number."""
         return self.params[number - 1]
 
     def number(self, number: int) -> float:

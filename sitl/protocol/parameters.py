@@ -62,6 +62,7 @@ class Parameters(dict[str, float]):
         self.on_change(name, self[name])
 
     def handle(self, station: Station, message: Any, radio: Radio) -> None:
+        """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as the autopilot does."""
         match message.get_type():
             case "PARAM_REQUEST_LIST":
                 for index, name in enumerate(self._names):

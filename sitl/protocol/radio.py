@@ -40,6 +40,7 @@ def read_key(path: Path) -> bytes:
 
 
 def signing_time(unix_s: float) -> int:
+    """Return a time of day in signing's units of 10 us since 2015."""
     return int((unix_s - _EPOCH_UNIX_S) * _UNITS_PER_S)
 
 
@@ -47,6 +48,7 @@ class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no t
     """pymavlink's parser, but a frame with a false signature does not move its stream's time."""
 
     def check_signature(self, frame: bytearray, system_id: int, component_id: int) -> bool:
+        """Check a frame; one that is forged does not move the times of the streams."""
         before = self.signing.stream_timestamps.copy()
         genuine = bool(super().check_signature(frame, system_id, component_id))
         if not genuine:
@@ -117,6 +119,7 @@ class Extended:
         self.crc_extra = message.crc_extra
 
     def pack(self, packer: Any) -> bytes:
+        """Return the frame with the extension fields that pymavlink's dialect lacks."""
         frame = bytearray(self._message.pack(packer))
         base_length = self._message.unpacker.size
         payload = bytes(frame[_HEADER_BYTES:-2]).ljust(base_length, b"\0") + self._extension
@@ -190,6 +193,7 @@ class Radio:
         self.signing, self._unix_s = signing, unix_s
 
     def connect(self, address: Hashable, now_s: float) -> Station:
+        """Return the station at an address, a new one if it is not known."""
         station = self.stations.get(address)
         if station is None:
             station = self.stations[address] = Station(address, self._default_interval_s, now_s)
@@ -210,9 +214,11 @@ class Radio:
                 del self.stations[address]
 
     def send(self, station: Station, message: Any, component: int = AUTOPILOT) -> None:
+        """Queue a message of one of the vehicle's components for a station."""
         self._address(station, message.pack(self._packers[component]), message.crc_extra, component)
 
     def broadcast(self, message: Any, component: int = AUTOPILOT) -> None:
+        """Queue a message for all stations, packed once."""
         if not self.stations:
             return
         frame = message.pack(self._packers[component])

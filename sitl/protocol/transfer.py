@@ -31,6 +31,7 @@ class Store:
         return self._items
 
     def current_index(self) -> int:
+        """Return the number of the item that is current, -1: the store has no such item."""
         return -1
 
     def opaque_id(self) -> int | None:
@@ -38,6 +39,7 @@ class Store:
         return checksum(self._items) if self.with_checksum else None
 
     def begin(self, count: int) -> int:
+        """Take the items that follow, ``count`` of them, 0: none; return a MAV_MISSION_RESULT."""
         self._arriving = []
         return self.clear() if count == 0 else ACCEPTED_ITEMS
 
@@ -57,6 +59,7 @@ class Store:
         return arrived_id
 
     def clear(self) -> int:
+        """Forget all items; return a MAV_MISSION_RESULT."""
         self._items = []
         return ACCEPTED_ITEMS
 
@@ -97,6 +100,7 @@ class Item:
         return Item(message.command, message.frame, params, x, y, message.z, message.autocontinue)
 
     def message(self, sequence: int, mission_type: int, current: bool, to: tuple[int, int], as_int: bool) -> Any:
+        """Return MISSION_ITEM_INT or MISSION_ITEM, to (system, component)."""
         x, y = (self.latitude_e7, self.longitude_e7) if as_int else (self.latitude_e7 / 1e7, self.longitude_e7 / 1e7)
         kind = mavlink.MAVLink_mission_item_int_message if as_int else mavlink.MAVLink_mission_item_message
         head = sequence, self.frame, self.command, int(current), self.autocontinue
@@ -115,11 +119,13 @@ class Item:
         return self.longitude_e7 / 1e7
 
     def with_params(self, *params: float) -> Item:
+        """Return a copy with these first params; those left out are 0."""
         first, second, third, fourth = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
         return replace(self, params=(first, second, third, fourth))
 
 
 def checksum(items: list[Item]) -> int:
+    """Return a number that differs when the items do, 0 without items."""
     if not items:
         return 0
     rows = [(i.command, i.frame, i.params, i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]
@@ -197,6 +203,7 @@ class Transfer:
         return next((transfer for transfer in self._transfers.values() if station in transfer.downloads), None)
 
     def step(self, now_s: float) -> None:
+        """Ask again or give up where a station has been silent."""
         for station, download in list(self.downloads.items()):
             if now_s - download.received_s > self._timeout_s:
                 del self.downloads[station]
@@ -213,6 +220,7 @@ class Transfer:
             self._ask(upload, now_s)
 
     def handle(self, station: Station, message: Any, now_s: float) -> None:
+        """Take a message of the mission protocol; others are ignored."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         match message.get_type():
             case "MISSION_COUNT":

@@ -30,6 +30,7 @@ class WindVector:
 
     @staticmethod
     def blowing_from(speed_m_s: float, from_rad: float) -> WindVector:
+        """Return the wind from a direction, rad clockwise from north."""
         return WindVector(-speed_m_s * math.sin(from_rad), -speed_m_s * math.cos(from_rad))
 
 
@@ -76,6 +77,7 @@ class SimulatedAirframe:
 
     @property
     def pitch_rad(self) -> float:
+        """Climb angle and the short-period motion of gusts, positive up; 0 on the ground."""
         if not self.flying:
             return 0.0
         return math.asin(max(-1.0, min(1.0, self.climb_m_s / self.airspeed_m_s))) + self._off_rad[0]
@@ -87,12 +89,14 @@ class SimulatedAirframe:
 
     @property
     def body_rates_rad_s(self) -> tuple[float, float, float]:
+        """Rates about the body's axes (forward, right, down)."""
         (pitch_rad_s, off_rad_s), yaw_rad_s = self._off_rad_s, self.yaw_rate_rad_s
         sine, cosine = math.sin(self.roll_rad), math.cos(self.roll_rad)
         return self.roll_rate_rad_s, yaw_rad_s * sine + pitch_rad_s, yaw_rad_s * cosine + off_rad_s
 
     @property
     def measured_airspeed_m_s(self) -> float:
+        """Airspeed with the gusts along the path that the airframe does not follow."""
         gust_m_s = self._carried_m_s[0] - self.turbulence.velocity_m_s[0] if self.turbulence and self.flying else 0.0
         return self.airspeed_m_s + gust_m_s
 
@@ -220,6 +224,7 @@ class LocalPosition:
         return math.hypot(self.east_m - craft.east_m, self.north_m - craft.north_m)
 
     def bearing_rad(self, other: LocalPosition) -> float:
+        """Return the bearing of another position, clockwise from north."""
         return math.atan2(other.east_m - self.east_m, other.north_m - self.north_m)
 
 

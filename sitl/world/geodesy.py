@@ -20,6 +20,7 @@ class HomePlane:
         self.longitude_deg = longitude_deg
 
     def east_north_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """Return a geodetic position as (east, north) from home, m."""
         middle_rad = math.radians(0.5 * (self.latitude_deg + latitude_deg))
         step_rad = math.radians(math.remainder(longitude_deg - self.longitude_deg, 360.0))
         meridian_m, parallel_m = _radii_m(middle_rad)
@@ -29,6 +30,7 @@ class HomePlane:
         return length_m * math.sin(course_rad), length_m * math.cos(course_rad)
 
     def latitude_longitude_deg(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """Return a position in the plane as (latitude, longitude)."""
         length_m, course_rad = math.hypot(east_m, north_m), math.atan2(east_m, north_m)
         middle_rad, step_rad = math.radians(self.latitude_deg), 0.0
         for _ in range(_STEPS):

@@ -44,6 +44,7 @@ class Hills:
             )
 
     def height_m(self, east_m: float, north_m: float) -> float:
+        """Return the height of the ground above home; 0 without elevation data."""
         if self._folder is None:
             return 0.0
         return float(self._above_sea_m(np.array([east_m]), np.array([north_m]))[0]) - self.home_altitude_m
@@ -69,6 +70,7 @@ class Hills:
         return (*target_m, 0.0 if math.isnan(height_m) else height_m)
 
     def sees_target(self, craft_m: tuple[float, float, float], standing_m: tuple[float, float, float]) -> bool:
+        """Whether the line from the aircraft to a standing target's eyes is free of ground; (east, north, up) m."""
         return self.see(craft_m, (standing_m[0], standing_m[1], standing_m[2] + _EYE_M))
 
     def _above_sea_m(

@@ -42,6 +42,7 @@ class LegMotion:
         self._leg = self._take_leg()
 
     def at(self, time_s: float) -> tuple[float, float]:
+        """Return (east, north) m at a time, s; times must not go back."""
         while time_s - self._begin_s > self._leg.duration_s:
             leg = self._leg
             self._east_m, self._north_m = self._after(leg.duration_s)
@@ -143,6 +144,7 @@ class SharedTarget:
         return _Seen(self, home_east_m)
 
     def at(self, seen: _Seen, time_s: float) -> tuple[float, float]:
+        """Return (east, north) m at an aircraft's own time, s; the clocks of several aircraft are joined."""
         with self._lock:
             wall_s = time.monotonic()
             if self._leader is None or (seen is not self._leader and wall_s - self._led_s > _SILENT_S):

@@ -70,6 +70,7 @@ class TrackMotion:
         self._start_m = (start_m[0] - first_m[0], start_m[1] - first_m[1])
 
     def at(self, time_s: float) -> tuple[float, float]:
+        """Return (east, north) m at a time, s, no further than the speed limit allows; times must not go back."""
         reach_m = self._progress_m + self._speed_max_m_s * (time_s - self._time_s)
         self._progress_m = max(self._progress_m, min(reach_m, self._recorded_arc_m(self._skip_s + time_s)))
         self._time_s = time_s

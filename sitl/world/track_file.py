@@ -114,6 +114,7 @@ def file_and_name(path: Path) -> tuple[Path, str]:
 
 
 def is_track_file(path: Path) -> bool:
+    """Return whether the ending is that of a track, '#NAME' behind it left out."""
     return file_and_name(path)[0].suffix.lower() in SUFFIXES
 
 

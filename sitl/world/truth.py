@@ -33,6 +33,7 @@ class TruthRow:
     target: str = ""  # the name of the one that the payload looks at
 
     def line(self) -> str:
+        """Return the row as CSV, without line feed."""
         clearance = "" if self.clearance_m is None else f"{self.clearance_m:.2f}"
         in_sight = "" if self.in_sight is None else f"{self.in_sight:d}"
         return (
