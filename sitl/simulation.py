@@ -57,7 +57,7 @@ class Simulation(Wired):
         self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = SimulatedPayload(settings.payload, sensor_seed) if settings.payload is not None else None
-        self.camera = None if settings.camera is None else camera_of(settings, seed, self.hills.height_m)
+        self.camera = None if settings.camera is None else camera_of(settings, seed, self.hills)
         if self.camera is not None:
             self.vehicle.handlers[mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] = self.camera.on_command
         self._latency_s = 0.0 if settings.payload is None else settings.payload.latency_s
@@ -211,18 +211,16 @@ class Simulation(Wired):
                 self.vehicle.take_range(message)
 
 
-def camera_of(settings: Settings, seed: int, height_m: Callable[[float, float], float]) -> GimbalCamera:
-    """Return the camera of a vehicle over a world that is furnished along its target's motion; serve its pictures.
-
-    height_m: of the ground at (east, north).
-    """
+def camera_of(settings: Settings, seed: int, hills: Hills) -> GimbalCamera:
+    """Return the camera of a vehicle over a world that is furnished along its target's motion; serve its pictures."""
     from sidelong.sitl.payload.camera import GimbalCamera, VideoServer  # noqa: PLC0415  # PyAV and OpenCV
     from sidelong.sitl.world.picture import Scenery  # noqa: PLC0415
 
     own, motion = settings.camera, target_motions(settings.targets, seed, settings.home_east_m)[settings.looks_at]
     assert own is not None
     path_m = np.array([motion.at(time_s) for time_s in np.arange(_PATH_S)])
-    camera = GimbalCamera(own, Scenery(path_m, height_m, seed, trees=own.trees, lookalikes=own.lookalikes))
+    scenery = Scenery(path_m, hills.height_m, seed, trees=own.trees, lookalikes=own.lookalikes, sees=hills.see)
+    camera = GimbalCamera(own, scenery)
     if own.url:
         camera.on_picture = VideoServer(own.url, own).put
     return camera

@@ -59,8 +59,7 @@ class Companion(Wired):
     Pure: pass it the vehicle's messages, send the messages it returns. Nothing is measured before home is known; when
     the vehicle reboots, the target continues from its position. motion: of the target, in a plane with its origin at
     the vehicle's home. vehicle_id None: the first autopilot received. camera: in place of laser and gimbal, by the
-    height of the ground at (east, north); the vehicle's gimbal manager turns it. Raises HillsError for unknown ground
-    at home.
+    ground; the vehicle's gimbal manager turns it. Raises HillsError for unknown ground at home.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class Companion(Wired):
         terrain: Path | None = None,
         vehicle_id: int | None = None,
         device: Device | None = None,
-        camera: Callable[[Callable[[float, float], float]], GimbalCamera] | None = None,
+        camera: Callable[[Hills], GimbalCamera] | None = None,
     ) -> None:
         _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         super().__init__(device, round(payload.latency_s / _DEVICE_PERIOD_S))
@@ -115,7 +114,7 @@ class Companion(Wired):
             self._plane = HomePlane(message.latitude / 1e7, message.longitude / 1e7)
             self._hills = Hills(self._terrain, self._plane)
             if self._camera_of is not None:
-                self._camera = self._camera_of(self._hills.height_m)
+                self._camera = self._camera_of(self._hills)
         elif kind == "ATTITUDE":
             self._craft.heading_rad, self._craft.roll_rad = message.yaw, message.roll
         elif self._camera is not None and kind == "GIMBAL_DEVICE_SET_ATTITUDE":

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 Image = npt.NDArray[np.uint8]
 Vector = npt.NDArray[np.float64]
+Point = tuple[float, float, float]
 
 _TEXTURE_PX, _TEXTURE_M = 2048, 0.2  # a square that repeats; the size of its pixels
 _SLOPE_OVER_M = 10.0
@@ -32,7 +33,7 @@ _TREE_OFF_M, _LOOKALIKE_OFF_M = (4.0, 25.0), (10.0, 30.0)
 class CameraPose:
     """Where a camera is and where it looks, in the plane of home."""
 
-    position_m: tuple[float, float, float]  # east, north, height
+    position_m: Point  # east, north, height
     yaw_rad: float  # of the optical axis, clockwise from north
     pitch_rad: float  # of the optical axis above the horizon
     roll_rad: float = 0.0  # right side down
@@ -69,7 +70,8 @@ class Scenery:
     """What stands along the target's path, and how it looks.
 
     path_m: the target's positions (east, north), shape (n, 2), one a second. height_m: returns the height of the
-    ground above home at (east, north). trees, lookalikes: times the usual number.
+    ground above home at (east, north). trees, lookalikes: times the usual number. sees: returns whether no hill is
+    between two points (east, north, height).
     """
 
     def __init__(
@@ -80,8 +82,9 @@ class Scenery:
         *,
         trees: float = 1.0,
         lookalikes: float = 1.0,
+        sees: Callable[[Point, Point], bool] = lambda _one_m, _other_m: True,
     ) -> None:
-        self._path_m, self._height_m = path_m, height_m
+        self._path_m, self._height_m, self._sees = path_m, height_m, sees
         self._rng = np.random.default_rng(seed)
         self._ground = _texture(self._rng)
         size = 720, 1280, 3
@@ -137,7 +140,7 @@ class Scenery:
         view = _View(focal_px, camera @ pose.image_from_plane, np.array(pose.position_m))
         image = self._ground_seen(view, pose, size_px)
         target = self._target(time_s)
-        near = [thing for thing in (*self.standing, target) if self._is_near(thing, view, size_px)]
+        near = [thing for thing in (*self.standing, target) if self._is_seen(thing, view, pose, size_px)]
         for thing in near:
             self._draw_shadow(image, view, thing)
         for thing in sorted(near, key=lambda thing: -math.dist(pose.position_m[:2], (thing.east_m, thing.north_m))):
@@ -176,12 +179,15 @@ class Scenery:
         )
         return seen
 
-    def _is_near(self, one: _Vehicle | _Tree, view: _View, size_px: tuple[int, int]) -> bool:
-        place = view.pixels([[one.east_m, one.north_m, self._level_m(one)]])
+    def _is_seen(self, one: _Vehicle | _Tree, view: _View, pose: CameraPose, size_px: tuple[int, int]) -> bool:
+        level_m = self._level_m(one)
+        place = view.pixels([[one.east_m, one.north_m, level_m]])
         if place is None:
             return False
         (x, y), margin = place[0], 0.5 * size_px[0]
-        return bool(-margin < x < size_px[0] + margin and -margin < y < size_px[1] + margin)
+        if not (-margin < x < size_px[0] + margin and -margin < y < size_px[1] + margin):
+            return False
+        return self._sees(pose.position_m, (one.east_m, one.north_m, level_m + one.height_m))
 
     def _level_m(self, one: _Vehicle | _Tree) -> float:
         height_m = self._height_m(one.east_m, one.north_m)

@@ -79,6 +79,15 @@ def test_finds_the_target_again_after_an_occlusion(begin_s, end_s):
     assert all(state == "object" and off_m < 5.0 for state, off_m in later)
 
 
+def test_what_is_behind_a_hill_is_not_in_the_picture():
+    hill_m = 100.0
+    ridge = scenery(sees=lambda one_m, other_m: not min(one_m[1], other_m[1]) < hill_m < max(one_m[1], other_m[1]))
+    for north_m, is_seen in ((90.0, True), (110.0, False)):
+        pose = CameraPose((0.0, north_m, 60.0), math.pi, -math.atan2(60.0, north_m))
+        picture = ridge.picture(0.0, pose, VIEW_RAD, SIZE_PX)
+        assert np.any(picture[..., 2] > 1.8 * picture[..., 1].astype(float)) == is_seen
+
+
 def test_follows_no_look_alike_that_stood_next_to_the_target():
     world = scenery(lookalikes=1.5)
     assert world.standing

@@ -68,8 +68,8 @@ def test_its_camera_is_turned_by_the_gimbal_manager_and_takes_pictures(simulate,
     pytest.importorskip("av", reason="the extra video is not installed")
     ground, cameras, pictures = station(simulate(payload=None)), [], []
 
-    def made(height_m):
-        cameras.append(camera_of(Settings(camera=CameraSettings(width_px=160, height_px=90)), 1, height_m))
+    def made(hills):
+        cameras.append(camera_of(Settings(camera=CameraSettings(width_px=160, height_px=90)), 1, hills))
         cameras[0].on_picture = lambda time_s, picture: pictures.append((time_s, picture.shape))
         return cameras[0]
 
