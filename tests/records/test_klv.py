@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sidelong.app.commands.export import write_export
@@ -18,11 +19,13 @@ from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading,
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 
 klvdata = pytest.importorskip("klvdata", reason="klvdata is not installed (the dev extra has it)")
-pytest.importorskip("stanag4609")
+stanag4609 = pytest.importorskip("stanag4609")
 
 PLANE = LocalPlane(47.4, 8.5)
 BOOTED = datetime(2026, 11, 21, 9, 0, 0, tzinfo=UTC)
 DATA = Path(__file__).parents[1] / "data"
+_KEY, _STAMP = bytes.fromhex("060e2b34020b01010e01030101000000"), b"\x02\x08"  # of a set; its time stamp comes first
+_BLACK = np.zeros((180, 320, 3), np.uint8)
 
 
 def packets(path: Path) -> list[dict[int, str]]:
@@ -83,6 +86,22 @@ def test_the_metadata_has_the_minimum_of_st_0902(flown):
     last = flown[-1]
     assert last[48] == str(b"\x01")  # unclassified
     assert float(last[22]) == pytest.approx(2.0 * float(last[21]) * math.tan(math.radians(10.0)), abs=0.5)
+
+
+def test_a_verifier_of_the_standards_finds_no_error_in_an_export_next_to_pictures(flown, tmp_path):
+    pytest.importorskip("av")
+    from sidelong.app.camera.video import VideoOutput  # noqa: PLC0415  # an extra
+
+    output, exported = VideoOutput(5.0, tmp_path / "a.ts"), (tmp_path / "flight.klv").read_bytes()
+    for body in exported.split(_KEY)[1:]:
+        stamp_us = int.from_bytes(body[body.index(_STAMP) + len(_STAMP) :][:8])
+        output.put(_BLACK, stamp_us * 1e-6 - BOOTED.timestamp(), stamp_us, _KEY + body)
+    output.close()
+    verifier = stanag4609.FMVVerifier()
+    verifier.feed((tmp_path / "a.ts").read_bytes())
+    report = verifier.finish()
+    assert [one.message for one in report.errors] == []
+    assert "st0902.profile" in {one.code for one in report.findings}
 
 
 def test_a_recorded_log_gives_a_packet_every_fifth_of_a_second(tmp_path):
