@@ -14,6 +14,6 @@ if __name__ == "__main__":
     spec = importlib.util.spec_from_file_location("exchange_harness", HARNESS)
     harness = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(harness)
-    Paper.factory = lambda self, needs: lambda aircraft, wanted: harness.Wandering(seed=1, period_s=2.0)
+    Paper.factory = lambda self, needs: lambda aircraft, wanted, _check: harness.Wandering(seed=1, period_s=2.0)
     Paper.unflyable = lambda self, aircraft, requirement: ()
     main()
