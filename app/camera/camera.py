@@ -24,7 +24,7 @@ from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.sources import SourceSelector, axis_rank
 
 _GIMBAL_SPAN_S = 6.0
-_GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, which stands for a picture that is newer
+_GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, from which that of a newer picture is predicted
 _ESTIMATE_AGE_MAX_S = 3.0  # of the estimate's last sighting: its velocity still describes the target
 _FRESH_S, _GEO_S, _GEO_SIGMA_MAX_M = 2.0, 9.0, 15.0  # hidden for these times, the gimbal looks at the estimate
 
@@ -125,7 +125,7 @@ class TargetCamera:
 
     def picture(self, picture: Picture, time_s: float) -> Pictured | None:
         """Process a picture (BGR); return the result, None while the camera's position or attitude is unknown."""
-        position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s)
+        position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s, _GIMBAL_AGE_MAX_S)
         gimbal = self._gimbals.newest() if found is None else found[0]
         attitude = self._poses.attitude_at(time_s) or self._poses.attitudes.newest()
         if position is None or gimbal is None or attitude is None:

@@ -144,11 +144,20 @@ class PoseHistory:
 
 
 _GIMBAL_GAP_MAX_S = 1.0  # between two attitudes of a gimbal: across more, it may have turned anywhere
+_TURN_S = 0.3  # a rate over less than this is that of the stamps' errors
 
 
-def gimbal_at(gimbals: ReadingHistory[GimbalReading], time_s: float) -> tuple[GimbalReading, float] | None:
-    """Return the gimbal's attitude, and the time between its readings; None outside, in gaps, between devices."""
-    pair = gimbals.around(time_s)
+def gimbal_at(
+    gimbals: ReadingHistory[GimbalReading], time_s: float, ahead_s: float = 0.0
+) -> tuple[GimbalReading, float] | None:
+    """Return the gimbal's attitude, and the time between its readings; None outside, in gaps, between devices.
+
+    ahead_s: for how long after the newest reading it turns on at its last rate.
+    """
+    pair, newest = gimbals.around(time_s), gimbals.newest()
+    if pair is None and newest is not None and 0.0 < time_s - newest.time_s <= ahead_s:
+        before = gimbals.around(newest.time_s - _TURN_S)
+        pair = None if before is None else (before[0], newest)
     if pair is None:
         return None
     a, b = pair

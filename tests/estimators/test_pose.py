@@ -2,8 +2,9 @@ import math
 
 import pytest
 
-from sidelong.estimators.sensing.pose import PoseHistory
-from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory, gimbal_at
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, Source
 
 
 def on_circle(time_s, radius_m=90.0, speed_m_s=22.0):
@@ -54,3 +55,15 @@ def test_an_hour_of_readings_is_not_kept():
         poses.positions.add(on_circle(float(second)))
     assert len(poses.positions) < 100
     assert poses.position_at(3598.5) is not None
+
+
+def test_a_gimbal_turns_on_for_a_moment_after_its_last_reading():
+    history, source = ReadingHistory(6.0), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+    for number in range(6):
+        quaternion = from_roll_pitch_yaw(0.0, 0.0, math.radians(0.3 * number))  # 3 degrees/s
+        history.add(GimbalReading(0.1 * number, quaternion, "earth", source))
+    assert gimbal_at(history, 0.6) is None
+    assert gimbal_at(history, 1.0, 0.4) is None
+    found, _ = gimbal_at(history, 0.6, 0.4)
+    assert found.time_s == 0.6
+    assert 2.0 * math.degrees(math.asin(found.quaternion_wxyz[3])) == pytest.approx(1.8, abs=0.01)
