@@ -285,6 +285,29 @@ class _Repeats:
         return self.found is not before
 
 
+class _Drift:
+    """What drifts: found by judgements in a row that name it, and over by judgements in a row that name nothing."""
+
+    def __init__(self) -> None:
+        self.what = self.text = ""  # in a word, and in words, once it is found
+        self.seen = ""  # by the last judgement
+        self._count, self._is_missed = 0, False
+
+    def judge(self, seen: str, text: str, *, is_sudden: bool) -> bool:
+        """Note one judgement; return whether the drift that was found is over."""
+        # Of two likely paths, the fit may find the other one now and then.
+        self._is_missed = not seen and self.seen == "yaw" and not self.what and not self._is_missed
+        if not self._is_missed:
+            self._count = self._count + 1 if seen == self.seen else 1
+            self.seen = seen
+        if seen and not self.what and self._count >= _DRIFT_FOUND_AFTER + 2 * (seen == "yaw" and is_sudden):
+            self.what, self.text = seen, text
+        is_over = bool(self.what) and not seen and self._count >= _DRIFT_CLEARED_AFTER
+        if is_over:
+            self.what = self.text = ""
+        return is_over
+
+
 class PayloadFit:
     """Takes the readings of laser and gimbal as they are used, and finds what is wrong with them."""
 
@@ -337,9 +360,8 @@ class PayloadFit:
         self._frame_fault = self._unit_fault = ""
         self.wrong_bearings: WrongBearings | None = None  # where ranges are left out
         self._uneven, self._even_count = False, 0  # ranges seem to be wrong at some bearings; judgements without that
-        self._drift = self._drift_seen = self.drift_news = ""  # what drifts, in a word, and in words
-        self._drifting = self._long = self._unseeming = 0
-        self._missed = False
+        self._drift = _Drift()
+        self._long = self._unseeming = 0
         self._yaw_fitted, self._is_sudden = (-math.inf, 0.0), False  # time s and yaw error rad of the last judgement
         self.yaw_error_rad = self._turn_rad = 0.0  # the first one is large, and to be corrected
         self._sound: Fit | None = None
@@ -804,11 +826,11 @@ class PayloadFit:
     # -- delays, smaller errors and drifts -----------------------------------------------------------------
 
     def _judge_errors(self, now_s: float) -> None:
-        seems = self._drift_seen or self._drift or self._uneven or self.wander_m(now_s)
+        seems = self._drift.seen or self._drift.what or self._uneven or self.wander_m(now_s)
         if now_s - self._drift_s >= _DRIFT_EVERY_S[bool(seems)]:
             self._drift_s = now_s
             self._judge_drift(now_s)
-        if self._drift or now_s < self._fit_s:
+        if self._drift.what or now_s < self._fit_s:
             return
         rows = self._since(max(now_s - _WINDOW_S, self._since_s))
         span_s = now_s - float(rows[0, 0]) if len(rows) else 0.0
@@ -1013,21 +1035,12 @@ class PayloadFit:
                 readings = _scaled(readings, self._factor)
         if readings is None or readings.ranges[-1, 0] - readings.ranges[0, 0] < _DRIFT_SPAN_MIN_S:
             return
-        found, text, drift = self._drift_of(readings)
-        missed = not found and self._drift_seen == "yaw" and not self._drift and not self._missed
-        if not missed:  # of two likely paths, the fit may find the other one now and then
-            self._drifting = self._drifting + 1 if found == self._drift_seen else 1
-            self._drift_seen = found
-        self._missed = missed
-        needed = _DRIFT_FOUND_AFTER + 2 * (found == "yaw" and self._is_sudden)
-        if found and not self._drift and self._drifting >= needed:
-            self._drift, self.drift_news = found, text
-        elif self._drift and not found and self._drifting >= _DRIFT_CLEARED_AFTER:
-            if self.drifts:  # what it has come to is constant now
+        (found, text, drift), corrected = self._drift_of(readings), self.drifts
+        if self._drift.judge(found, text, is_sudden=self._is_sudden):
+            if corrected:  # what it has come to is constant now
                 self._erring = self._drifted
-            self._drift = self.drift_news = ""
             self.restart()
-        if found == self._drift and drift is not None:
+        if found == self._drift.what and drift is not None:
             self._correct_drift(readings, drift)
 
     def _correct_drift(self, readings: Readings, drift: Fit) -> None:
@@ -1045,7 +1058,12 @@ class PayloadFit:
     @property
     def drifts(self) -> bool:
         """Whether the error of yaw or range drifts, and is corrected again and again."""
-        return self._drift in ("yaw", "range")
+        return self._drift.what in ("yaw", "range")
+
+    @property
+    def drift_news(self) -> str:
+        """What drifts, and how fast; '' while nothing does."""
+        return self._drift.text
 
     def _drift_fits(self, readings: Readings) -> tuple[Fit, Fit, Fit, Callable[..., Fit]]:
         """Return the best fits of constant errors, of a yaw and of a range that drifts; and what makes such a fit."""
@@ -1081,7 +1099,7 @@ class PayloadFit:
             return min(fits.values(), key=_cost)
 
         sound = fit()
-        seems = bool(self._drift_seen or self._drift or self._wander[0])
+        seems = bool(self._drift.seen or self._drift.what or self._wander[0])
         by_yaw, by_range = (
             drifting(rate) if seems or _gain_of_freeing(sound, sigmas, rate) > _WORTH else sound for rate in (4, 5)
         )
@@ -1095,7 +1113,7 @@ class PayloadFit:
 
     def _drift_of(self, readings: Readings) -> tuple[str, str, Fit | None]:
         """Return what drifts, in one word and in many; '' if nothing does. And the fit that corrects it, if any."""
-        eased, known = 0.5 if self._drift else 1.0, self.wrong_bearings
+        eased, known = 0.5 if self._drift.what else 1.0, self.wrong_bearings
         everywhere, right = readings, self._with_right_ranges(readings)
         if right is None:
             return _NOTHING
@@ -1129,10 +1147,10 @@ class PayloadFit:
         # Motion alone cannot prove it: a target that turns with the aircraft looks alike. A range that is too long
         # also puts the target below the ground, while a pitch error that shortens the level range puts it too low.
         span_s = min(float(readings.ranges[-1, 0] - readings.ranges[0, 0]), _GROWS_S)
-        again = min(eased, _SEEN_AGAIN if self._drift_seen == "yaw" else 1.0)
+        again = min(eased, _SEEN_AGAIN if self._drift.seen == "yaw" else 1.0)
         (before_s, before_rad), now_s = self._yaw_fitted, float(readings.ranges[-1, 0])
         self._yaw_fitted = now_s, yaw_rad
-        if self._drift_seen != "yaw":  # a turn of the target looks like a drift all of a sudden
+        if self._drift.seen != "yaw":  # a turn of the target looks like a drift all of a sudden
             then_rad = yaw_rad - float(by_yaw.shared[4]) * min(now_s - before_s, _GROWS_S)
             self._is_sudden = abs(then_rad - before_rad) > _SUDDEN_RAD
         grown_rad = math.copysign(1.0, yaw_rad) * float(by_yaw.shared[4]) * span_s
