@@ -129,7 +129,6 @@ def time_to_s(aircraft: AircraftState, place_m: tuple[float, float], airspeed_m_
 
 _SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by then will be late
 _UNSEEN_S = 10.0  # lasers miss for up to 8 s all the time
-_SIDE_MARGIN_RAD = math.radians(3.0)  # the course of the target is hardly known better
 _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
 LOW_BATTERY = 1.2  # the battery is low when the flight time left is below this many times the time to fly home
 
@@ -182,9 +181,7 @@ class Alarms:
             wrong_since_s = self._wrong_since_s.setdefault(key, now.time_s)
             if before is not None:
                 return replace(before, text=text, advice=advice, countdown_s=countdown_s)
-            # The estimate's error alone may put the aircraft beyond the side's border.
-            is_unsure = key == "side" and now.beyond_side_rad < _SIDE_MARGIN_RAD
-            is_due = now.time_s - wrong_since_s >= rule.after_s and not is_unsure
+            is_due = now.time_s - wrong_since_s >= rule.after_s
             return Alarm(key, text, advice, now.time_s, countdown_s) if is_due else None
         self._wrong_since_s.pop(key, None)
         right_since_s = self._right_since_s.setdefault(key, now.time_s)

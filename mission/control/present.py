@@ -17,6 +17,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.route.route import RouteProgress
 
 _STANDING_M_S = 0.3  # a slower target's course is noise
+_EDGE_RAD = math.radians(3.0)  # of the allowed angles: the target's course is hardly known better
 
 
 class Phase(StrEnum):
@@ -185,10 +186,11 @@ class Present:
 
     @property
     def is_side_known(self) -> bool:
-        """Whether the target has made good a course, or the side does not depend on it."""
+        """Whether the target has made good a course, and the aircraft is not at the edge; or either side will do."""
         requirement = self.requirement
         made_good = self.course_rad is not None or requirement.sector is not None
-        return self.from_target_m is not None and (made_good or requirement.either_side)
+        known = made_good and abs(self.beyond_side_rad) >= _EDGE_RAD
+        return self.from_target_m is not None and (known or requirement.either_side)
 
     @property
     def breach(self) -> str:

@@ -103,7 +103,7 @@ def test_at_the_border_of_the_side_the_alarm_waits_until_the_estimate_is_sure():
     alarms = Alarms()
     flown(alarms, 100.0)
     assert flown(alarms, 130.0, 100.0, angle_rad=math.pi / 2 + 0.02) == []
-    assert flown(alarms, 131.0, 130.0, angle_rad=math.pi / 2 + 0.1) == [(130.0, "side", True)]
+    assert flown(alarms, 151.0, 130.0, angle_rad=math.pi / 2 + 0.1) == [(150.0, "side", True)]
 
 
 def test_an_alarm_does_not_flicker():
