@@ -85,7 +85,7 @@ class Activation:
         self._outbox, self._command, self.layout, self.before = outbox, command, layout, before
         self._round_trip_s = round_trip_s
         self._target_was_on_line = target is not None and self._is_on_line(target)
-        self.sends = 0  # of the request
+        self.sends, self._requested = 0, layout.first  # of the request; the item of the last one
         self._sent_s = -math.inf
         self._settled = False
         self._reports_before = 0
@@ -111,7 +111,9 @@ class Activation:
             if self._read_in_order and self.sends > 1:
                 self._outbox.end_reading()
                 self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
-            self._outbox.send("MISSION_SET_CURRENT", seq=first_ahead)
+            # Back from an item that is reported late, another station would seem to have chosen the earlier one.
+            self._requested = max(first_ahead, self._requested)
+            self._outbox.send("MISSION_SET_CURRENT", seq=self._requested)
             return
         settled_s = self._sent_s + max(again_s, _SETTLED_S + _SETTLED_ROUND_TRIPS * self._round_trip_s)
         if now_s < settled_s:

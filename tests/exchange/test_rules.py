@@ -15,7 +15,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from sidelong.app.records.journal import encode
 from sidelong.mission.core.events import ActivatePlan, ControlAcquired, End, PlanStatus, UploadPlan, Yield
-from sidelong.mission.exchange.outbox import SendMessage
+from sidelong.mission.exchange.mission_items import Activation
+from sidelong.mission.exchange.outbox import Outbox, SendMessage
+from sidelong.mission.upload.items import MissionLayout
 from sidelong.mission.upload.mission_item import same_item
 from sidelong.sitl.settings import LinkFaults
 
@@ -208,3 +210,12 @@ def test_a_switch_that_is_asked_for_again_leads_back_to_nothing_that_was_passed(
     flight.run(90.0)
     asked = [one for one in flight.found(SendMessage) if one.name == "MISSION_SET_CURRENT"]
     assert len(asked) > len(flight.found(ActivatePlan)) >= 3
+
+
+def test_a_switch_is_never_asked_for_at_an_earlier_item_than_before():
+    outbox, layout = Outbox(), MissionLayout((), 1, 7, 12)
+    activation = Activation(outbox, None, layout, layout, 0.1, None, read_in_order=False)
+    for link_s, first_ahead in ((0.0, 9), (10.0, 8), (20.0, 10)):
+        outbox.begin(link_s, link_s)
+        activation.expire(first_ahead)
+    assert [one.fields["seq"] for one in outbox.sent] == [9, 9, 10]
