@@ -145,12 +145,8 @@ def announcements(commands: Iterable[StepOutput]) -> Iterator[Announce]:
         match command:
             case Announce() if command.kind != "plan":
                 yield command
-            case HealthChanged():
+            case HealthChanged() | Yield() | End():
                 yield command.announcement
-            case Yield():
-                yield Announce(command.time_s, "yield", f"yielded: {command.reason}")
-            case End():
-                yield Announce(command.time_s, "end", f"ended: {command.reason}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,8 +147,7 @@ class Summary:
         yield "moves of the circle", f"{self.moves}{reversals}"
         yield "uploads", f"{self.uploads}, failed {self.upload_failures}"
         yield "sightings", f"{self.sightings}, rejected {self.rejected}"
-        error_m = self.estimate_rmse_m
-        yield "error of the estimate (RMS)", "-" if error_m is None else f"{error_m:.2f} m"
+        yield "error of the estimate (RMS)", _shown(self.estimate_rmse_m, "m", 2)
         for fault in self.inputs:
             times = "" if fault.times == 1 else f", {fault.times} times"
             yield f"input {fault.input}", f"{fault.state} for {fault.seconds:.0f} s{times}"
@@ -421,12 +420,12 @@ class FleetSummary:
         yield ("time unknown", "", *(percent(one.time_unknown) for one in each))
         for target in self.targets if len(self.targets) > 1 else ():
             yield (f"  {target.name}", percent(target.time_on_side_any))
-        yield ("longest time off the side", _seconds(self.longest_off_side_any_s))
-        yield ("least separation", _metres(self.min_separation_m))
-        yield ("least range", "", *(_metres(one.min_range_m) for one in each))
+        yield ("longest time off the side", _shown(self.longest_off_side_any_s, "s"))
+        yield ("least separation", _shown(self.min_separation_m, "m"))
+        yield ("least range", "", *(_shown(one.min_range_m, "m") for one in each))
         yield ("moves of the circle", "", *(str(one.moves) for one in each))
         yield ("uploads, failed", "", *(f"{one.uploads}, {one.upload_failures}" for one in each))
-        yield ("error of the estimate (RMS)", "", *(_metres(one.estimate_rmse_m, 2) for one in each))
+        yield ("error of the estimate (RMS)", "", *(_shown(one.estimate_rmse_m, "m", 2) for one in each))
         yield ("judged by", self.source)
 
 
@@ -521,9 +520,5 @@ def _longest_run(flags: BoolArray) -> int:
     return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
 
 
-def _seconds(duration_s: float | None) -> str:
-    return "-" if duration_s is None else f"{duration_s:.0f} s"
-
-
-def _metres(length_m: float | None, digits: int = 0) -> str:
-    return "-" if length_m is None else f"{length_m:.{digits}f} m"
+def _shown(value: float | None, unit: str, digits: int = 0) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}"

@@ -147,7 +147,7 @@ class ControlLoop:
                 self._end()
             case events.Yield():
                 self._drop_commands()
-                self.outcome = f"yielded: {output.reason}"
+                self.outcome = output.announcement.text
                 text = f"yielding: {output.reason}; commanding nothing more until you resume"
                 self._display.say(events.Announce(output.time_s, "yield", text))
             case events.HealthChanged():
@@ -155,7 +155,7 @@ class ControlLoop:
                 self._display.say(output.announcement)
             case events.End():
                 self._drop_commands()
-                self.outcome = f"ended: {output.reason}"
+                self.outcome = output.announcement.text
                 self._display.say(events.Announce(output.time_s, "end", f"ending ({output.action}): {output.reason}"))
                 self._end()
             case events.DecisionRecord() | events.PlanStatus():
@@ -232,13 +232,15 @@ class FlightDisplay(Display, Protocol):
     """A display that is active from the connection on, before there is a mission to show."""
 
     def note(self, text: str) -> None: ...
-    def watching_began(self, start_s: float, duration_s: float | None) -> None: ...
+
+    def watching_began(self, start_s: float, duration_s: float | None) -> None:
+        """Learn when control was acquired, and how long the watch is to last, None: without end."""
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None], config: Config | None = None) -> None:
         """Receive the local plane, the receiver of the operator's requests, and the configuration as it is flown."""
 
     def show_picture(self, picture: Callable[[], bytes]) -> None:
-        """Receive a picture of the camera: what returns its marks as a line of JSON, and then itself as JPEG."""
+        """Receive what returns a picture's marks as a line of JSON, and then the picture as JPEG."""
 
 
 Fields = Mapping[str, Any]

@@ -209,10 +209,7 @@ class HistoryBuilder:
                     self._out = self._out - of_input if command.state is InputState.OK else self._out | of_input
                     self._breaches.note(command.time_s, bool(self._out))
             case Yield() | End():
-                what = Announce(command.time_s, "yield", f"yielded: {command.reason}")
-                if isinstance(command, End):
-                    what = Announce(command.time_s, "end", f"ended: {command.reason}")
-                self._announced.append(what)
+                self._announced.append(command.announcement)
                 self._in_hand = False
 
     def _position(self, reading: PositionReading) -> None:

@@ -117,7 +117,9 @@ def _within_pan_limits(settings: StudySettings, log: FloatArray) -> float:
 
 
 def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, float, float]:
-    """Return the shares of time on the side, on it by the present course, and in the band, by at least one aircraft.
+    """Return shares of time with at least one aircraft (in band and on side, so by the present course, in band).
+
+    The first two are of the time in which the side is known, NaN where it never is.
 
     logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6 or more).
     """

@@ -325,6 +325,11 @@ class Yield(Timed):
 
     reason: str
 
+    @property
+    def announcement(self) -> Announce:
+        """What a record shows of it."""
+        return Announce(self.time_s, "yield", f"yielded: {self.reason}")
+
 
 @dataclass(frozen=True, slots=True)
 class End(Timed):
@@ -332,6 +337,11 @@ class End(Timed):
 
     action: Literal["hold", "return"]
     reason: str
+
+    @property
+    def announcement(self) -> Announce:
+        """What a record shows of it."""
+        return Announce(self.time_s, "end", f"ended: {self.reason}")
 
 
 Command = UploadPlan | ActivatePlan | Yield | End
