@@ -35,7 +35,6 @@ from sidelong.sitl.world.airframe import (
     AirframeParameters,
     LocalPosition,
     SimulatedAirframe,
-    true_over_equivalent_airspeed,
 )
 
 _CAPTURE_MAX = math.sin(math.pi / 4)  # a line is met at 45 degrees at most
@@ -89,21 +88,23 @@ class L1Guidance:
     ) -> float:
         """Return the lateral acceleration, m/s^2, to the right, that captures the circle and then holds it."""
         # Comparisons in place of max(), as the airframe has them.
-        speed_m_s = craft.ground_speed_m_s
+        velocity_east_m_s, velocity_north_m_s = craft.velocity_east_m_s, craft.velocity_north_m_s
+        speed_m_s = math.hypot(velocity_east_m_s, velocity_north_m_s)
+        course_rad = math.atan2(velocity_east_m_s, velocity_north_m_s) if speed_m_s else craft.heading_rad
         speed_m_s = speed_m_s if speed_m_s > 1.0 else 1.0
         self.length_m = self.damping * self.period_s * speed_m_s / math.pi
         east_m, north_m = craft.east_m - centre_m[0], craft.north_m - centre_m[1]
         distance_m = math.hypot(east_m, north_m)
         distance_m = distance_m if distance_m > 0.1 else 0.1
         out_east, out_north = east_m / distance_m, north_m / distance_m
-        outward_m_s = craft.velocity_east_m_s * out_east + craft.velocity_north_m_s * out_north
-        rightward_m_s = craft.velocity_east_m_s * out_north - craft.velocity_north_m_s * out_east
+        outward_m_s = velocity_east_m_s * out_east + velocity_north_m_s * out_north
+        rightward_m_s = velocity_east_m_s * out_north - velocity_north_m_s * out_east
         turn = 1.0 if clockwise else -1.0
         tangential_m_s = turn * rightward_m_s  # positive the right way round
         natural_rad_s = math.tau / self.period_s
         self.cross_track_m = distance_m - radius_m
         self.nav_bearing_rad = math.atan2(-east_m, -north_m)
-        capture_m_s2 = self._pursue(self.nav_bearing_rad - craft.course_rad, speed_m_s)
+        capture_m_s2 = self._pursue(self.nav_bearing_rad - course_rad, speed_m_s)
         hold_m_s2 = natural_rad_s**2 * self.cross_track_m + 2.0 * self.damping * natural_rad_s * outward_m_s
         if outward_m_s > 0.0 and tangential_m_s < 0.0:  # the wrong way round: do not turn further outward
             hold_m_s2 = max(0.0, hold_m_s2)
@@ -113,8 +114,9 @@ class L1Guidance:
         return circle_m_s2 if self.on_circle else capture_m_s2
 
     def _pursue(self, angle_rad: float, speed_m_s: float) -> float:
-        angle_rad = math.remainder(angle_rad, math.tau)
-        sine = math.sin(angle_rad) if abs(angle_rad) < _RIGHT_ANGLE_RAD else math.copysign(1.0, angle_rad)
+        angle_rad = angle_rad if -math.pi < angle_rad < math.pi else math.remainder(angle_rad, math.tau)
+        is_ahead = -_RIGHT_ANGLE_RAD < angle_rad < _RIGHT_ANGLE_RAD
+        sine = math.sin(angle_rad) if is_ahead else 1.0 if angle_rad > 0.0 else -1.0
         return 4.0 * self.damping**2 * speed_m_s**2 / self.length_m * sine
 
 
@@ -132,19 +134,16 @@ class Loiter:
 
 
 class ArduPlaneNavigator:
-    def __init__(self, craft: SimulatedAirframe, parameters: Parameters, home_altitude_m: float) -> None:
-        self._craft, self._parameters, self._home_altitude_m = craft, parameters, home_altitude_m
+    """It widens radii in thin air by the squared ratio of airspeeds, so that the bank stays that of sea level."""
+
+    def __init__(self, craft: SimulatedAirframe, parameters: Parameters) -> None:
+        self._craft, self._parameters = craft, parameters
         self.guidance = L1Guidance()
         self.goal = self._origin = LocalPosition(0.0, 0.0, 0.0)
         self.loiter = Loiter(clockwise=True)
         self._tuned_at = -1  # changes of parameters when the guidance was tuned
         self._on_track = self._track_next = False  # the leg is to be followed, not just its end reached
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
-
-    @property
-    def _thin_air_factor(self) -> float:
-        """ArduPlane widens radii in thin air, so that the bank stays that of sea level."""
-        return true_over_equivalent_airspeed(self._home_altitude_m + self._craft.height_m) ** 2
 
     def start_over(self) -> None:
         """Let the next leg begin here, untracked, as after a takeoff or a change of mode."""
@@ -177,7 +176,7 @@ class ArduPlaneNavigator:
         """
         lateral_m_s2 = self.fly_line()
         if acceptance_m <= 0.0:
-            reach_m = min(self._parameters["WP_RADIUS"] * self._thin_air_factor, self.guidance.length_m)
+            reach_m = min(self._parameters["WP_RADIUS"] * self._craft.true_airspeed_ratio**2, self.guidance.length_m)
             acceptance_m = reach_m * min(1.0, self._turn_ahead_rad / _RIGHT_ANGLE_RAD)
         if self.goal.distance_m(self._craft) <= acceptance_m:
             return "Reached", lateral_m_s2
@@ -185,7 +184,8 @@ class ArduPlaneNavigator:
 
     def fly_line(self) -> float:
         """Return the lateral acceleration that follows the leg to the goal, m/s^2."""
-        self._tune()
+        if self._tuned_at != self._parameters.changes:
+            self._tune()
         craft, goal = self._craft, self.goal
         start_m = self._origin.ground_m if self._on_track else (craft.east_m, craft.north_m)
         return self.guidance.towards_line(craft, start_m, goal.ground_m, NAVIGATION_PERIOD_S)
@@ -193,25 +193,26 @@ class ArduPlaneNavigator:
     def fly_circle(self, radius_m: float, now_s: float, by_line: bool) -> float:
         """Return the lateral acceleration onto the goal's circle, m/s^2; by_line: approach a far one along a leg."""
         loiter, craft, goal, guidance = self.loiter, self._craft, self.goal, self.guidance
-        radius_m *= self._thin_air_factor
+        radius_m *= craft.true_airspeed_ratio**2
         approaches = by_line and self._on_track and loiter.reached_s is None
         if approaches and goal.distance_m(craft) > _LINE_RADII * radius_m:
             return self.fly_line()
-        self._tune()
-        lateral_m_s2 = guidance.towards_circle(craft, goal.ground_m, radius_m, loiter.clockwise)
+        if self._tuned_at != self._parameters.changes:
+            self._tune()
+        lateral_m_s2 = guidance.towards_circle(craft, (goal.east_m, goal.north_m), radius_m, loiter.clockwise)
         if loiter.reached_s is None and (guidance.on_circle or self._behind_goal()):
             loiter.reached_s = now_s
         if guidance.on_circle or loiter.last_bearing_rad is not None:
-            bearing_rad = math.atan2(goal.east_m - craft.east_m, goal.north_m - craft.north_m)
+            bearing_rad = guidance.nav_bearing_rad  # that of the centre
             if loiter.last_bearing_rad is not None:
-                step_rad = math.remainder(bearing_rad - loiter.last_bearing_rad, math.tau)
+                step_rad = bearing_rad - loiter.last_bearing_rad
+                if not -math.pi < step_rad < math.pi:
+                    step_rad = math.remainder(step_rad, math.tau)
                 loiter.turned_rad += step_rad if loiter.clockwise else -step_rad
             loiter.last_bearing_rad = bearing_rad
         return lateral_m_s2
 
     def _tune(self) -> None:
-        if self._tuned_at == self._parameters.changes:
-            return
         self._tuned_at = self._parameters.changes
         self.guidance.period_s = self._parameters.within("NAVL1_PERIOD", 1.0, 60.0)
         self.guidance.damping = self._parameters.within("NAVL1_DAMPING", 0.1, 2.0)
@@ -513,7 +514,7 @@ class ArduPlaneTelemetry(AutopilotTelemetry):
             round(math.degrees(plane.here.bearing_rad(goal))),
             min(65535, round(goal.distance_m(craft))),
             plane.height_goal_m - craft.height_m,
-            plane.airspeed_goal_m_s - craft.airspeed_m_s / plane.true_airspeed_ratio,
+            plane.airspeed_goal_m_s - craft.airspeed_m_s / craft.true_airspeed_ratio,
             guidance.cross_track_m,
         )
 
@@ -664,10 +665,11 @@ class SimulatedArduPlane(SimulatedAutopilot):
         x, y = (round(angle_deg * 1e7) for angle_deg in home_deg)
         home_item = Item(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0,) * 4, x, y, home.altitude_m)
         self.mission = ArduPlaneMission(home_item, self.say, self._start_item, lambda: self.armed)
-        self.navigator = ArduPlaneNavigator(self.craft, self.parameters, home.altitude_m)
+        self.navigator = ArduPlaneNavigator(self.craft, self.parameters)
         self._guided_radius_m = 0.0
         self._ordered_airspeed_m_s: float | None = None
         self._min_ground_speed_m_s = 0.0
+        self._cruise_at, self._cruise_m_s = -1, 0.0
         self.handlers |= {
             mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self._on_set_current,
             mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
@@ -741,7 +743,10 @@ class SimulatedArduPlane(SimulatedAutopilot):
     @property
     def airspeed_goal_m_s(self) -> float:
         ordered_m_s = self._ordered_airspeed_m_s if self.mode in (ArduPlaneMode.AUTO, ArduPlaneMode.GUIDED) else None
-        cruise_m_s = self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
+        if self._cruise_at != self.parameters.changes:
+            self._cruise_at = self.parameters.changes
+            self._cruise_m_s = self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0)
+        cruise_m_s = self._cruise_m_s if ordered_m_s is None else ordered_m_s
         if self._min_ground_speed_m_s <= 0.0:
             return cruise_m_s
         missing_m_s = max(0.0, self._min_ground_speed_m_s - self.craft.ground_speed_m_s)

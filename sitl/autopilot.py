@@ -22,7 +22,6 @@ from sidelong.sitl.world.airframe import (
     LocalPosition,
     SimulatedAirframe,
     quaternion,
-    true_over_equivalent_airspeed,
 )
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.turbulence import turbulence
@@ -120,7 +119,7 @@ class AutopilotTelemetry:
     def vfr_hud(self) -> Any:
         vehicle, craft = self._vehicle, self._craft
         return mavlink.MAVLink_vfr_hud_message(
-            craft.measured_airspeed_m_s / vehicle.true_airspeed_ratio,
+            craft.measured_airspeed_m_s / craft.true_airspeed_ratio,
             craft.ground_speed_m_s,
             round(math.degrees(craft.yaw_rad)) % 360,
             45 if craft.flying else 100 if vehicle.lifting_off else 0,
@@ -213,7 +212,7 @@ class SimulatedAutopilot(ABC):
         self.settings, self.release = settings, settings.release_or_newest
         self.home = settings.home_or_default
         self.plane = HomePlane(self.home.latitude_deg, self.home.longitude_deg)
-        self.craft = SimulatedAirframe(build, settings.wind, heading_rad)
+        self.craft = SimulatedAirframe(build, settings.wind, heading_rad, self.home.altitude_m)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_GUST_STREAM,)))
         self.craft.turbulence = turbulence(settings.turbulence, rng)
         self.parameters = parameters
@@ -248,6 +247,7 @@ class SimulatedAutopilot(ABC):
             self.transfers[mission_type] = Transfer(
                 mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
             )
+        self._transferring = tuple(self.transfers.values())
 
     @abstractmethod
     def set_mode(self, mode: int) -> bool:
@@ -302,7 +302,7 @@ class SimulatedAutopilot(ABC):
     def step(self, now_s: float, dt_s: float) -> None:
         """Run timers, navigation and airframe for ``dt_s`` up to ``now_s``, s since boot."""
         self.now_s = now_s
-        for transfer in self.transfers.values():
+        for transfer in self._transferring:
             if transfer.upload is not None or transfer.downloads:
                 transfer.step(now_s)
         if now_s >= self._navigate_s:
@@ -320,13 +320,13 @@ class SimulatedAutopilot(ABC):
         craft = self.craft
         if craft.flying:
             climb_m_s = _ALTITUDE_GAIN_PER_S * (self.height_goal_m - craft.height_m) if self.armed else -math.inf
-            craft.fly(dt_s, self.roll_goal_rad, self.airspeed_goal_m_s * self.true_airspeed_ratio, climb_m_s)
+            craft.fly(dt_s, self.roll_goal_rad, self.airspeed_goal_m_s * craft.true_airspeed_ratio, climb_m_s)
             self.lifting_off = False
             if not craft.flying:
                 self.disarm()
                 self.say(mavlink.MAV_SEVERITY_INFO, self.landed_text)
         elif self.lifting_off and self.armed:
-            craft.roll_on_ground(dt_s, _LIFT_OFF_FRACTION * self.settings.airspeed_m_s * self.true_airspeed_ratio)
+            craft.roll_on_ground(dt_s, _LIFT_OFF_FRACTION * self.settings.airspeed_m_s * craft.true_airspeed_ratio)
         elif craft.ground_speed_m_s > 0.0:
             craft.roll_on_ground(dt_s, None)
 
@@ -342,11 +342,6 @@ class SimulatedAutopilot(ABC):
         self.gcs_received_s = None
         self.set_mode(self.first_mode)
         self.radio.restart(self.default_interval_s)
-
-    @property
-    def true_airspeed_ratio(self) -> float:
-        """True over indicated airspeed at this altitude."""
-        return true_over_equivalent_airspeed(self.home.altitude_m + self.craft.height_m)
 
     @property
     def ground_silent_s(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from sidelong.app.link.frames import Decoder, Packer
 from sidelong.app.link.message import Message
@@ -63,6 +63,7 @@ class SitlVehicle:
         """Return the frames to the station since the last call."""
         return [frame for address, frame in self.simulation.take() if address == self._address]
 
-    def messages(self, packet: bytes, received_s: float) -> Iterator[Message]:
-        """Decode a frame."""
-        return self._decoder.messages(packet, received_s)
+    def messages(self, packets: Iterable[bytes], received_s: float) -> Iterator[Message]:
+        """Decode frames."""
+        for packet in packets:
+            yield from self._decoder.messages(packet, received_s)

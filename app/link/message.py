@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 
 def plain(text: str) -> str:
@@ -25,6 +25,7 @@ def _printable(text: str) -> str:
 DISTANCE_SENSOR_MAX_CM = 0xFFFF  # its fields have 16 bits
 
 
+@final
 class Message(NamedTuple):
     """A tuple, because a log yields a million of them and a frozen dataclass takes three times as long to make.
 

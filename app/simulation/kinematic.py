@@ -7,7 +7,7 @@ frames. It flies by the simulator's own guidance, not by the model with which th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 
 from sidelong.app.autopilots.autopilot import Autopilot
@@ -136,6 +136,7 @@ class KinematicVehicle:
         self._due = [
             [rate_hz > 0 and tick % (tick_hz // rate_hz) == 0 for rate_hz in each_hz] for tick in range(tick_hz)
         ]
+        self.tick_s = 1.0 / tick_hz
         self._tick, self.time_s, self.flown_s = 0, 0.0, 0.0
         self._sent: list[Message | Reading] = []
         self._decoder = Decoder()
@@ -179,10 +180,6 @@ class KinematicVehicle:
     # -- as the loop drives it -------------------------------------------------------------------------------
 
     @property
-    def tick_s(self) -> float:
-        return 1.0 / self._rates.tick_hz
-
-    @property
     def mode(self) -> str:
         return self._autopilot.mode_name(self.simulated.base_mode, self.simulated.mode)
 
@@ -206,7 +203,8 @@ class KinematicVehicle:
             self._tick += 1
             self.time_s = self._tick / self._rates.tick_hz
             while self.flown_s < self.time_s - 1e-6:
-                step_s = min(STEP_S, self.time_s - self.flown_s)
+                left_s = self.time_s - self.flown_s
+                step_s = left_s if left_s < STEP_S else STEP_S
                 self.flown_s += step_s
                 simulated.step(boot_s + self.flown_s, step_s)
                 self.flown()
@@ -218,9 +216,9 @@ class KinematicVehicle:
         taken, self._sent = self._sent, []
         return taken
 
-    def messages(self, packet: Message | Reading, received_s: float) -> tuple[Message | Reading]:
-        """Return a packet of :meth:`take`, which needs no decoding."""
-        return (packet,)
+    def messages(self, packets: Iterable[Message | Reading], received_s: float) -> Iterable[Message | Reading]:
+        """Return packets of :meth:`take`, which need no decoding."""
+        return packets
 
     def receive(self, frame: bytes) -> None:
         """Take frames that are sent to the vehicle; its replies follow at once."""

@@ -43,8 +43,8 @@ class SimulatedVehicle(Protocol[P]):
     def take(self) -> Sequence[P]:
         """Return the packets sent since the last call."""
 
-    def messages(self, packet: P, received_s: float) -> Iterable[Message | Reading]:
-        """Return the messages in a packet."""
+    def messages(self, packets: Iterable[P], received_s: float) -> Iterable[Message | Reading]:
+        """Return the messages in packets, one after the other."""
 
 
 class ClosedLoop(Generic[P]):
@@ -106,10 +106,9 @@ class ClosedLoop(Generic[P]):
             for frame in sent:
                 simulated.receive(frame)
         simulated.advance(simulated.time_s + simulated.tick_s)
-        link_s = self.link_s
-        for packet in self.arriving():
-            for message in simulated.messages(packet, link_s):
-                self.on_message(message)
+        link_s = simulated.time_s - self._start_s
+        for message in simulated.messages(self.arriving(), link_s):
+            self.on_message(message)
         if self.core is not None and link_s >= self._tick_s:
             self._tick_s = link_s + _CLOCK_TICK_S
             self.put(ClockTick(self.telemetry.now_s, link_s))
@@ -121,25 +120,24 @@ class ClosedLoop(Generic[P]):
 
     def on_message(self, message: Message | Reading) -> None:
         """Feed what the vehicle sent, and make the step that it leads to."""
-        event: InboundEvent | None
-        if isinstance(message, Message):
-            self.vehicle.take(message)
-            event = self.telemetry.event(message)
-        else:
-            event = message
+        if type(message) is not Message:  # as most are
             if type(message) is PositionReading:
                 self.telemetry.tick(message.time_s)
+            if self.core is not None:
+                self.put(message)
+            return
+        self.vehicle.take(message)
+        event: InboundEvent | None = self.telemetry.event(message)
         if self.core is None:
             return
         if event is None:
-            assert isinstance(message, Message)
             event = self.reports.report(message, self.telemetry.now_s, self.link_s)
         if event is not None:
             self.put(event)
 
     def expire(self) -> None:
         """Make the steps of timers that are due."""
-        core, link_s = self.core, self.link_s
+        core, link_s = self.core, self.simulated.time_s - self._start_s
         for _ in range(_TIMERS_MAX):
             if core is None or core.next_timer_s > link_s:
                 return

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 
 from sidelong.estimators.frames import wrap_rad
-from sidelong.estimators.rotations import from_roll_pitch_yaw
 from sidelong.estimators.sensing.readings import GimbalReading, RangeReading, Reading, Source
 from sidelong.mission.core.path import FloatArray
 
@@ -110,9 +109,10 @@ class Payload:
         range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()
         yaw_rad = math.atan2(east_m, north_m) + errors.yaw_bias_rad + errors.angle_sigma_rad * yaw_noise
         pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
-        pan_rad = wrap_rad(yaw_rad - heading_rad)
-        if abs(pan_rad) > errors.pan_limit_rad:  # the gimbal waits at its stop
-            return [self.gimbal(boot_ms, heading_rad + math.copysign(errors.pan_limit_rad, pan_rad), pitch_rad)]
+        if errors.pan_limit_rad < math.pi:
+            pan_rad = wrap_rad(yaw_rad - heading_rad)
+            if abs(pan_rad) > errors.pan_limit_rad:  # the gimbal waits at its stop
+                return [self.gimbal(boot_ms, heading_rad + math.copysign(errors.pan_limit_rad, pan_rad), pitch_rad)]
         range_m = math.hypot(east_m, north_m, up_m) + errors.range_sigma_m * range_noise
         return self.readings(time_s, boot_ms, yaw_rad, pitch_rad, range_m if with_range else None)
 
@@ -128,4 +128,11 @@ class Payload:
 
     def gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Reading:
         """Return a gimbal reading; yaw from north, pitch positive up."""
-        return GimbalReading(boot_ms * 1e-3, from_roll_pitch_yaw(0.0, pitch_rad, yaw_rad), "earth", GIMBAL)
+        # A rotation without roll, at half the cost of any.
+        cp, sp, cy, sy = (
+            math.cos(pitch_rad / 2),
+            math.sin(pitch_rad / 2),
+            math.cos(yaw_rad / 2),
+            math.sin(yaw_rad / 2),
+        )
+        return GimbalReading(boot_ms * 1e-3, (cp * cy, -sp * sy, sp * cy, cp * sy), "earth", GIMBAL)

@@ -129,6 +129,7 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         )
         self.rows: list[tuple[float, float, float, float, float]] = []
         self.departed_s: list[float] = []
+        self._departed = 0
         self._judged, self._within = controller.health.reports, 1.0
         vehicle.flown = self._flown
         self._flown()
@@ -139,7 +140,8 @@ class StudiedAircraft(ClosedLoop[Message | Reading]):
         if reports is not self._judged:  # they change seldom, and a study makes ten steps for each second
             self._judged, self._within = reports, float(not self.controller.breach)
         self.rows.append((vehicle.flown_s, craft.east_m, craft.north_m, craft.height_m, self._within))
-        if self.controller.changes.moves > len(self.departed_s):
+        if self.controller.changes.moves > self._departed:
+            self._departed += 1
             self.departed_s.append(vehicle.time_s)
 
     def log(self, flown: StudyScene) -> FloatArray:

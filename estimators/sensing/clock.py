@@ -80,7 +80,8 @@ class VehicleClock:
         if own is None:
             self._own, self.now_s = _Line(stamp_s, stamp_s), stamp_s
             return True
-        if own.last_s - LATE_S <= stamp_s <= own.last_s + self._ahead_s(stamp_s - own.last_s):
+        ordinary_s = own.last_s + AHEAD_S
+        if own.last_s - LATE_S <= stamp_s and (stamp_s <= ordinary_s or stamp_s <= own.last_s + self._ahead_max_s):
             if stamp_s > own.last_s:
                 self._ticks_s.append(stamp_s - own.last_s)
                 own.last_s = self.now_s = stamp_s
@@ -89,9 +90,10 @@ class VehicleClock:
             return True
         return False
 
-    def _ahead_s(self, step_s: float) -> float:
-        """Return how far a step may go; only a step beyond the ordinary asks how long they are here."""
-        if step_s <= AHEAD_S or not self._ticks_s:
+    @property
+    def _ahead_max_s(self) -> float:
+        """How far a step may go; only one beyond the ordinary asks how long they are here."""
+        if not self._ticks_s:
             return AHEAD_S
         return min(max(AHEAD_S, 3.0 * statistics.median(self._ticks_s)), LATE_S)
 
@@ -157,7 +159,8 @@ class SourceClock:
     def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
         """Return a stamp on the vehicle's clock; None if it fits neither that clock nor the source's own."""
         ahead_s = stamp_s - clock.now_s
-        if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement
+        # A clock that stands still gives no measurement.
+        if not -_SAMPLE_EVERY_S < clock.now_s - self._sampled_s < _SAMPLE_EVERY_S:
             self._sampled_s = clock.now_s
             self._samples.append(ahead_s)
             self._usual = self._usual + 1 if -_DELAY_MAX_S <= ahead_s <= _EARLY_MAX_S else 0
@@ -176,12 +179,13 @@ class SourceClock:
 
     def _lasts(self, ahead_s: float) -> bool:
         """Return whether the latest stamps agree for long enough to know the clock without those before."""
-        if not abs(ahead_s - self._row_s) <= _CLUSTER_S:
+        if not -_CLUSTER_S <= ahead_s - self._row_s <= _CLUSTER_S:
             self._row, self._row_s, self._row_since_s = 0, ahead_s, self._sampled_s
         self._row += 1
         lasts = self._row >= _ROW_MIN and self._sampled_s - self._row_since_s >= _ROW_S
-        while lasts and len(self._samples) > self._row:
-            self._samples.popleft()
+        if lasts and self._row < _SAMPLES:
+            while len(self._samples) > self._row:
+                self._samples.popleft()
         return lasts
 
     def _estimate(self, tick_s: float, lasts: bool) -> None:

@@ -50,13 +50,16 @@ class ReadingHistory(Generic[T]):
 
     def around(self, time_s: float) -> tuple[T, T] | None:
         """Return the readings before and after a time, twice one of that time; None outside the readings."""
-        at = bisect_right(self._items, time_s, key=_time_s)
+        items = self._items
+        if time_s == self.newest_s:  # as where all devices measure at once
+            return items[-1], items[-1]
+        at = bisect_right(items, time_s, key=_time_s)
         if at == 0:
             return None
-        before = self._items[at - 1]
+        before = items[at - 1]
         if before.time_s == time_s:
             return before, before
-        return None if at == len(self._items) else (before, self._items[at])
+        return None if at == len(items) else (before, items[at])
 
     def since(self, time_s: float) -> list[T]:
         """Return the readings from a time on."""

@@ -269,7 +269,7 @@ class _Repeats:
         """Take a value; return whether the finding has changed. A travelled motion of 1 has to change the value."""
         before, same = self.found, self._same
         for then, now in zip(self._anchor, values, strict=False):
-            if abs(now - then) > same:
+            if not -same <= now - then <= same:
                 break
         else:
             self._count += 1
@@ -425,7 +425,8 @@ class PayloadFit:
 
     def range(self, reading: RangeReading) -> None:
         """Process a range of the laser in use."""
-        if self._range is not None and reading.source != self._range.source:
+        before = self._range
+        if before is not None and reading.source is not before.source and reading.source != before.source:
             self._expect_another_laser()
             self._begin_device()
         self._range = reading
@@ -451,7 +452,7 @@ class PayloadFit:
 
     def gimbal(self, reading: GimbalReading, ends_on_ground: bool = False) -> None:
         """Process a line of sight in use; one that ends on known ground counts without a range."""
-        if reading.source != self._gimbal_source:
+        if reading.source is not self._gimbal_source and reading.source != self._gimbal_source:
             if self._gimbal_source is not None:
                 self._expect_another_gimbal()
                 self._begin_device()
@@ -493,7 +494,8 @@ class PayloadFit:
                 self._settle()
         if gimbal is None or not self._fits_errors:
             return
-        if abs(math.hypot(*gimbal.quaternion_wxyz) - 1.0) > 0.05:
+        w, x, y, z = gimbal.quaternion_wxyz
+        if not 0.95**2 <= w * w + x * x + y * y + z * z <= 1.05**2:
             return
         place = position.time_s, position.east_m, position.north_m
         motion = position.velocity_east_m_s, position.velocity_north_m_s, position.height_m
@@ -519,12 +521,14 @@ class PayloadFit:
             return
         course_rad = math.atan2(east_m_s, north_m_s)
         if self._course_rad is not None and before is not None:
-            self._turned_rad += abs(wrap_rad(course_rad - self._course_rad))
+            step_rad = wrap_rad(course_rad - self._course_rad)
+            self._turned_rad += step_rad if step_rad >= 0.0 else -step_rad
             if self._sight is not None and self._range is not None:
                 east_m, north_m, (east, north) = now.east_m - before.east_m, now.north_m - before.north_m, self._sight
                 across_m = north_m * east - east_m * north
                 self._closed += (east_m * east + north_m * north) / _CLOSED_M
-                self._passed += across_m / max(self._range.slant_range_m, 50.0) / _PASSED_RAD
+                far_m = self._range.slant_range_m
+                self._passed += across_m / (far_m if far_m > 50.0 else 50.0) / _PASSED_RAD
         self._course_rad = course_rad
 
     def _sweep(self) -> None:
@@ -639,7 +643,7 @@ class PayloadFit:
             return None
         if samples[-1].turned_rad - samples[0].turned_rad < _TURNED_RAD:
             return None
-        shares = sorted(one.off_level for one in samples)
+        shares = sorted([one.off_level for one in samples])
         off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
         unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > _OFF_LEVEL_SHARE
         if unit_is_right and not math.isnan(samples[-1].range_m):

@@ -103,7 +103,7 @@ class SourceSelector:
             self.chosen = source
             if source in self.refused:
                 self.refused.remove(source)
-        self.received_s = max(self.received_s, time_s)
+        self.received_s = time_s if time_s > self.received_s else self.received_s
         return True
 
     def _may_replace(self, source: Source, time_s: float, *, agrees: bool) -> bool:

@@ -166,7 +166,8 @@ class Track:
         self._steps.append(_Step(sighting, before))
         self._gated_out.clear()
         self._last_rejection = ""
-        self._last_sighting_s = max(self._last_sighting_s, sighting.time_s)
+        last_s, time_s = self._last_sighting_s, sighting.time_s
+        self._last_sighting_s = time_s if time_s > last_s else last_s
         if not self._kept or after.time_s - self._kept[-1][0] >= _KEPT_EVERY_S:
             self._kept.append((after.time_s, after))
         if self._steps[0].sighting.time_s < self._last_sighting_s - 2 * _HISTORY_S:
@@ -262,6 +263,9 @@ class Track:
 def _predicted(start: TargetImm, time_s: float) -> TargetImm:
     """Return a copy of the filter, moved on to ``time_s``."""
     ahead = start.copy()
+    if time_s - start.time_s <= _STEP_MAX_S:  # as nearly always
+        ahead.predict(time_s)
+        return ahead
     step_s = max(_STEP_MAX_S, (time_s - start.time_s) / _STEPS_MAX)
     for _ in range(_STEPS_MAX):
         if time_s - ahead.time_s <= step_s:

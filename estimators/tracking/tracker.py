@@ -86,7 +86,7 @@ class Pairing:
     def add_gimbal(self, gimbal: GimbalReading) -> bool:
         """Store a line of sight; return whether it is new and its quaternion is a rotation."""
         w, x, y, z = gimbal.quaternion_wxyz
-        if abs(w * w + x * x + y * y + z * z - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
+        if not 0.9 < w * w + x * x + y * y + z * z < 1.1 or not self._gimbals.add(gimbal):
             return False
         by_image = gimbal.source.message == IMAGE_TRACKER
         self._has_image |= by_image
@@ -112,28 +112,30 @@ class Pairing:
         """Store a range until it can be paired."""
         if self._ranges.add(reading):
             insort(self.waiting, reading, key=_time_s)
-            if len(self.waiting) > _WAITING_MAX:
-                del self.waiting[0]
+            del self.waiting[:-_WAITING_MAX]
 
     def completed(self) -> list[Sighting]:
         """Return the sightings that can be made now, oldest first."""
         sightings: list[Sighting] = []
         position_s, gimbal_s = self._poses.positions.newest_s, self._gimbals.newest_s
         newest_s = max(position_s, gimbal_s, self._ranges.newest_s)
-        known_s = min(position_s, gimbal_s - self.gimbal_delay_s)
-        if self._needs_attitude:
+        known_s, sighted_s = position_s, gimbal_s - self.gimbal_delay_s
+        known_s = known_s if known_s <= sighted_s else sighted_s
+        needs_attitude = self._needs_attitude
+        if needs_attitude:
             known_s = min(known_s, self._poses.attitudes.newest_s)
         # A gimbal that is later than the laser is waited for.
         known_s += self.range_delay_s
-        wait_s = _WAIT_S + max(0.0, self.gimbal_delay_s - self.range_delay_s)
+        later_s = self.gimbal_delay_s - self.range_delay_s
+        wait_s = _WAIT_S + later_s if later_s > 0.0 else _WAIT_S
         while self.waiting and (known_s >= self.waiting[0].time_s or newest_s - self.waiting[0].time_s > wait_s):
             reading = self.waiting.pop(0)
-            sighting = self._sighting(reading.time_s - self.range_delay_s, reading)
+            sighting = self._sighting(reading.time_s - self.range_delay_s, reading, needs_attitude)
             if sighting is not None:
                 sightings.append(sighting)
         known_s += self.gimbal_delay_s - self.range_delay_s
         while self.alone and known_s >= self.alone[0]:
-            sighting = self._sighting(self.alone.pop(0) - self.gimbal_delay_s)
+            sighting = self._sighting(self.alone.pop(0) - self.gimbal_delay_s, None, needs_attitude)
             if sighting is not None:
                 sightings.append(sighting)
         return sightings
@@ -151,7 +153,8 @@ class Pairing:
         self._paired_s = -math.inf
         waiting = {reading.time_s for reading in self.waiting}
         readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]
-        sightings = (self._sighting(reading.time_s - self.range_delay_s, reading) for reading in readings)
+        delay_s, needed = self.range_delay_s, self._needs_attitude
+        sightings = (self._sighting(reading.time_s - delay_s, reading, needed) for reading in readings)
         return [sighting for sighting in sightings if sighting is not None]
 
     @property
@@ -159,7 +162,7 @@ class Pairing:
         newest = self._gimbals.newest()
         return self._has_arm or (newest is not None and newest.frame != "earth")
 
-    def _sighting(self, time_s: float, reading: RangeReading | None = None) -> Sighting | None:
+    def _sighting(self, time_s: float, reading: RangeReading | None, needs_attitude: bool) -> Sighting | None:
         """Return the sighting at a time, with a range or where the line of sight meets the ground."""
         settings = self._settings
         position = self._poses.position_at(time_s)
@@ -167,7 +170,7 @@ class Pairing:
         if position is None or between is None:
             return None
         gimbal, gap_s = between
-        needs_attitude = self._needs_attitude or gimbal.frame != "earth"  # the newest may be of another frame
+        needs_attitude = needs_attitude or gimbal.frame != "earth"  # the newest may be of another frame
         attitude = self._poses.attitude_at(time_s) if needs_attitude else None
         if attitude is None and needs_attitude:
             return None
@@ -195,11 +198,14 @@ class Pairing:
             return None
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
         # Several ranges between two lines of sight share the noise of these: none may count it as its own.
-        shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))
-        self._paired_s = max(self._paired_s, time_s)
+        shared = 1.0
+        if gap_s:
+            shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))
+        self._paired_s = time_s if time_s > self._paired_s else self._paired_s
         position_m = settings.position_sigma_m  # alike in all three axes it adds to each measured number separately
         yaw_rad, pitch_rad = shared * settings.yaw_sigma_rad, shared * settings.pitch_sigma_rad
-        level_m = range_m * max(math.cos(sight.depression_rad), 0.01)
+        cosine = math.cos(sight.depression_rad)
+        level_m = range_m * (cosine if cosine > 0.01 else 0.01)
         return Sighting(
             time_s,
             range_m,
@@ -278,16 +284,19 @@ class Tracker:
                 sightings += self._usable_fix(reading)
         if self._pairing.waiting or self._pairing.alone:
             sightings += self._pairing.completed()
+            at_all_bearings = self._pairing.wrong_bearings is None
             for sighting in sightings:  # ends of lines of sight on the ground take the place of ranges
-                at_all_bearings = self._pairing.wrong_bearings is None
-                if isinstance(sighting, Sighting) and not sighting.has_range and at_all_bearings:
+                if not sighting.has_range and at_all_bearings and isinstance(sighting, Sighting):
                     self.payload.ground_range(sighting.time_s + self._pairing.gimbal_delay_s, sighting.slant_range_m)
         if not sightings:
             return ()
-        outcomes = tuple([self._track.add(sighting) for sighting in sightings])
-        self.sightings += len(outcomes)
-        self.rejected += sum([not outcome.accepted for outcome in outcomes])
-        return outcomes
+        outcomes = []
+        for sighting in sightings:
+            outcome = self._track.add(sighting)
+            outcomes.append(outcome)
+            self.sightings += 1
+            self.rejected += not outcome.accepted
+        return tuple(outcomes)
 
     def _follow_payload(self, now_s: float) -> None:
         """Use what the payload fit has found: the one place that corrects, and that undoes wrong sightings."""

@@ -368,10 +368,10 @@ class StandoffController:
             case AttitudeReading():
                 self._attitude = reading
                 self.envelope.turns.note(reading)
-            case RangeReading() if reading.source == tracker.ranges.chosen:
-                self._range_s = max(self._range_s, reading.time_s)
-            case GimbalReading() if reading.source == tracker.gimbals.chosen:
-                self._gimbal_s = max(self._gimbal_s, reading.time_s)
+            case RangeReading() if reading.source is (used := tracker.ranges.chosen) or reading.source == used:
+                self._range_s = reading.time_s if reading.time_s > self._range_s else self._range_s
+            case GimbalReading() if reading.source is (used := tracker.gimbals.chosen) or reading.source == used:
+                self._gimbal_s = reading.time_s if reading.time_s > self._gimbal_s else self._gimbal_s
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
@@ -1004,7 +1004,8 @@ def _announced(event: AlarmReported) -> tuple[Announce]:
 def _state_of(reading: PositionReading, bank_rad: float) -> AircraftState:
     east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
     course_rad, ground_speed_m_s = math.atan2(east_m_s, north_m_s), math.hypot(east_m_s, north_m_s)
+    turning_m_s = ground_speed_m_s if ground_speed_m_s > 5.0 else 5.0
     # A coordinated turn at this bank bends the flown line by g tan(bank) across it.
-    curvature_per_m = GRAVITY_M_S2 * math.tan(bank_rad) / max(ground_speed_m_s, 5.0) ** 2
+    curvature_per_m = GRAVITY_M_S2 * math.tan(bank_rad) / turning_m_s**2
     place = reading.time_s, reading.east_m, reading.north_m
     return AircraftState(*place, course_rad, ground_speed_m_s, curvature_per_m)

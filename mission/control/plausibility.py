@@ -205,17 +205,19 @@ def _stayed(last: PositionReading, place: PositionReading, passed_s: float) -> b
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:
     """Return whether a position can be flown to from another, that was dead reckoned for ``reckoned_for_s``."""
     step_s = reading.time_s - last.time_s
-    passed_s = abs(step_s)
+    passed_s = step_s if step_s >= 0.0 else -step_s
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
     off_m = math.hypot(
         reading.east_m - last.east_m - last.velocity_east_m_s * step_s,
         reading.north_m - last.north_m - last.velocity_north_m_s * step_s,
     )
-    turned_m = min(0.5 * _ACCELERATION_M_S2 * step_s**2, (2.0 * speed_m_s + _GUST_M_S) * passed_s)
+    turned_m, most_m = 0.5 * _ACCELERATION_M_S2 * step_s**2, (2.0 * speed_m_s + _GUST_M_S) * passed_s
+    turned_m = turned_m if turned_m <= most_m else most_m
     if off_m > _SLACK_M + turned_m + _RECKONING_DRIFT_M_S * reckoned_for_s:
         return False
     climbed_m = reading.height_m - last.height_m - last.velocity_up_m_s * step_s
-    if abs(climbed_m) > _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (passed_s + reckoned_for_s):
+    limit_m = _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (passed_s + reckoned_for_s)
+    if not -limit_m <= climbed_m <= limit_m:
         return False
     return _velocity_follows(last, reading, speed_m_s, reckoned_for_s)
 
@@ -257,8 +259,10 @@ def _velocity_follows(
     changed_m_s = math.hypot(
         reading.velocity_east_m_s - last.velocity_east_m_s, reading.velocity_north_m_s - last.velocity_north_m_s
     )
-    possible_m_s = _VELOCITY_SLACK_M_S + _VELOCITY_RATE_M_S2 * abs(reading.time_s - last.time_s)
-    return changed_m_s <= min(possible_m_s, 2.0 * speed_m_s + _GUST_M_S) + _RECKONING_DRIFT_M_S * reckoned_for_s
+    step_s, most_m_s = reading.time_s - last.time_s, 2.0 * speed_m_s + _GUST_M_S
+    possible_m_s = _VELOCITY_SLACK_M_S + _VELOCITY_RATE_M_S2 * (step_s if step_s >= 0.0 else -step_s)
+    possible_m_s = possible_m_s if possible_m_s <= most_m_s else most_m_s
+    return changed_m_s <= possible_m_s + _RECKONING_DRIFT_M_S * reckoned_for_s
 
 
 def _dead_reckoned(last: PositionReading, announced: PositionReading, bank_rad: float) -> PositionReading:
@@ -362,10 +366,10 @@ class Plausibility:
 
     def admit(self, event: Event) -> Admitted:
         """Return the checked event, None if it is rejected, and the announcements for the operator."""
-        judge = self._judges.get(type(event))
-        if judge is None:
+        kind, judges = type(event), self._judges
+        if kind not in judges:
             return event, ()
-        passed = judge(event)
+        passed = judges[kind](event)
         if self._yield is not None:
             passed, self._yield = self._yield, None
         if not self._announced:
@@ -394,6 +398,8 @@ class Plausibility:
             if self._home_altitude_m is None or not self.home_is_fixed:
                 self._home_altitude_m = reading.home_altitude_m
             moved_m = reading.home_altitude_m - self._home_altitude_m
+            if moved_m == self._home_next_m == self.home_m:  # as nearly always: neither has changed
+                return replace(reading, height_m=reading.height_m + self.home_m) if self.home_m else reading
             is_confirmed = abs(moved_m - self._home_next_m) <= _SAME_HOME_M
             if is_confirmed and abs(moved_m - self.home_m) > _SAME_HOME_M:
                 self.home_m = moved_m if abs(moved_m) > _SAME_HOME_M else 0.0
@@ -530,7 +536,10 @@ class Plausibility:
     def _payload(self, reading: Payload) -> Event | None:
         clock = self.clock
         # While the vehicle's clock stands still there is nothing to compare a payload's clock with.
-        if clock.now_s == -math.inf or clock.in_question or self.vehicle_silent or not self._credible(reading):
+        kind = type(reading)
+        if clock.now_s == -math.inf or clock.in_question or self.vehicle_silent:
+            return None
+        if kind is not GimbalReading and not self._credible(reading):
             return None
         if type(reading) is TargetFixReading and reading.source.message in BEACON_MESSAGES:
             if not self._is_of_first_beacon(reading.source):
@@ -538,7 +547,6 @@ class Plausibility:
             self._note_repeated(reading)
         if reading.time_s == 0.0:
             return replace(reading, time_s=self.clock.now_s)
-        kind = type(reading)
         latest, source = self._latest[kind]
         if reading.source is not latest:
             known = self._sources.get((kind, reading.source))
@@ -596,11 +604,12 @@ class Plausibility:
 
 
 def _possible(reading: PositionReading) -> bool:
+    east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
     return (
-        math.hypot(reading.east_m, reading.north_m) <= _FROM_HOME_MAX_M
+        reading.east_m * reading.east_m + reading.north_m * reading.north_m <= _FROM_HOME_MAX_M**2
         and _HEIGHT_MIN_M <= reading.height_m <= _HEIGHT_MAX_M
-        and math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s) <= _SPEED_MAX_M_S
-        and abs(reading.velocity_up_m_s) <= _CLIMB_MAX_M_S
+        and east_m_s * east_m_s + north_m_s * north_m_s <= _SPEED_MAX_M_S**2
+        and -_CLIMB_MAX_M_S <= reading.velocity_up_m_s <= _CLIMB_MAX_M_S
     )
 
 

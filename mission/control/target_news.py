@@ -251,10 +251,13 @@ class AnotherObject:
             return
         lately = list(self._lately)
         before, after = lately[:_GROUP], lately[_GROUP:]
-        long_s = max(_GAP_S, *(one[-1].time_s - one[0].time_s for one in (before, after)))
-        has_gap = after[0].time_s - before[-1].time_s >= long_s
-        if not has_gap and sum(one.objected for one in after) < _OBJECTED:
-            return
+        gap_s = after[0].time_s - before[-1].time_s
+        if gap_s < _GAP_S or gap_s < max(one[-1].time_s - one[0].time_s for one in (before, after)):
+            objected = 0
+            for one in after:  # nearly always none
+                objected += one.objected
+            if objected < _OBJECTED:
+                return
         sigma_m = math.hypot(before[-1].sigma_m, after[0].sigma_m)
         (left_m, is_left_one), (now_m, is_now_one) = (_median(group, speed_m_s, sigma_m) for group in (before, after))
         step_m, since_s = math.dist(left_m, now_m), _when_s(after, -1) - _when_s(before, 0)
@@ -288,15 +291,29 @@ class AnotherObject:
         if speed_m_s > _SHADOW_SPEED_SHARE * ground_speed_m_s:
             return  # a target of that speed can drive as the aircraft flies
         # Plain numbers: arrays of a dozen positions cost ten times as much.
-        own_m, seen_m = ([getattr(one, name) for one in self._moved] for name in ("aircraft_m", "place_m"))
-        apart_m = [(seen[0] - own[0], seen[1] - own[1]) for seen, own in zip(seen_m, own_m, strict=True)]
-        middle_m = [statistics.median(axis_m) for axis_m in zip(*apart_m, strict=True)]
-        differs_m = [math.dist(one, middle_m) for one in apart_m]
-        limit_m = statistics.quantiles(differs_m, n=_SHADOW_PARTS, method="inclusive")[-1]
+        moved = self._moved
+        own_east_m, own_north_m = [one.aircraft_m[0] for one in moved], [one.aircraft_m[1] for one in moved]
+        apart_east_m = [one.place_m[0] - one.aircraft_m[0] for one in moved]
+        apart_north_m = [one.place_m[1] - one.aircraft_m[1] for one in moved]
+        east_m, north_m = statistics.median(apart_east_m), statistics.median(apart_north_m)
+        differs_m2 = [
+            (east - east_m) ** 2 + (north - north_m) ** 2
+            for east, north in zip(apart_east_m, apart_north_m, strict=True)
+        ]
+        # The distance that one part of them exceeds, between the two next to it.
+        ordered = sorted(differs_m2)
+        at, share = divmod((_SHADOW_PARTS - 1) * (len(ordered) - 1), _SHADOW_PARTS)
+        below_m, above_m = math.sqrt(ordered[at]), math.sqrt(ordered[at + 1])
+        limit_m = below_m + (above_m - below_m) * share / _SHADOW_PARTS
+        diagonal_m = math.hypot(max(own_east_m) - min(own_east_m), max(own_north_m) - min(own_north_m))
+        if limit_m >= _SHADOW_SHARE * 0.5 * diagonal_m:
+            return  # as nearly always: no positions within a box lie farther from their mean
         # The motion that rests on the others may be that of one outlier.
-        kept_m = [own for own, off_m in zip(own_m, differs_m, strict=True) if off_m <= limit_m]
+        kept_m = [
+            one.aircraft_m for one, off_m2 in zip(moved, differs_m2, strict=True) if math.sqrt(off_m2) <= limit_m
+        ]
         mean_m = [statistics.fmean(axis_m) for axis_m in zip(*kept_m, strict=True)]
-        flown_m = math.sqrt(statistics.fmean(math.dist(own, mean_m) ** 2 for own in kept_m))
+        flown_m = math.sqrt(statistics.fmean([math.dist(own, mean_m) ** 2 for own in kept_m]))
         if flown_m > _SHADOW_FLOWN_M and limit_m < _SHADOW_SHARE * flown_m:
             first = self._moved[0]
             left = first.time_s, Reach(*first.place_m, 2.0 * first.sigma_m, speed_m_s)

@@ -93,8 +93,11 @@ class MissionController:
             return self._way_home.next_timer_s
         if self._silent:
             return math.inf
-        parts = [backend.next_timer_s for backend in self._backends]
-        return min(self._takeover.next_timer_s, *parts)
+        next_s = self._takeover.next_timer_s
+        for backend in self._backends:  # asked for at every tick
+            backend_s = backend.next_timer_s
+            next_s = backend_s if backend_s < next_s else next_s
+        return next_s
 
     @property
     def idle(self) -> bool:
@@ -128,10 +131,12 @@ class MissionController:
         else:
             outputs = () if self._closing else self.controller.step(event)
         self._outputs, outbox = [], self._outbox
-        outbox.time_s = max(outbox.time_s, self.controller.time_s)
+        now_s = self.controller.time_s
+        outbox.time_s = now_s if now_s > outbox.time_s else outbox.time_s
         if outputs:
             self._route(outputs)
-        self._observe(event)  # type: ignore[arg-type]
+        if kind is PositionReading or kind is ModeReported:
+            self._observe(event)  # type: ignore[arg-type]
         if outbox.sent or outbox.derived:
             self._settle()
         return tuple(self._outputs)

@@ -257,8 +257,11 @@ class MissionItemBackend:
         if self._waits:
             return -math.inf
         activation = self._change.activation if self._change is not None else None
-        parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
-        return min([*parts, self._ownership.next_timer_s])
+        next_s = self._ownership.next_timer_s
+        for part in (self._write, self._read, activation):
+            if part is not None:
+                next_s = min(next_s, part.next_timer_s)
+        return next_s
 
     # -- the first mission ---------------------------------------------------------------------------------
 

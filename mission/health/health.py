@@ -21,7 +21,7 @@ from sidelong.estimators.sensing.readings import (
     RangeReading,
     Source,
 )
-from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
+from sidelong.estimators.sensing.sighting import Fix, SightingOutcome
 from sidelong.estimators.tracking.payload_fit import OFTEN, PayloadFit
 from sidelong.estimators.tracking.sources import SourceSelector
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
@@ -55,10 +55,6 @@ _OF_KINDS = 3
 _RANGED, _ANGLES, _FIX = range(_OF_KINDS)
 
 
-def _kind(sighting: AnySighting) -> int:
-    return _FIX if isinstance(sighting, Fix) else _RANGED if sighting.has_range else _ANGLES
-
-
 class SightingsCheck:
     """Whether the sightings agree with the track.
 
@@ -90,7 +86,8 @@ class SightingsCheck:
             self._rejected.append([second, *(2 * _OF_KINDS * [0])])
         counts = self._rejected[-1]
         for outcome in outcomes:
-            kind = _kind(outcome.sighting)
+            sighting = outcome.sighting
+            kind = _FIX if type(sighting) is Fix else _RANGED if sighting.has_range else _ANGLES
             counts[1 + kind] += 1
             counts[1 + _OF_KINDS + kind] += not outcome.accepted or (kind != _RANGED and outcome.nis > _POOR_NIS)
         if not is_new:
@@ -213,8 +210,9 @@ class Health:
         goes_on = self._ticks > self._moved_tick + _TICKS_MARGIN and now_s != self._now_s
         if goes_on:
             self._moved_tick, self._now_s = self._ticks, now_s
-        seen = self._by_kind.get(type(event))
-        if seen is not None and now_s > -math.inf:
+        kind, by_kind = type(event), self._by_kind
+        if kind in by_kind and now_s > -math.inf:
+            seen = by_kind[kind]
             if seen.source is None:
                 is_input = not isinstance(event, RangeReading) or lasers is None or lasers.may_use(event.source)
             else:
@@ -222,7 +220,7 @@ class Health:
             if is_input:
                 seen.last_s, seen.tick = now_s, self._ticks
                 seen.count += 1
-        elif type(event) is ClockTick:
+        elif kind is ClockTick:
             self._ticks += 1
             if now_s == self._now_s:
                 return True
@@ -279,9 +277,13 @@ class Health:
             return ()
         changed: list[HealthChanged] = []
         for kind in _KINDS.values():
-            if self._inputs[kind].count:
-                self._rate(self._inputs[kind], now_s)
-                self._judge_age(kind, now_s, changed)
+            seen = self._inputs[kind]
+            if seen.count:
+                if not 0.0 <= now_s - seen.rated_s < _RATE_OVER_S:
+                    self._rate(seen, now_s)
+                is_fresh = now_s - seen.last_s <= _AGE_MAX_S[kind] and self._ticks == self._moved_tick
+                if seen.state is not InputState.OK or not is_fresh:
+                    self._judge_age(kind, now_s, changed)
         self.payload.is_news = False
         of_payload = {
             Input.LASER: self.payload.laser_fault,
@@ -315,10 +317,9 @@ class Health:
 
     def _rate(self, seen: _Received, now_s: float) -> None:
         passed_s = now_s - seen.rated_s
-        if not 0.0 <= passed_s < _RATE_OVER_S:
-            seen.rate_hz = (seen.count - seen.rated_count) / passed_s if 0.0 < passed_s < math.inf else math.nan
-            seen.rated_s, seen.rated_count = now_s, seen.count
-            self._is_news = True
+        seen.rate_hz = (seen.count - seen.rated_count) / passed_s if 0.0 < passed_s < math.inf else math.nan
+        seen.rated_s, seen.rated_count = now_s, seen.count
+        self._is_news = True
 
     def _judge_age(self, kind: Input, now_s: float, changed: list[HealthChanged]) -> None:
         seen, limit_s = self._inputs[kind], _AGE_MAX_S[kind]

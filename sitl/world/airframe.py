@@ -51,7 +51,10 @@ class AirframeParameters:
 class SimulatedAirframe:
     """State and motion. airspeed_m_s is true airspeed; heading_rad is where the nose points, without sideslip."""
 
-    def __init__(self, build: AirframeParameters, wind: WindVector, heading_rad: float = 0.0) -> None:
+    def __init__(
+        self, build: AirframeParameters, wind: WindVector, heading_rad: float = 0.0, home_altitude_m: float = 0.0
+    ) -> None:
+        self._home_altitude_m, self._ratio_at_m, self._ratio = home_altitude_m, math.nan, 1.0
         self.build = build
         self.wind = wind
         self.east_m = self.north_m = self.height_m = self.ground_m = 0.0
@@ -63,6 +66,14 @@ class SimulatedAirframe:
         self.turbulence: Turbulence | None = None
         self._carried_m_s = (0.0, 0.0, 0.0)  # by gusts: ahead, to the right and up
         self._off_rad = self._off_rad_s = (0.0, 0.0)  # pitch and yaw by gusts, which the autopilot takes out again
+
+    @property
+    def true_airspeed_ratio(self) -> float:
+        """True over equivalent airspeed at the aircraft's height."""
+        if self.height_m != self._ratio_at_m:  # each step asks for it, and only a climb changes it
+            self._ratio_at_m = self.height_m
+            self._ratio = true_over_equivalent_airspeed(self._home_altitude_m + self.height_m)
+        return self._ratio
 
     @property
     def ground_speed_m_s(self) -> float:

@@ -239,9 +239,8 @@ def stop(flight, seconds, buffered):
         flight.simulated.advance(flight.simulated.time_s + flight.simulated.tick_s)
         waiting += flight.simulated.take()[: max(0, buffered - len(waiting))]
     flight.expire()
-    for frame in waiting:
-        for message in flight.simulated.messages(frame, flight.link_s):
-            flight.on_message(message)
+    for message in flight.simulated.messages(waiting, flight.link_s):
+        flight.on_message(message)
 
 
 @pytest.mark.parametrize(("flavour", "seed"), [("arduplane", 5), ("px4", 2)])

@@ -28,7 +28,8 @@ HOME_ALTITUDE_M = 584.09
 
 
 def craft_of(move, build):
-    craft = SimulatedAirframe(build, WindVector(move["wind_east_m_s"], move["wind_north_m_s"]))
+    wind = WindVector(move["wind_east_m_s"], move["wind_north_m_s"])
+    craft = SimulatedAirframe(build, wind, home_altitude_m=HOME_ALTITUDE_M)
     craft.flying, craft.height_m, craft.roll_rad = True, HEIGHT_M, move["roll_rad"]
     craft.velocity_east_m_s, craft.velocity_north_m_s = move["velocity_east_m_s"], move["velocity_north_m_s"]
     through_air = (craft.velocity_east_m_s - craft.wind.east_m_s, craft.velocity_north_m_s - craft.wind.north_m_s)
@@ -39,7 +40,7 @@ def craft_of(move, build):
 def arduplane(move):
     craft = craft_of(move, ARDUPLANE_BUILD)
     parameters = arduplane_parameters(Settings(airspeed_m_s=22.0))
-    navigator = ArduPlaneNavigator(craft, parameters, HOME_ALTITUDE_M)
+    navigator = ArduPlaneNavigator(craft, parameters)
     navigator.circle(LocalPosition(move["centre_east_m"], move["centre_north_m"], HEIGHT_M), clockwise=True)
     radius_m = move["radius_m"]
     return craft, 5, math.radians(65.0), lambda: navigator.fly_circle(radius_m, 0.0, by_line=False)
