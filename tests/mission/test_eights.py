@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sidelong.app.planners.value_cache import value_table
 from sidelong.app.study.benchmark import TRACKS
 from sidelong.app.study.closed_loop import run
 from sidelong.app.study.recorded import own_route, recorded_targets
@@ -45,7 +46,7 @@ from sidelong.mission.predictive.planner import (
     table_configuration,
 )
 from sidelong.mission.predictive.rollout_kernel import Sampling, blind_rate
-from sidelong.mission.predictive.value_table import WatchCost, compute
+from sidelong.mission.predictive.value_table import WatchCost
 
 RADIUS_M, RAMP, AIRSPEED_M_S = 50.0, 0.0008, 10.0
 LIMITED = Aircraft(AIRSPEED_M_S, RADIUS_M, pan_limit_rad=math.radians(120.0))
@@ -137,7 +138,7 @@ def test_a_figure_of_eight_has_the_price_of_a_narrow_circle_whatever_its_width()
 
 @pytest.fixture(scope="module")
 def table():
-    return compute(table_configuration(LIMITED, BAND))
+    return value_table(table_configuration(LIMITED, BAND))
 
 
 @pytest.mark.parametrize(("leg_m", "given_up"), [(10.0, True), (300.0, False)])
@@ -195,9 +196,9 @@ def test_figures_of_eight_are_planned_along_a_known_route():
     unknown = StudySettings(runs=1, config=limited, tracks=tracks, duration_s=900.0)
     routed = tuple(replace(one, route=own_route(one, np.random.default_rng(1))) for one in tracks)
     known = replace(unknown, tracks=routed)
-    value_table, off_side = table_of(unknown), []
+    of_class, off_side = table_of(unknown), []
     for settings, least in ((known, 0.98), (unknown, 0.97)):
-        one = run(settings, PREDICTIVE, 0, value_table)
+        one = run(settings, PREDICTIVE, 0, of_class)
         assert one.time_within_pan_limits > least
         off_side.append(1.0 - one.time_on_side)
     assert off_side[0] < 0.7 * off_side[1]

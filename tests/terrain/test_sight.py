@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sidelong.app.planners.value_cache import value_table
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
@@ -14,7 +15,6 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.core.sight import NOTHING_HIDDEN
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Pose, WatchFrame, add_sight, hidden_rate, single_line
-from sidelong.mission.predictive.value_table import compute
 from sidelong.mission.terrain.heights import SightField
 
 HEIGHT_M = 100.0
@@ -95,7 +95,7 @@ def test_rasters_are_kept_while_the_target_is_near() -> None:
 def test_the_planner_moves_to_where_it_sees() -> None:
     """A target standing still behind a wall, seen from the south-west: it goes there, and without the wall stays."""
     aircraft, requirement = Aircraft(15.0, 50.0), Requirement(100.0, 500.0, Side.LEFT, 3.0)
-    planner = PredictivePlanner(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
+    planner = PredictivePlanner(aircraft, requirement, value_table(table_configuration(aircraft, requirement)))
     ground = walled()
     field = SightField(ground, 700.0)
     circle = Circle(-300.0, 0.0, 50.0, clockwise=True)
