@@ -291,10 +291,11 @@ MISSION = [
 
 
 def kmz() -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("files/icon.png", b"\x89PNG")
-        archive.writestr("doc.kml", KML.format(f"<LineString><coordinates>{LINE}</coordinates></LineString>"))
+    """Return an archive that is the same at any time: a part of it names a test, in each worker alike."""
+    file, line = io.BytesIO(), KML.format(f"<LineString><coordinates>{LINE}</coordinates></LineString>")
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in (("files/icon.png", b"\x89PNG"), ("doc.kml", line)):
+            archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
     return file.getvalue()
 
 
