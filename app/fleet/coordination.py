@@ -120,7 +120,7 @@ class VehicleClockReader:
         self._utc_rejected = self._restarted = True
 
     def report(self, message: Message) -> events.ClockReported | None:
-        """Return the message as a report of the vehicle's clock; None: it has no time, or one that is rejected."""
+        """Return the message as a report of the vehicle's clock; None: its time is missing or rejected."""
         reported = self._report(message)
         if reported is not None:
             self._reported_offset_s = reported.mission_time_s - reported.time_s

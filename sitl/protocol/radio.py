@@ -48,7 +48,7 @@ class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no t
     """pymavlink's parser, but a frame with a false signature does not move its stream's time."""
 
     def check_signature(self, frame: bytearray, system_id: int, component_id: int) -> bool:
-        """Check a frame; one that is forged does not move the times of the streams."""
+        """Check a frame; a forged one does not move the times of the streams."""
         before = self.signing.stream_timestamps.copy()
         genuine = bool(super().check_signature(frame, system_id, component_id))
         if not genuine:
