@@ -13,7 +13,7 @@ from sidelong.app.camera.tracker import Box, ObjectTracker, Picture, Tracked, Tr
 from sidelong.app.camera.view import View
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.rotations import Quaternion, multiply, normalized
-from sidelong.estimators.sensing.pose import PoseHistory, ReadingHistory, gimbal_at
+from sidelong.estimators.sensing.pose import AXIS_AHEAD_S, PoseHistory, ReadingHistory, gimbal_at
 from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
@@ -24,7 +24,6 @@ from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.sources import SourceSelector, axis_rank
 
 _GIMBAL_SPAN_S = 6.0
-_GIMBAL_AGE_MAX_S = 0.4  # of the latest attitude, from which that of a newer picture is predicted
 _ESTIMATE_AGE_MAX_S = 3.0  # of the estimate's last sighting: its velocity still describes the target
 _FRESH_S, _GEO_S, _GEO_SIGMA_MAX_M = 2.0, 9.0, 15.0  # hidden for these times, the gimbal looks at the estimate
 
@@ -125,12 +124,12 @@ class TargetCamera:
 
     def picture(self, picture: Picture, time_s: float) -> Pictured | None:
         """Process a picture (BGR); return the result, None while the camera's position or attitude is unknown."""
-        position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s, _GIMBAL_AGE_MAX_S)
+        position, found = self._poses.position_at(time_s), gimbal_at(self._gimbals, time_s, AXIS_AHEAD_S)
         gimbal = self._gimbals.newest() if found is None else found[0]
         attitude = self._poses.attitude_at(time_s) or self._poses.attitudes.newest()
         if position is None or gimbal is None or attitude is None:
             return None
-        if gimbal.time_s and abs(time_s - gimbal.time_s) > _GIMBAL_AGE_MAX_S:
+        if gimbal.time_s and abs(time_s - gimbal.time_s) > AXIS_AHEAD_S:
             return None
         height, width = picture.shape[:2]
         sight = multiply(parent_of_gimbal(gimbal, attitude, self._mount), normalized(gimbal.quaternion_wxyz))

@@ -20,7 +20,7 @@ from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing import readings
 from sidelong.estimators.sensing.clock import VehicleClock
-from sidelong.estimators.sensing.pose import ReadingHistory, gimbal_at
+from sidelong.estimators.sensing.pose import AXIS_AHEAD_S, ReadingHistory, gimbal_at
 from sidelong.estimators.tracking.sources import SourceSelector, axis_rank
 from sidelong.mission.core.events import Event, HomeReported, ModeReported, NavigationReported, WindReported
 
@@ -61,7 +61,6 @@ _SIGNAL_INVALID = 1
 _TRACKING_ACTIVE = 1
 _TRACKS_RECTANGLE = 2  # of CAMERA_TRACKING_MODE
 _VIEW_MAX_DEG, _SIGHT_AGE_MAX_S = 170.0, 3.0
-_AXIS_AHEAD_S = 0.4  # as the camera predicts its axis
 _TARGET_POSITION = 1  # of TARGET_ABSOLUTE_SENSOR_CAPABILITY_FLAGS
 _DELTA_YAW_OFF_RAD = math.radians(30.0)  # what an aircraft turns while the message is on its way, and more
 
@@ -316,7 +315,7 @@ class Telemetry:
         program knows when the image was taken, and adds it as ``capture_s``.
         """
         fields, half_view = message.fields, self._half_view.get(message.component_id)
-        known = gimbal_at(self._sights, fields["capture_s"], _AXIS_AHEAD_S) if "capture_s" in fields else None
+        known = gimbal_at(self._sights, fields["capture_s"], AXIS_AHEAD_S) if "capture_s" in fields else None
         sight = self._sight if known is None else known[0]
         if fields["tracking_status"] != _TRACKING_ACTIVE or sight is None or half_view is None:
             return None

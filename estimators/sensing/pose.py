@@ -147,6 +147,7 @@ class PoseHistory:
 
 
 _GIMBAL_GAP_MAX_S = 1.0  # between two attitudes of a gimbal: across more, it may have turned anywhere
+AXIS_AHEAD_S = 0.4  # for a picture that is newer than the gimbal's last attitude
 _TURN_S = 0.3  # a rate over less than this is that of the stamps' errors
 
 
