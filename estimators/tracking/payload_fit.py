@@ -269,7 +269,7 @@ class _Repeats:
         """Take a value; return whether the finding has changed. A travelled motion of 1 has to change the value."""
         before, same = self.found, self._same
         for then, now in zip(self._anchor, values, strict=False):
-            if not -same <= now - then <= same:
+            if now - then > same or then - now > same:
                 break
         else:
             self._count += 1
